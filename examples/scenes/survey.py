@@ -38,7 +38,7 @@ from exwarp_cli.io.output import read_headers
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.progress import NoProgress
 from exwarp_cli.pipeline.run import upsample
-from exwarp_cli.report.quality import quality
+from exwarp_cli.report.schema import mean_scores
 from exwarp_cli.research.training.scene_clip import SceneClip
 
 HERE = Path(__file__).parent
@@ -120,7 +120,9 @@ def measure(scene: RenderedScene) -> dict[str, Any]:
         **_motion(SceneClip(scene)),
         "holes": {setting: _holes(runs[setting]["s6"]) for setting in SETTINGS},
         "quality": {
-            setting: {method: quality(r.score for r in runs[setting][method]) for method in METHODS}
+            setting: {
+                method: mean_scores(r.score for r in runs[setting][method]) for method in METHODS
+            }
             for setting in SETTINGS
         },
     }

@@ -16,9 +16,9 @@ from exwarp_cli.commands.options import (
     show,
     summary_of_files,
 )
-from exwarp_cli.domain.bench import SETTINGS, SYSTEMS, BenchSettings
-from exwarp_cli.domain.real_time import CLOCKS
 from exwarp_cli.domain.settings import DEVICES
+from exwarp_cli.research.bench.real_time import CLOCKS
+from exwarp_cli.research.bench.systems import SETTINGS, SYSTEMS, BenchSettings
 
 
 @click.command("bench", context_settings={"show_default": True})
@@ -88,18 +88,18 @@ def command(
     command without it.
     """
     from exwarp_cli.domain.metric import parse_metrics
-    from exwarp_cli.pipeline.bench.plan import listed, systems_of
-    from exwarp_cli.pipeline.bench.work import run_benchmark
     from exwarp_cli.pipeline.predictor import clock_of
     from exwarp_cli.pipeline.progress import reporting
-    from exwarp_cli.report.bench.folder import what_is_where, write_benchmark
+    from exwarp_cli.research.bench.bench_folder import describe_files, write_benchmark
+    from exwarp_cli.research.bench.benchmark import run_benchmark
+    from exwarp_cli.research.bench.systems import parse_names, parse_systems
 
     with reporting(progress, results_on_stdout=as_json) as reporter:
         hertz = clock_of(predictor_clock, "--predictor-clock")
         settings = BenchSettings(
-            scenes=listed(scenes),
+            scenes=parse_names(scenes),
             settings=SETTINGS if setting == "both" else (setting,),
-            systems=systems_of(systems),
+            systems=parse_systems(systems),
             metrics=parse_metrics(metrics),
             fps=fps,
             **options,  # type: ignore[arg-type]
@@ -111,5 +111,5 @@ def command(
         print_json(written)
         return
     with summary_of_files():
-        for line in what_is_where(settings.output):
+        for line in describe_files(settings.output):
             show(line)

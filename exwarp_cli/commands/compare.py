@@ -102,11 +102,9 @@ def command(
     """
     from exwarp_cli.pipeline.evaluation import evaluate
     from exwarp_cli.pipeline.progress import reporting
-    from exwarp_cli.report.compare_page import REFERENCE, TEST
-    from exwarp_cli.report.comparison import comparison
+    from exwarp_cli.report.comparison import REFERENCE, TEST, comparison_document, require_quality
     from exwarp_cli.report.folder import prepare_comparison, write_comparison
     from exwarp_cli.report.gallery import Gallery
-    from exwarp_cli.report.thresholds import require_quality
 
     allow(max_pixels)
     kind = progress or ("bar" if sys.stderr.isatty() else "none")
@@ -119,7 +117,7 @@ def command(
         if folder is not None and gallery is not None:
             write_comparison(folder, result, gallery.album)
         if as_json:
-            print_json(comparison(result))
+            print_json(comparison_document(result))
         else:
             _print_scores(result)
         require_quality(result)
@@ -129,13 +127,13 @@ def _print_scores(result: Comparison) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from exwarp_cli.report.comparison import comparison, part_rows
+    from exwarp_cli.report.comparison import comparison_document, quality_rows
 
-    document = comparison(result)
+    document = comparison_document(result)
     metrics = [metric for metric in METRICS if metric.field in result.measuring.measured]
     table = Table("", *(metric.title for metric in metrics), "frames")
     worst = document["worst"]
-    rows = part_rows(document["quality"])
+    rows = quality_rows(document["quality"])
     rows[f"worst: {worst['frame']}"] = worst | {"frames": 1}
     for name, values in rows.items():
         scores = ((metric, values[metric.field]) for metric in metrics)

@@ -15,9 +15,9 @@ import click
 from click.shell_completion import CompletionItem, get_completion_class
 from click.types import StringParamType
 
-from exwarp_cli.domain.bench import SYSTEMS
 from exwarp_cli.domain.metric import ALL, BY_OPTION, METRICS, SCOPES
 from exwarp_cli.option_values import long_name, names_paths
+from exwarp_cli.research.bench.systems import SYSTEMS
 
 METHODS = (
     "exwarp", "causal", "s1", "s2", "s3", "s4", "s5", "s6", "oracle", "oracle-return",

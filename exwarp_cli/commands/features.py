@@ -46,16 +46,16 @@ def command(
     from exwarp_cli.io.threads import use_threads
     from exwarp_cli.pipeline.decide import features
     from exwarp_cli.pipeline.progress import reporting
-    from exwarp_cli.report.features_table import HEADER, document, row
-    from exwarp_cli.report.frames_csv import table
+    from exwarp_cli.report.command_text import FEATURE_COLUMNS, feature_cells, features_document
+    from exwarp_cli.report.csv_tables import format_csv
 
     use_threads(threads)
     with reporting(progress, results_on_stdout=True) as reporter:
         rows = features(SourceSettings(**source), frames, reporter)
         if as_json:
-            print_json(document(rows))
+            print_json(features_document(rows))
             return
         for index, decision in enumerate(rows):
             if index == 0:  # not before: a sequence that cannot be used gives no table
-                click.echo(table(HEADER, ()), nl=False)
-            click.echo(table(row(decision), ()), nl=False)
+                click.echo(format_csv(FEATURE_COLUMNS, ()), nl=False)
+            click.echo(format_csv(feature_cells(decision), ()), nl=False)

@@ -20,7 +20,7 @@ from exwarp_cli.commands.summary_lines import summary_lines
 from exwarp_cli.domain.wording import counted
 
 if TYPE_CHECKING:
-    from exwarp_cli.report.merging import Merged
+    from exwarp_cli.report.merge import Merged
 
 # Folders that a line names at most.
 MOST_NAMED = 3
@@ -52,7 +52,7 @@ def command(
     machine.
     """
     from exwarp_cli.pipeline.progress import reporting
-    from exwarp_cli.report.merging import merge_reports
+    from exwarp_cli.report.merge import merge_reports
 
     with reporting(progress, results_on_stdout=as_json):
         merged = merge_reports(folders, output, overwrite)
@@ -64,14 +64,14 @@ def command(
 
 
 def _print_summary(merged: Merged, output: Path) -> None:
-    from exwarp_cli.report.page_parts import time_text
+    from exwarp_cli.report.sentences import format_time
 
     document = merged.document
     if document["frames"]["written"]:
         for line in summary_lines(document):
             show(line)
     joined = counted(merged.reports, "report")
-    click.echo(f"{joined} joined, {time_text(document['wall_s'])} of work")
+    click.echo(f"{joined} joined, {format_time(document['wall_s'])} of work")
     if merged.missing is not None:
         click.echo(f"key frames of the sequence that are in no report: {merged.missing}")
     if merged.superseded:

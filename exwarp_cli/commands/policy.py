@@ -48,7 +48,7 @@ def cycles(
     from rich.console import Console
 
     from exwarp_cli.pipeline import predictor
-    from exwarp_cli.report.accelerator import cycles_document, cycles_lines, cycles_table
+    from exwarp_cli.report.command_text import cycles_document, cycles_lines, cycles_table
 
     rate = predictor.clock_of(clock)
     inference = predictor.cycles(policy, cores, macs, cache, port)
@@ -73,20 +73,20 @@ def run(table: Path, policy: Path | None, trace: bool, row: int | None, as_json:
     them: Q16.16 integers with spaces between. With --trace, the first of them, or that of --row.
     """
     from exwarp_cli.pipeline import predictor
-    from exwarp_cli.report import policy_run
+    from exwarp_cli.report import command_text
 
     if trace:
         traced = predictor.trace_row(table, policy, row)
         if as_json:
-            print_json(policy_run.trace_document(traced))
+            print_json(command_text.trace_document(traced))
         else:
-            click.echo("\n".join(policy_run.trace_lines(traced)))
+            click.echo("\n".join(command_text.trace_lines(traced)))
         return
     rows = predictor.decide_rows(table, policy, row)
     if as_json:
-        print_json(policy_run.decisions_document(rows))
+        print_json(command_text.decisions_document(rows))
     else:
-        click.echo(policy_run.decisions_csv(rows), nl=False)
+        click.echo(command_text.decisions_csv(rows), nl=False)
 
 
 @command.command("export", short_help="Write hex files for a Verilog test bench.")

@@ -22,14 +22,14 @@ def summary_lines(
     is_scored
         Whether ground truth was given; None to tell by the scores that are there.
     """
-    from exwarp_cli.report.decisions import gate_line
-    from exwarp_cli.report.page_parts import (
-        cuts_line,
-        held_line,
-        left_out_line,
-        nonfinite_line,
+    from exwarp_cli.report.sentences import (
+        describe_cuts,
+        describe_gate,
+        describe_holds,
+        describe_left_out,
+        describe_nonfinite,
+        describe_review,
     )
-    from exwarp_cli.report.review import review_line
 
     frames, quality = document["frames"], document["quality"]["all"]
     decisions, pulse = document["decisions"], document["pulse"]
@@ -37,34 +37,34 @@ def summary_lines(
         is_scored = bool(quality["frames"])
     lines = _frame_lines(document, place)
     if document["cuts"]:
-        lines.append(cuts_line(document["cuts"]))
+        lines.append(describe_cuts(document["cuts"]))
     if document["held"]:
-        lines.append(held_line(document["held"]))
+        lines.append(describe_holds(document["held"]))
     lines.extend(_decision_lines(decisions))
     if decisions["gate"]:
-        lines.append(gate_line(decisions["gate"]))
+        lines.append(describe_gate(decisions["gate"]))
     lines.extend(_holes_line(document["holes"], frames["generated"] + frames["dropped"]))
     if is_scored and frames["written"] > frames["key"]:
         lines.append(_quality_line(quality))
     if pulse is not None and pulse["against"] == KEY_FRAMES:
         lines.append(_pulse_line(pulse))
     if document["review"] is not None:
-        lines.append(review_line(document["review"]))
+        lines.append(describe_review(document["review"]))
     if document["left_out"]:
-        lines.append(left_out_line(document["left_out"]))
+        lines.append(describe_left_out(document["left_out"]))
     if document["nonfinite"]:
-        lines.append(nonfinite_line(document["nonfinite"]))
+        lines.append(describe_nonfinite(document["nonfinite"]))
     return lines + _file_lines(document)
 
 
 def _frame_lines(document: dict[str, Any], place: str) -> list[str]:
-    from exwarp_cli.report.page_parts import rendered_text
+    from exwarp_cli.report.sentences import format_rendered
 
     frames, fps = document["frames"], document["fps"]
     effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
     lines = [
         f"{counted(frames['written'], 'frame')}{place and f' in {place}'}: "
-        f"{rendered_text(frames)}, {frames['generated']} generated, {frames['dropped']} repeated",
+        f"{format_rendered(frames)}, {frames['generated']} generated, {frames['dropped']} repeated",
         f"{fps['base']:g} fps in, {fps['output']:g} out{effective}",
     ]
     if frames["resumed"] or frames["replaced"]:
@@ -108,16 +108,16 @@ def _pulse_line(pulse: dict[str, Any]) -> str:
 
 def _file_lines(document: dict[str, Any]) -> list[str]:
     """Say what was read back, and what rendering would have taken by the renderer's own times."""
-    from exwarp_cli.report.page_parts import time_text
+    from exwarp_cli.report.sentences import format_time
 
     lines = []
     if document["verified"] is not None:
         lines.append(f"{counted(document['verified'], 'file')} read back, all as written")
     if (times := document["render_time"]) is not None:
         lines.append(
-            f"render time saved: {time_text(times['saved_s'])} ({times['saved_share']:.0%}); a key "
-            f"frame took {time_text(times['key_frame_s'])} to render, a new one takes "
-            f"{time_text(times['generated_frame_s'])}"
+            f"render time saved: {format_time(times['saved_s'])} ({times['saved_share']:.0%}); "
+            f"a key frame took {format_time(times['key_frame_s'])} to render, a new one takes "
+            f"{format_time(times['generated_frame_s'])}"
         )
     return lines
 

@@ -361,7 +361,7 @@ def _foresee(
 
 
 def _print_dry_run(plan: DryRun, as_json: bool) -> None:
-    from exwarp_cli.report.dry_run import dry_run_document, dry_run_lines
+    from exwarp_cli.report.command_text import dry_run_document, dry_run_lines
 
     if as_json:
         print_json(dry_run_document(plan))
@@ -376,9 +376,9 @@ def _print_summary(
     """Say in a few lines what was done, or print the report's document."""
     from exwarp_cli.commands.summary_lines import summary_lines
     from exwarp_cli.io.clip import is_clip
-    from exwarp_cli.report.summary import report
+    from exwarp_cli.report.schema import run_document
 
-    document = report(summary)
+    document = run_document(summary)
     if as_json:
         print_json(document)
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from fractions import Fraction
@@ -20,54 +21,29 @@ from exwarp_cli.domain.timeline import FACTOR
 class FrameKind(Enum):
     """Where a written frame came from."""
 
-    KEY = "key"
-    """A rendered frame, passed through."""
-
-    RENDERED = "rendered"
-    """Rendered after all, in the place of a generated one."""
-
-    GENERATED = "generated"
-    """Made by a method for this slot."""
-
-    DROPPED = "dropped"
-    """A repeat of the frame shown before: no new frame for the eye."""
+    KEY = "key"  # a rendered frame, passed through
+    RENDERED = "rendered"  # rendered after all, in the place of a generated one
+    GENERATED = "generated"  # made by a method for this slot
+    DROPPED = "dropped"  # a repeat of the frame shown before
 
 
 @dataclass(frozen=True)
 class Score:
-    """Quality of one frame, or part of one, against ground truth; None is what was not measured.
+    """Quality of one frame, or part of one, against ground truth; None is not measured."""
 
-    Attributes
-    ----------
-    psnr_db
-        Decibels, at most 100.
-    ssim
-        Mean structural similarity, at most 1.
-    flip
-        Mean FLIP error, 0 (equal) to 1.
-    hdr_flip
-        Mean HDR-FLIP error, 0 (equal) to 1.
-    vmaf
-        0 to 100 (equal, up to its temporal part); of whole frames only.
-    flicker
-        Change in time that the ground truth does not have, in display levels of 0 to 255; 0 is
-        best. See `exwarp_cli.metrics.flicker`.
-    pulse
-        Per cent by which the frame is sharper (positive) or softer (negative) than ground truth; of
-        whole frames only. See `exwarp_cli.metrics.pulse`.
-    """
-
-    psnr_db: float | None = None
-    ssim: float | None = None
-    flip: float | None = None
-    hdr_flip: float | None = None
-    vmaf: float | None = None
+    psnr_db: float | None = None  # decibels, at most 100
+    ssim: float | None = None  # mean structural similarity, at most 1
+    flip: float | None = None  # mean FLIP error, 0 (equal) to 1
+    hdr_flip: float | None = None  # mean HDR-FLIP error, 0 (equal) to 1
+    vmaf: float | None = None  # 0 to 100 (equal, up to its temporal part); whole frames only
+    # Change in time that the ground truth does not have, display levels of 0 to 255; 0 is best.
     flicker: float | None = None
+    # Per cent by which the frame is sharper (positive) or softer than ground truth; whole frames.
     pulse: float | None = None
 
     @property
     def badness(self) -> float | None:
-        """What is larger the worse the frame is, by the first metric that was measured."""
+        """The first metric that was measured, larger for worse frames."""
         for metric in METRICS:
             value: float | None = getattr(self, metric.field)
             if value is not None:
@@ -77,96 +53,50 @@ class Score:
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """One written frame.
+    """One written frame."""
 
-    Attributes
-    ----------
-    number
-        Output frame number.
-    file
-        Name of the written file, without its folder.
-    key
-        Input number of the key frame that the slot belongs to.
-    slot
-        0 for the key frame itself, else 1 or more.
-    kind
-        Rendered, generated or repeated.
-    method
-        The method that made this very frame (a look-ahead run falls back to a causal method after
-        the last key frame); "key" and "rendered" for rendered ones, "held" between key frames that
-        show the same picture.
-    sources
-        Input numbers of the rendered frames that its colour came from; of one that was rendered
-        after all its own number.
-    hole_fraction
-        Share of the frame's pixels, 0 to 1, that the warp from the key frame cannot see; None
-        where there is no motion to tell.
-    nonfinite_pixels
-        Pixels of the source frames with NaN or infinite colour, treated as holes; None where the
-        frame was not computed in this run.
-    score, hole_score
-        Against ground truth, over all pixels and over the hole mask; None where not measured.
-    resumed
-        Whether an earlier run had written it and this one only checked it.
-    replaced
-        Whether a file was there whose place it took.
-    timing_ms
-        Milliseconds by step of the work.
-    made_by
-        What made the frame: "warp", "extrapolate", "softsplat", "blend", "interpolate" (a network)
-        or "hold"; None for a rendered one.
-    path
-        Decision path of its key interval, S1 to S6; None outside the paper's paths.
-    decision
-        What was decided of its slot; None where nothing was.
-    render
-        Seconds that it took to render, and the header's attribute that tells; None for frames that
-        were not rendered, and where none tells.
-    key_pulse
-        Per cent by which a generated frame without ground truth is sharper or softer than the two
-        key frames around it; None where not measured. See `exwarp_cli.metrics.pulse`.
-    risk
-        How wrong a generated frame is expected to be; None where nothing tells.
-    trial
-        What the gate decided by; None without a gate.
-    tiles
-        What made each of its tiles; None where one maker made the whole frame by any choice.
-    rendered_sources
-        Output numbers of frames rendered after all that a generated frame's colour came from.
-    """
-
-    number: int
-    file: str
-    key: int
-    slot: int
+    number: int  # output frame number
+    file: str  # name of the written file, without its folder
+    key: int  # input number of the key frame that the slot belongs to
+    slot: int  # 0 for the key frame itself
     kind: FrameKind
+    # What made this very frame: a look-ahead run falls back to a causal method after the last key
+    # frame. "key" and "rendered" for rendered ones, "held" between key frames with equal pictures.
     method: str
+    # Input numbers of the rendered frames that its colour came from.
     sources: tuple[int, ...]
+    # Share of the pixels, 0 to 1, that the warp from the key frame cannot see; None without motion.
     hole_fraction: float | None = None
+    # Pixels of the source frames with NaN or infinite colour; None if not computed in this run.
     nonfinite_pixels: int | None = None
-    score: Score | None = None
-    hole_score: Score | None = None
-    resumed: bool = False
-    timing_ms: dict[str, float] = field(default_factory=dict)
+    score: Score | None = None  # over all pixels
+    hole_score: Score | None = None  # over the hole mask
+    resumed: bool = False  # written by an earlier run, and only checked by this one
+    timing_ms: dict[str, float] = field(default_factory=dict)  # by step of the work
+    # "warp", "extrapolate", "softsplat", "blend", "interpolate", "lookahead" or "hold"; None for
+    # rendered frames.
     made_by: str | None = None
-    path: str | None = None
-    decision: Decision | None = None
+    path: str | None = None  # S1 to S6; None outside the paper's paths
+    decision: Decision | None = None  # of its slot
+    # Seconds that it took to render, and the header attribute that says so.
     render: tuple[float, str] | None = None
-    replaced: bool = False
+    replaced: bool = False  # took the place of a file
+    # Pulse against the two key frames around it, where there is no ground truth, per cent.
     key_pulse: float | None = None
     risk: Risk | None = None
-    trial: Trial | None = None
-    tiles: TileMakers | None = None
+    trial: Trial | None = None  # what the gate decided by
+    tiles: TileMakers | None = None  # None where one maker made the whole frame by any choice
+    # Output numbers of frames rendered after all that a generated frame's colour came from.
     rendered_sources: tuple[int, ...] = ()
 
     @property
     def pulse(self) -> float | None:
-        """Its pulse against ground truth, else against its key frames; None if not measured."""
+        """Pulse against ground truth, else against the key frames; None if not measured."""
         return self.key_pulse if self.score is None else self.score.pulse
 
     @property
     def has_holes(self) -> bool:
-        """True if the frame comes by a warp, so that `hole_fraction` tells of its own holes.
+        """True if the frame was warped, so that `hole_fraction` describes its own holes.
 
         Others have the fraction too: all methods are scored on the same holes.
         """
@@ -177,113 +107,51 @@ class FrameRecord:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """What was left out of a key interval, as its input or its ground truth cannot be used.
+    """What a key interval lacks, as its input or its ground truth cannot be used."""
 
-    Attributes
-    ----------
-    key
-        Input number of the key frame.
-    frames
-        Numbers of the output frames that are missing for it, ascending.
-    reason
-        What is wrong, in a sentence.
-    scores
-        Numbers of the frames whose ground truth it is that cannot be used, ascending; they are made
-        all the same.
-    rendered
-        Numbers of the frames whose rendered ones cannot be used, ascending; they are generated.
-    """
-
-    key: int
-    frames: tuple[int, ...]
-    reason: str
-    scores: tuple[int, ...] = ()
-    rendered: tuple[int, ...] = ()
+    key: int  # input number of the key frame
+    frames: tuple[int, ...]  # output frames that are missing, ascending
+    reason: str  # a sentence
+    scores: tuple[int, ...] = ()  # frames that are made, but whose ground truth cannot be used
+    rendered: tuple[int, ...] = ()  # generated, as their rendered frames cannot be used
 
 
 @dataclass(frozen=True)
 class BrokenPixels:
-    """Pixels of the input that are NaN or infinite. Nothing is made of them.
+    """Pixels of the input that are NaN or infinite; nothing is made of them."""
 
-    Attributes
-    ----------
-    key
-        Input number of the selected key frame, or of the one before a slot with G-buffers.
-    slot
-        0 for the key frame itself, else 1 or more.
-    view
-        That has them; "" where there are none.
-    channels
-        What they are in: "colour", "motion", "depth" and the like, or the name of a layer.
-    pixels
-        How many have a value that is not finite; in a depth only NaN counts, as infinity is how
-        renderers write the background.
-    """
-
-    key: int
-    slot: int
-    view: str
-    channels: str
-    pixels: int
+    key: int  # input number of the key frame, or of the one before a slot with G-buffers
+    slot: int  # 0 for the key frame itself
+    view: str  # "" where there are no views
+    channels: str  # "colour", "motion", "depth" and the like, or the name of a layer
+    pixels: int  # of a depth only NaN counts: infinity is how renderers write the background
 
 
 @dataclass(frozen=True)
 class WrittenFile:
-    """A file of a run, and its checksum.
+    """A file of a run, and its checksum."""
 
-    Attributes
-    ----------
-    kind
-        "frame", "holes" or, where it is written alone, "video".
-    frame
-        Number of the output frame; None for a video.
-    file
-        Its name, without its folder.
-    sha256
-        Of all its bytes as they were made, hexadecimal.
-    """
-
-    kind: str
-    frame: int | None
-    file: str
-    sha256: str
+    kind: str  # "frame", "holes" or, where it is written alone, "video"
+    frame: int | None  # output number; None for a video
+    file: str  # its name, without its folder
+    sha256: str  # of all its bytes as they were made, hexadecimal
 
 
 @dataclass(frozen=True)
 class InputSummary:
-    """The input as the report names it.
+    """The input as the report names it."""
 
-    Attributes
-    ----------
-    pattern
-        Sequence pattern as a path, with ``#`` for digits.
-    first, last
-        Input numbers of the first and last key frame of the whole sequence.
-    width, height
-        Display window, pixels.
-    producer
-        What wrote the files, as far as they tell.
-    motion_source, motion_evidence
-        How the motion convention was found; None without motion.
-    dynamic
-        Names of what moves, as ``--dynamic`` found them; None where nothing was said.
-    step
-        From each key frame's number to the next one's.
-    depth
-        Why depth is read otherwise than its name says, or left out; None where it is not.
-    """
-
-    pattern: str
-    first: int
+    pattern: str  # sequence pattern as a path, with # for digits
+    first: int  # input number of the first key frame of the whole sequence
     last: int
-    width: int
+    width: int  # display window, pixels
     height: int
-    producer: str
-    motion_source: str | None
+    producer: str  # what wrote the files, as far as they say
+    motion_source: str | None  # how the motion convention was determined; None without motion
     motion_evidence: str | None
-    dynamic: tuple[str, ...] | None = None
-    step: int = 1
-    depth: str | None = None
+    dynamic: tuple[str, ...] | None = None  # what --dynamic matched; None without the option
+    step: int = 1  # from each key frame's number to the next one's
+    depth: str | None = None  # why depth is read otherwise than its name says, or left out
 
     @property
     def numbers(self) -> range:
@@ -293,46 +161,22 @@ class InputSummary:
 
 @dataclass(frozen=True)
 class NetworkSummary:
-    """The network that extrapolated.
-
-    Attributes
-    ----------
-    file
-        Path of the model.
-    sha256
-        Of the model's file, hexadecimal.
-    device
-        "cpu" or "cuda".
-    demodulated
-        Whether it was given shading that surface colour had been divided out of.
-    """
+    """The network that extrapolated."""
 
     file: str
-    sha256: str
-    device: str
-    demodulated: bool
+    sha256: str  # of the model's file, hexadecimal
+    device: str  # "cpu" or "cuda"
+    demodulated: bool  # True if it was given shading without surface colour
 
 
 @dataclass(frozen=True)
 class InterpolatorSummary:
-    """The network that interpolated, or that weighed both key frames.
+    """The network that interpolated, or that weighed both key frames."""
 
-    Attributes
-    ----------
-    name
-        As its card has it; "lookahead" of the one that weighs.
-    file
-        Path of the model.
-    sha256, card_sha256
-        Of the model's file and of the card beside it, hexadecimal; None without a card.
-    device
-        "cpu" or "cuda".
-    """
-
-    name: str
+    name: str  # as its card has it; "lookahead" for the one that weighs
     file: str
     sha256: str
-    card_sha256: str | None
+    card_sha256: str | None  # None without a card
     device: str
 
     @property
@@ -343,108 +187,43 @@ class InterpolatorSummary:
 
 @dataclass(frozen=True)
 class PolicySummary:
-    """The policy that decided.
-
-    Attributes
-    ----------
-    file
-        Path of its network.
-    sha256
-        Of the network's file, hexadecimal.
-    objects_from
-        What identified moving objects: "ids", "cryptomatte" (what moves of it, by name or by
-        motion), or "motion" where there are none.
-    missing
-        Features that are 0 throughout, as the AOVs they come from are missing.
-    trained_for
-        SHA-256 of the extrapolation networks that it was trained for; () where it does not say.
-    note
-        Says that another network extrapolates; None where it is one of those.
-    """
+    """The policy that decided."""
 
     file: str
     sha256: str
+    # What identified moving objects: "ids", "cryptomatte" or "motion".
     objects_from: str | None
-    missing: tuple[str, ...]
-    trained_for: tuple[str, ...] = ()
-    note: str | None = None
+    missing: tuple[str, ...]  # features that are 0 throughout, as their AOVs are missing
+    trained_for: tuple[str, ...] = ()  # SHA-256 of the extrapolation networks; () if unknown
+    note: str | None = None  # says that another network extrapolates
 
 
 @dataclass(frozen=True)
 class RunSummary:
-    """A whole `upsample` run.
-
-    Attributes
-    ----------
-    method
-        Name of the method asked for.
-    setting
-        "key" or "slot": whether G-buffers were given for key frames only or for every slot.
-    lookahead
-        Whether the method uses the next key frame.
-    input
-        The input sequence.
-    base_fps, fps_source
-        Frames per second of the input, and where that number came from: "option", "header" or
-        "assumed".
-    wall_seconds
-        Wall time of the streaming part; of several runs that were joined, their sum.
-    frames
-        One record a written frame, ascending.
-    decides
-        Whether frames were made by paths of the paper's decision tree.
-    extrapolator
-        None for methods that do not extrapolate.
-    policy
-        None where no learned policy decided.
-    interpolator
-        None for methods that have no network interpolate.
-    factor
-        Output frames per key frame.
-    cuts
-        Where shots begin, as far as the run met it; None where cuts were neither looked for nor
-        given.
-    views
-        Views that generated frames hold, the one that was scored and decided by first; () where
-        there are none.
-    layers
-        Names of the layers that generated frames hold beside the beauty.
-    keys
-        Input numbers of the key frames that were selected, ascending; see `selected`.
-    version
-        Of the ExWarp that made the frames.
-    left_out
-        The key intervals that were left out, ascending.
-    files
-        What was written, with checksums; () where that was not asked.
-    verified
-        How many files were read back and found as they were made; None where that was not asked.
-    nonfinite
-        What is not finite in the frames that were read, ascending.
-    """
+    """A whole `upsample` run."""
 
     method: str
-    setting: str
-    lookahead: bool
+    setting: str  # "key" or "slot": G-buffers of key frames only, or of every slot
+    lookahead: bool  # True if the method uses the next key frame
     input: InputSummary
     base_fps: float
-    fps_source: str
-    wall_seconds: float
-    frames: tuple[FrameRecord, ...]
-    decides: bool = False
+    fps_source: str  # "option", "header" or "assumed"
+    wall_seconds: float  # of the streaming part; of joined runs, their sum
+    frames: tuple[FrameRecord, ...]  # ascending
+    decides: bool = False  # True if frames were made by paths of the paper's decision tree
     extrapolator: NetworkSummary | None = None
     policy: PolicySummary | None = None
     interpolator: InterpolatorSummary | None = None
-    factor: Fraction = Fraction(FACTOR)
-    cuts: tuple[Cut, ...] | None = None
-    views: tuple[str, ...] = ()
-    layers: tuple[str, ...] = ()
-    keys: tuple[int, ...] = ()
-    version: str = __version__
-    left_out: tuple[LeftOut, ...] = ()
-    files: tuple[WrittenFile, ...] = ()
-    verified: int | None = None
-    nonfinite: tuple[BrokenPixels, ...] = ()
+    factor: Fraction = Fraction(FACTOR)  # output frames per key frame
+    cuts: tuple[Cut, ...] | None = None  # None where cuts were neither searched nor given
+    views: tuple[str, ...] = ()  # the one that was scored and decided by first
+    layers: tuple[str, ...] = ()  # that generated frames hold beside the beauty
+    keys: tuple[int, ...] = ()  # input numbers of the selected key frames, see `selected`
+    version: str = __version__  # of the ExWarp that made the frames
+    left_out: tuple[LeftOut, ...] = ()  # ascending
+    files: tuple[WrittenFile, ...] = ()  # () where checksums were not asked
+    verified: int | None = None  # files that were read back and are as written; None: not asked
+    nonfinite: tuple[BrokenPixels, ...] = ()  # ascending
 
     @property
     def selected(self) -> tuple[int, ...]:
@@ -464,3 +243,46 @@ class RunSummary:
     def output_fps(self) -> float:
         """Frames per second of the output."""
         return self.base_fps * float(self.factor)
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """What was made; attributes as in `RunSummary`."""
+
+    frames: tuple[FrameRecord, ...] = ()
+    cuts: tuple[Cut, ...] | None = None
+    left_out: tuple[LeftOut, ...] = ()
+    files: tuple[WrittenFile, ...] = ()
+    verified: int | None = None
+    nonfinite: tuple[BrokenPixels, ...] = ()
+
+    @property
+    def shown(self) -> int:
+        """Number of frames of a video of them."""
+        return len(self.frames) + sum(len(interval.frames) for interval in self.left_out)
+
+    @classmethod
+    def joined(cls, parts: Sequence[RunOutcome]) -> RunOutcome:
+        """Join those of chunks, in their order."""
+        counts = [part.verified for part in parts if part.verified is not None]
+        return cls(
+            tuple(frame for part in parts for frame in part.frames),
+            join_cuts(part.cuts for part in parts),
+            tuple(interval for part in parts for interval in part.left_out),
+            tuple(file for part in parts for file in part.files),
+            sum(counts) if counts else None,
+            tuple(pixels for part in parts for pixels in part.nonfinite),
+        )
+
+
+def join_cuts(parts: Iterable[tuple[Cut, ...] | None]) -> tuple[Cut, ...] | None:
+    """Unite the cuts of all parts of a run; None where cuts were neither searched nor given."""
+    cuts: set[Cut] = set()
+    for part in parts:
+        if part is None:
+            return None
+        cuts.update(part)
+    # Neighbours both meet the cut between them. One that is "given" in any part is given: that
+    # word comes after "detected".
+    by_number = {cut.number: cut for cut in sorted(cuts, key=lambda c: (c.number, c.source))}
+    return tuple(by_number.values())

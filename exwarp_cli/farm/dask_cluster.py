@@ -20,8 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.joining import Outcome
-from exwarp_cli.domain.results import RunSummary
+from exwarp_cli.domain.results import RunOutcome, RunSummary
 from exwarp_cli.domain.settings import ClusterSettings
 from exwarp_cli.domain.timeline import Slot, ranges
 from exwarp_cli.domain.wording import counted
@@ -113,7 +112,7 @@ def _run(
         chunks = _make_chunks(job, where, divided, watcher)
         outcomes = _collect(dispatcher, chunks, progress, watcher, video)
     seconds = time.perf_counter() - begin
-    outcome = Outcome.joined(outcomes)
+    outcome = RunOutcome.joined(outcomes)
     if job.targets.video is not None and job.settings.verify:
         verify_video(job.targets.video, outcome.shown)
     return job.summary(outcome, seconds)
@@ -125,9 +124,9 @@ def _collect(
     progress: Progress,
     watcher: SharedWatcher | None,
     video: VideoFromFrames | None,
-) -> list[Outcome]:
+) -> list[RunOutcome]:
     """Have all chunks done; return their outcomes in the chunks' order."""
-    outcomes: dict[int, Outcome] = {}
+    outcomes: dict[int, RunOutcome] = {}
     filmed = 0
     with closing(dispatcher.render(chunks)) as finished:
         for chunk, result in finished:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.joining import Outcome
+from exwarp_cli.domain.results import RunOutcome
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io.atomic import LOOK_S, make_folder, shows
@@ -63,7 +63,7 @@ class Chunk:
 class ChunkResult:
     """The outcome of a chunk, and its watcher with what it was shown."""
 
-    outcome: Outcome
+    outcome: RunOutcome
     watcher: SharedWatcher | None
 
 

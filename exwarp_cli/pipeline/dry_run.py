@@ -10,8 +10,7 @@ from enum import Enum
 from pathlib import Path
 
 from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.joining import Outcome
-from exwarp_cli.domain.results import FrameKind, RunSummary
+from exwarp_cli.domain.results import FrameKind, RunOutcome, RunSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.atomic import is_there, output_error
 from exwarp_cli.pipeline.fingerprint import key_fingerprint
@@ -83,7 +82,7 @@ def foresee(job: Job) -> DryRun:
     cuts, numbers = job.source.cuts, job.source.timeline.numbers
     by_hand = tuple(Cut(numbers[key], "given") for key in sorted(cuts.starts_in(numbers)))
     return DryRun(
-        head=job.summary(Outcome(), 0.0),
+        head=job.summary(RunOutcome(), 0.0),
         frames=frames,
         output=None if targets.frames is None else targets.frames.folder / targets.frames.name,
         holes=None if targets.holes is None else targets.holes.folder / targets.holes.name,

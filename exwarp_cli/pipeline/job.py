@@ -39,7 +39,7 @@ from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
 from exwarp_cli.synthesis.methods import CAUSAL, EXWARP, FRAMEWISE, METHODS, DecisionSource, Method
 
 if TYPE_CHECKING:
-    from exwarp_cli.domain.joining import Outcome
+    from exwarp_cli.domain.results import RunOutcome
     from exwarp_cli.domain.timeline import Slot
     from exwarp_cli.io.sequences import Sequence
     from exwarp_cli.models.interpolator import OnnxInterpolator
@@ -156,7 +156,7 @@ class Job:
         if self.rendered is not None:
             close(self.rendered.sequence)
 
-    def summary(self, outcome: Outcome, seconds: float) -> RunSummary:
+    def summary(self, outcome: RunOutcome, seconds: float) -> RunSummary:
         """Put together what a run of this job did.
 
         Parameters

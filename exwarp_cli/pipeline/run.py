@@ -15,8 +15,7 @@ from time import perf_counter
 from exwarp_cli import __version__
 from exwarp_cli.domain.cores import working
 from exwarp_cli.domain.frame import Image
-from exwarp_cli.domain.joining import Outcome
-from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunSummary
+from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunOutcome, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
@@ -96,7 +95,9 @@ def run_job(job: Job, progress: Progress, listener: FrameListener | None = None)
     return job.summary(outcome, perf_counter() - begin)
 
 
-def write_intervals(job: Job, progress: Progress, listener: FrameListener | None = None) -> Outcome:
+def write_intervals(
+    job: Job, progress: Progress, listener: FrameListener | None = None
+) -> RunOutcome:
     """Do the work of a job whose folders exist, in this thread.
 
     The caller starts and finishes `progress`, and has planned `listener`. The outcome has no frames
@@ -115,11 +116,11 @@ def write_intervals(job: Job, progress: Progress, listener: FrameListener | None
         if job.targets.frames is None:
             note = video_fingerprint(reader.leading_recipes, settings, job.keys, job.rendered)
         if listener is None and is_video_kept(job.targets, settings, note):
-            return Outcome(cuts=reader.cuts)
+            return RunOutcome(cuts=reader.cuts)
         run = Run(job, reader, note, progress, listener)
         with working():
             frames = run.render_all()
-        outcome = Outcome(
+        outcome = RunOutcome(
             frames,
             reader.cuts,
             tuple(run.left_out),
@@ -132,7 +133,7 @@ def write_intervals(job: Job, progress: Progress, listener: FrameListener | None
         job.close()
 
 
-def _with_checksums(outcome: Outcome, job: Job, sums: Sums) -> Outcome:
+def _with_checksums(outcome: RunOutcome, job: Job, sums: Sums) -> RunOutcome:
     """Add checksums of the files to an outcome, and read these back, where that is asked."""
     files = files_of(job.targets, outcome.frames, sums)
     count = None

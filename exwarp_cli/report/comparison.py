@@ -1,4 +1,4 @@
-"""What ``exwarp compare`` reports, schema ``exwarp.compare/1``."""
+"""What ``exwarp compare`` reports: document (``exwarp.compare/1``), table, limits and page."""
 
 from __future__ import annotations
 
@@ -6,102 +6,268 @@ from typing import Any
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.decision import CHOICES
+from exwarp_cli.domain.metric import GENERATED, Threshold
+from exwarp_cli.errors import QualityError, UsageError
 from exwarp_cli.io.sequences import Sequence
-from exwarp_cli.pipeline.evaluation import ComparedFrame, Comparison
-from exwarp_cli.report.frames_csv import (
-    LATER_HOLE_SCORES,
-    LATER_SCORES,
-    later_cells,
-    name_cell,
-    score_cells,
-    table,
+from exwarp_cli.pipeline.evaluation import Comparison
+from exwarp_cli.report.csv_tables import (
+    FIRST_SCORES,
+    LATER_COLUMNS,
+    escape_formula,
+    first_score_cells,
+    format_csv,
+    later_score_cells,
 )
-from exwarp_cli.report.quality import quality, values_of
-from exwarp_cli.report.summary import finite
-from exwarp_cli.report.thresholds import verdicts
+from exwarp_cli.report.gallery import Album
+from exwarp_cli.report.html import (
+    BY_FIELD,
+    Block,
+    Cell,
+    Number,
+    Page,
+    Section,
+    Table,
+    Text,
+    file_name,
+    frames_section,
+    measured_metrics,
+    metric_plots,
+    metric_text,
+    quality_numbers,
+    quality_table,
+    score_facts,
+    worst_tables,
+)
+from exwarp_cli.report.plots import Labels, draw_lines
+from exwarp_cli.report.schema import mean_scores, replace_nonfinite, score_values
+from exwarp_cli.report.sentences import format_percent
 
 SCHEMA = "exwarp.compare/1"
 
+# Names of the two sources in the viewer.
+REFERENCE, TEST = "reference", "test"
+
+# Of frames.csv; `frame` is the test's number, `kind` and `made_by` are from its header.
 COLUMNS = (
-    *("frame", "reference_frame", "file", "hole_fraction", "psnr_db", "ssim", "flip"),
-    *("psnr_db_holes", "ssim_holes", "flip_holes"),
-    *LATER_SCORES,
-    *LATER_HOLE_SCORES,
+    *("frame", "reference_frame", "file", "hole_fraction", *FIRST_SCORES),
+    *(f"{name}_holes" for name in FIRST_SCORES),
+    *LATER_COLUMNS,
     *("kind", "made_by", "pulse"),
 )
-"""Columns of frames.csv; `frame` is the test's number, `kind` and `made_by` tells its header."""
 
 
-def comparison(result: Comparison) -> dict[str, Any]:
+def comparison_document(result: Comparison) -> dict[str, Any]:
     """Turn a comparison into the dictionary of report.json; None is what was not measured."""
-    worst = result.worst
-    document: dict[str, Any] = finite(
+    worst, frames = result.worst, result.frames
+    document: dict[str, Any] = replace_nonfinite(
         {
             "schema": SCHEMA,
             "version": __version__,
-            "reference": _sequence(result.reference),
-            "test": _sequence(result.test),
-            "masks": None if result.holes is None else _sequence(result.holes),
+            "reference": _describe_sequence(result.reference),
+            "test": _describe_sequence(result.test),
+            "masks": None if result.holes is None else _describe_sequence(result.holes),
             "matched_by": result.matched_by,
             "width": result.width,
             "height": result.height,
-            "frames": len(result.frames),
-            "quality": _quality(result.frames),
+            "frames": len(frames),
+            "quality": {
+                "all": mean_scores(frame.score for frame in frames),
+                "generated": mean_scores(f.score for f in frames if f.origin.generated),
+                "dropped": mean_scores(f.score for f in frames if f.origin.dropped),
+                "by_decision": {
+                    choice: mean_scores(f.score for f in frames if f.origin.choice == choice)
+                    for choice in CHOICES
+                },
+                "holes": mean_scores(frame.hole_score for frame in frames),
+            },
             "worst": {
                 "frame": worst.test,
                 "reference_frame": worst.reference,
                 "file": worst.file,
-                **values_of(worst.score),
+                **score_values(worst.score),
             },
             "metrics": list(result.measuring.measured),
             "preset": result.measuring.preset,
-            "thresholds": verdicts(result),
+            "thresholds": _judge_limits(result),
             "notes": list(result.notes),
         }
     )
     return document
 
 
-def comparison_csv(result: Comparison) -> str:
+def _describe_sequence(sequence: Sequence) -> dict[str, Any]:
+    numbers = sorted(sequence.files)
+    return {"pattern": sequence.pattern, "first": numbers[0], "last": numbers[-1]}
+
+
+def format_comparison_csv(result: Comparison) -> str:
     """Write a row for every compared frame as CSV text."""
     rows = (
         (
-            *(frame.test, frame.reference, name_cell(frame.file), frame.hole_fraction),
-            *score_cells(frame.score),
-            *score_cells(frame.hole_score),
-            *later_cells(frame.score, frame.hole_score),
-            *(name_cell(frame.origin.kind), name_cell(frame.origin.made_by), frame.score.pulse),
+            *(frame.test, frame.reference, escape_formula(frame.file), frame.hole_fraction),
+            *first_score_cells(frame.score),
+            *first_score_cells(frame.hole_score),
+            *later_score_cells(frame.score, frame.hole_score),
+            *(escape_formula(frame.origin.kind), escape_formula(frame.origin.made_by)),
+            frame.score.pulse,
         )
         for frame in result.frames
     )
-    return table(COLUMNS, rows)
+    return format_csv(COLUMNS, rows)
 
 
-def part_rows(quality: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def quality_rows(quality: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Name the blocks of a comparison's `quality` in the order of a table's rows.
 
-    Parts that no header tells of are left out; "all pixels" and "holes" are always there.
+    Parts that no header names are left out; "all pixels" and "holes" are always there.
     """
     parts = {"generated": quality["generated"], "repeated": quality["dropped"]}
     parts |= {f"made by {name}": block for name, block in quality["by_decision"].items()}
-    there = {name: block for name, block in parts.items() if block["frames"]}
-    return {"all pixels": quality["all"], **there, "holes": quality["holes"]}
+    parts = {name: block for name, block in parts.items() if block["frames"]}
+    return {"all pixels": quality["all"], **parts, "holes": quality["holes"]}
 
 
-def _quality(frames: tuple[ComparedFrame, ...]) -> dict[str, Any]:
-    """Average the scores of all frames, and of the parts that their headers tell apart."""
-    return {
-        "all": quality(frame.score for frame in frames),
-        "generated": quality(frame.score for frame in frames if frame.origin.generated),
-        "dropped": quality(frame.score for frame in frames if frame.origin.dropped),
-        "by_decision": {
-            choice: quality(frame.score for frame in frames if frame.origin.choice == choice)
-            for choice in CHOICES
-        },
-        "holes": quality(frame.hole_score for frame in frames),
-    }
+def _judge_limits(result: Comparison) -> list[dict[str, Any]]:
+    """Judge every limit of a comparison; ``value`` is None where it was not measured."""
+    verdicts = []
+    for limit in result.measuring.thresholds:
+        value = _limited_value(result, limit)
+        verdicts.append(
+            {
+                "name": limit.name,
+                "metric": limit.metric.field,
+                "scope": limit.scope,
+                "limit": limit.limit,
+                "fails": limit.option.removeprefix("--fail-"),
+                "value": value,
+                "passed": value is not None and limit.passes(value),
+            }
+        )
+    return verdicts
 
 
-def _sequence(sequence: Sequence) -> dict[str, Any]:
-    numbers = sorted(sequence.files)
-    return {"pattern": sequence.pattern, "first": numbers[0], "last": numbers[-1]}
+def _limited_value(result: Comparison, limit: Threshold) -> float | None:
+    name, frames = limit.metric.field, result.frames
+    if limit.scope == "holes":
+        return mean_scores(frame.hole_score for frame in frames)[name]
+    if limit.scope == GENERATED:
+        return mean_scores(frame.score for frame in frames if frame.origin.generated)[name]
+    if limit.scope == "all":
+        return mean_scores(frame.score for frame in frames)[name]
+    values: list[float] = [
+        value for frame in frames if (value := getattr(frame.score, name)) is not None
+    ]
+    return max(values, key=limit.metric.badness) if values else None
+
+
+def require_quality(result: Comparison) -> None:
+    """Raise what a comparison fails by.
+
+    Raises
+    ------
+    UsageError
+        When a limit is on something that was not measured: nothing passes unseen.
+    QualityError
+        When a value is worse than its limit.
+    """
+    verdicts = zip(result.measuring.thresholds, _judge_limits(result), strict=True)
+    failed = [(limit, verdict["value"]) for limit, verdict in verdicts if not verdict["passed"]]
+    unmeasured = [limit.name for limit, value in failed if value is None]
+    if unmeasured:
+        why = f" ({'; '.join(result.notes)})" if result.notes else ""
+        raise UsageError(
+            f"the limit on {unmeasured[0]} cannot be judged, as it was not measured{why}; leave "
+            "that limit out"
+        )
+    if failed:
+        failures = ", ".join(limit.failure(value) for limit, value in failed)
+        raise QualityError(
+            f"{result.test.pattern} is not good enough: {failures}; look at the worst frame, "
+            f"{result.worst.test}, or set other limits"
+        )
+
+
+def compare_page(result: Comparison, document: dict[str, Any], album: Album | None = None) -> Page:
+    """Build the page of a comparison.
+
+    `document` is what `comparison_document` returned: tables and headline. `album` has pictures of
+    its frames, and gets facts.
+    """
+    if album is not None:
+        for frame in result.frames:
+            facts = score_facts(frame.score, frame.hole_score)
+            if frame.reference != frame.test:
+                facts["reference frame"] = str(frame.reference)
+            if frame.hole_fraction is not None:
+                facts["holes"] = str(format_percent(frame.hole_fraction))
+            album.set_facts(frame.test, "", facts)
+    test, reference = document["test"]["pattern"], document["reference"]["pattern"]
+    numbers = [
+        Number("Frames", f"{document['frames']:,}", f"matched by {document['matched_by']}"),
+        *quality_numbers(document["quality"]["all"]),
+    ]
+    if document["thresholds"]:
+        failed = [limit["name"] for limit in document["thresholds"] if not limit["passed"]]
+        note = ", ".join(failed) or "all of them"
+        numbers.insert(0, Number("Limits", "failed" if failed else "passed", note))
+    generated = document["quality"]["generated"]
+    if generated["frames"] != document["frames"]:
+        # The mean over all frames flatters: the first metric, and pulse, which limits on generated
+        # frames are set on.
+        note = f"of {generated['frames']:,} frames alone"
+        numbers += [
+            Number(f"{metric.name}, generated", metric.with_unit(generated[metric.field]), note)
+            for i, metric in enumerate(measured_metrics(generated))
+            if i == 0 or metric.signed
+        ]
+    return Page(
+        f"{file_name(test)} against {file_name(reference)}",
+        f"{test} against {reference}",
+        numbers,
+        (
+            frames_section(album),
+            Section("quality", "Quality", _quality(result, document, album)),
+            Section("input", "Input", [_input(document)]),
+        ),
+    )
+
+
+def _quality(result: Comparison, document: dict[str, Any], album: Album | None) -> list[Block]:
+    numbers = [frame.test for frame in result.frames]
+    scores = [frame.score for frame in result.frames]
+    parts = quality_rows(document["quality"])
+    holes_only = parts.pop("holes")
+    if holes_only["frames"]:
+        parts["holes only"] = holes_only
+    blocks: list[Block] = [quality_table("Means over the frames", parts)]
+    rows: list[list[Cell]] = []
+    for limit in document["thresholds"]:
+        metric = BY_FIELD[limit["metric"]]
+        fails = f"fails {limit['fails']} {'±' if metric.signed else ''}{limit['limit']:g}"
+        verdict = "passed" if limit["passed"] else "failed"
+        rows.append([limit["name"], metric_text(metric, limit["value"]), fails, verdict])
+    if rows:
+        blocks.append(Table("Limits", ("", "value", "limit", ""), rows))
+    blocks += worst_tables(numbers, scores, album)
+    blocks += metric_plots(numbers, scores)
+    blocks += [Text(note) for note in document["notes"]]
+    holes = [None if f.hole_fraction is None else 100 * f.hole_fraction for f in result.frames]
+    if len(holes) > 1 and any(share is not None for share in holes):
+        labels = Labels(
+            "Hole share per frame", "frame", "holes, % of pixels", "Share of pixels in the mask."
+        )
+        blocks.append(draw_lines(labels, numbers, {"holes": holes}))
+    return blocks
+
+
+def _input(document: dict[str, Any]) -> Table:
+    rows: list[list[Cell]] = []
+    for name in ("reference", "test", "masks"):
+        sequence = document[name]
+        if sequence is not None:
+            rows.append([name, sequence["pattern"], f"{sequence['first']}-{sequence['last']}"])
+    rows.append(["size", f"{document['width']}x{document['height']}", ""])
+    if document["preset"] is not None:
+        rows.append(["preset", document["preset"], ""])
+    rows.append(["ExWarp", document["version"], ""])
+    return Table("", ("", "", "frames"), rows)

@@ -1,11 +1,11 @@
 """The frames that a page shows: chosen evenly, kept as small pictures, bounded in memory.
 
-The viewer in a page reads one JSON object an album::
+album.json and the viewer in a page hold one JSON object an album::
 
     {"names": ["output", "ground truth", …],      the sources in their order
      "before": "output", "after": "ground truth", which two are shown first
      "start": 12 or null,                          number of the frame that is shown first
-     "heat": [[r, g, b], …],                      colours of the error map, from no error on
+     "heat": [[r, g, b], …],                      in pages: colours of the error map, from 0 on
      "images": [{"url", "width", "height", "peak"}, …],
      "frames": [{"number": 12, "label": "frame 12", "kind": "generated",
                  "facts": {"PSNR": "34.21 dB", …},     text beside the picture
@@ -14,39 +14,40 @@ The viewer in a page reads one JSON object an album::
                  "pictures": {"output": 0, "ground truth": 1, …},
                  "errors": {"output": 2, …}}, …]}
 
-A source that a frame lacks is missing from its `pictures`. `peak` is the M of `pictures.curve`.
+A source that a frame lacks is missing from its `pictures`. `peak` is that of `Picture`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import json
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from exwarp_cli.domain.frame import Bool, Float32
-from exwarp_cli.domain.results import FrameRecord, Score
+from exwarp_cli.domain.results import FrameRecord, RunSummary, Score
 from exwarp_cli.domain.risk import Risk
 from exwarp_cli.report.pictures import (
     LONGEST,
     Picture,
-    colour_picture,
-    error_picture,
-    mask_picture,
-    peak_of,
-    reduced,
+    encode_colour,
+    encode_error,
+    encode_mask,
+    find_peak,
+    shrink,
 )
 
-FRAMES = 96
-"""Frames of a page at most: 24 key intervals."""
+MAX_FRAMES = 96  # of a page: 24 key intervals
 
+# Bytes of all pictures of a page at most; a third more as text.
 BUDGET = 8_500_000
-"""Bytes of all pictures of a page at most; a third more as text."""
 
-ROOM = 250_000
-"""Bytes of one picture at most, where there are few."""
+# Bytes of one picture at most, where there are few.
+PICTURE_BYTES = 250_000
 
+# Names of the sources of an upsampled sequence.
 OUTPUT, TRUTH, KEY = "output", "ground truth", "key frame before"
-"""Names of the sources of an upsampled sequence."""
 
 
 @dataclass
@@ -65,31 +66,15 @@ class Shown:
 
 @dataclass
 class Album:
-    """Frames for one viewer.
+    """Frames for one viewer."""
 
-    Attributes
-    ----------
-    names
-        Sources in the order in which they are offered.
-    before, after
-        The two that are shown first, left and right.
-    room
-        Bytes that one picture may take.
-    longest
-        Longest side of a picture, pixels.
-    start
-        Number of the frame that is shown first; None for the first that is no key frame.
-    frames
-        What was added, by number.
-    """
-
-    names: tuple[str, ...]
-    before: str
+    names: tuple[str, ...]  # sources in the order in which they are offered
+    before: str  # the two that are shown first, left and right
     after: str
-    room: int = ROOM
-    longest: int = LONGEST
-    start: int | None = None
-    frames: dict[int, Shown] = field(default_factory=dict)
+    room: int = PICTURE_BYTES  # bytes that one picture may take
+    longest: int = LONGEST  # longest side of a picture, pixels
+    start: int | None = None  # number of the frame shown first; None: the first but key frames
+    frames: dict[int, Shown] = field(default_factory=dict)  # by number
 
     def add(
         self,
@@ -101,98 +86,82 @@ class Album:
     ) -> Shown:
         """Encode the pictures of a frame and keep them; `facts` and `label` may be set later.
 
-        Parameters
-        ----------
-        number
-            Frame number, one of its own in the album.
-        kind
-            What made it, as `plots.KINDS` names it.
-        sources
-            By name, float32 [H, W, 3] or more, scene-linear, all of one size.
-        reference
-            The source that errors of the others are taken from; None for no error pictures.
-        mask
-            bool [H, W], holes; None where nothing tells.
+        `sources` are float32 [H, W, 3] or more, scene-linear, of one size; `mask` is bool [H, W],
+        holes. Errors are those of the other sources against the one named `reference`.
         """
-        small = {name: reduced(pixels, self.longest) for name, pixels in sources.items()}
-        peak = peak_of(*small.values())
+        small = {name: shrink(pixels, self.longest) for name, pixels in sources.items()}
+        peak = find_peak(*small.values())
         shown = Shown(number, f"frame {number}", kind, {}, {}, {})
         for name, pixels in small.items():
-            shown.pictures[name] = colour_picture(pixels, peak, self.room)
+            shown.pictures[name] = encode_colour(pixels, peak, self.room)
             if reference is not None and name != reference:
-                shown.errors[name] = error_picture(
+                shown.errors[name] = encode_error(
                     sources[reference], sources[name], self.room // 2, self.longest
                 )
-        shown.holes = None if mask is None else mask_picture(mask, self.longest)
+        shown.holes = None if mask is None else encode_mask(mask, self.longest)
         self.frames[number] = shown
         return shown
 
-    def tell(
+    def set_facts(
         self, number: int, kind: str, facts: Mapping[str, str], risk: Risk | None = None
     ) -> None:
-        """Set what is written beside a frame, and its predicted error, if the album has it."""
+        """Set the text and the predicted error of a frame, if the album has it."""
         if number in self.frames:
-            self.frames[number].kind = kind
-            self.frames[number].facts = dict(facts)
-            self.frames[number].risk = risk
+            shown = self.frames[number]
+            shown.kind, shown.facts, shown.risk = kind, dict(facts), risk
 
-    def plain(self) -> dict[str, Any]:
+    def to_plain(self) -> dict[str, Any]:
         """Return the object of the module's text, without `heat`; equal pictures appear once."""
-        images: dict[int, int] = {}
-        kept: list[Picture] = []
+        indices: dict[int, int] = {}
+        pictures: list[Picture] = []
 
         def index(picture: Picture) -> int:
-            if id(picture) not in images:
-                images[id(picture)] = len(kept)
-                kept.append(picture)
-            return images[id(picture)]
+            if id(picture) not in indices:
+                indices[id(picture)] = len(pictures)
+                pictures.append(picture)
+            return indices[id(picture)]
 
-        frames = [
-            {
-                "number": shown.number,
-                "label": shown.label,
-                "kind": shown.kind,
-                "facts": shown.facts,
-                "risk": None if shown.risk is None else risk_tiles(shown.risk),
-                "holes": None if shown.holes is None else index(shown.holes),
-                "pictures": {name: index(p) for name, p in shown.pictures.items()},
-                "errors": {name: index(p) for name, p in shown.errors.items()},
-            }
-            for _, shown in sorted(self.frames.items())
-        ]
+        frames = []
+        for _, shown in sorted(self.frames.items()):
+            risk = shown.risk
+            frames.append(
+                {
+                    "number": shown.number,
+                    "label": shown.label,
+                    "kind": shown.kind,
+                    "facts": shown.facts,
+                    "risk": None
+                    if risk is None
+                    else {
+                        "columns": risk.columns,
+                        "rows": risk.rows,
+                        "levels": [round(level, 1) for level in risk.levels],
+                    },
+                    "holes": None if shown.holes is None else index(shown.holes),
+                    "pictures": {name: index(p) for name, p in shown.pictures.items()},
+                    "errors": {name: index(p) for name, p in shown.errors.items()},
+                }
+            )
         used = {name for shown in self.frames.values() for name in shown.pictures}
         return {
             "names": [name for name in self.names if name in used],
             "before": self.before,
             "after": self.after,
             "start": self.start,
-            "images": [picture.plain() for picture in kept],
+            "images": [picture.to_plain() for picture in pictures],
             "frames": frames,
         }
 
 
-def risk_tiles(risk: Risk) -> dict[str, Any]:
-    """Return the predicted error of a frame's tiles as the viewer reads it."""
-    levels = [round(level, 1) for level in risk.levels]
-    return {"columns": risk.columns, "rows": risk.rows, "levels": levels}
-
-
 class Gallery:
-    """Watches a run and keeps some of its frames: a `pipeline.progress.FrameListener`.
+    """Keeps some frames of a run for its page; a `pipeline.progress.FrameListener`.
 
     Whole groups (key intervals) evenly over the run, and the frame that is worst by the first
-    metric that is known while frames are at hand (all but VMAF and flicker), which the viewer
+    metric that is known while frames are in memory (all but VMAF and flicker), which the viewer
     starts with. Without ground truth it is the frame with the largest predicted error.
 
-    Of a run that is done in parts by several processes, one gallery hears the plan; each part is
-    watched by what `share` returned, which can be pickled, and `adopt` takes over what it kept.
-
-    Parameters
-    ----------
-    output, truth
-        Names of the two sources.
-    has_truth
-        Whether frames come with ground truth; without, they stand beside the key frame before.
+    Where several processes do parts of a run, one gallery gets the plan. Each part has what `share`
+    returns, which can be pickled, and `adopt` takes over the frames that it kept.
     """
 
     def __init__(self, has_truth: bool, output: str = OUTPUT, truth: str = TRUTH) -> None:
@@ -207,10 +176,7 @@ class Gallery:
         self._shared = False
 
     def share(self) -> Gallery:
-        """Return an empty gallery for a part of the run, with the plan of the whole.
-
-        What it hears as a plan is its part's alone, and does not count.
-        """
+        """Return an empty gallery for a part of the run, with the plan of the whole."""
         part = Gallery(self._has_truth, self._output, self._truth)
         part._chosen, part._key_of = self._chosen, self._key_of
         part.album.room = self.album.room
@@ -220,37 +186,37 @@ class Gallery:
     def adopt(self, part: Gallery) -> None:
         """Take over what a shared gallery kept of its part of the run; parts come in any order."""
         self.album.frames |= part.album.frames
-        known = [one._worst for one in (self, part) if one._worst is not None]
-        if not known:
+        candidates = [g._worst for g in (self, part) if g._worst is not None]
+        if not candidates:
             return
         # Of equally bad frames the first in the run is kept, as by one gallery alone.
-        first, *others = sorted(known, key=lambda entry: (-entry[0], entry[1]))
+        worst, *others = sorted(candidates, key=lambda entry: (-entry[0], entry[1]))
         for _, number in others:
-            if number != first[1] and number not in self._chosen:
+            if number != worst[1] and number not in self._chosen:
                 self.album.frames.pop(number, None)
-        self._worst, self.album.start = first, first[1]
+        self._worst, self.album.start = worst, worst[1]
 
     def plan(self, groups: Sequence[Sequence[int]]) -> None:
         """Choose whole groups, evenly, the first and the last among them."""
-        if self._shared:
+        if self._shared:  # a part's own plan does not count
             return
-        for i in evenly(groups):
+        for i in evenly_spaced_groups(groups):
             self._chosen.update(groups[i])
         self._key_of = {
             number: group[0] for group in groups for number in group if number in self._chosen
         }
-        self.album.room = room_for(len(self._chosen) + 1)
+        self.album.room = bytes_per_picture(len(self._chosen) + 1)
 
     def wants(self, number: int, score: Score | None, risk: Risk | None = None) -> bool:
-        """Whether a frame was chosen, or is the worst so far, which then replaces the last one."""
-        value = None if score is None else score.badness
+        """Return whether to keep a frame: chosen, or the worst so far, which replaces the last."""
+        badness = None if score is None else score.badness
         if not self._has_truth and risk is not None:
-            value = risk.error
-        if value is None or (self._worst is not None and value <= self._worst[0]):
+            badness = risk.error
+        if badness is None or (self._worst is not None and badness <= self._worst[0]):
             return number in self._chosen
         if self._worst is not None and self._worst[1] not in self._chosen:
             self.album.frames.pop(self._worst[1], None)
-        self._worst, self.album.start = (value, number), number
+        self._worst, self.album.start = (badness, number), number
         return True
 
     def frame(
@@ -261,41 +227,144 @@ class Gallery:
         if truth is not None:
             sources[self._truth] = truth
         reference = None if truth is None else self._truth
-        kept = self.album.add(number, "key" if is_key else "", sources, reference, mask)
+        added = self.album.add(number, "key" if is_key else "", sources, reference, mask)
         if is_key:
-            self._key = number, kept.pictures[self._output]
+            self._key = number, added.pictures[self._output]
             if self._has_truth:
-                kept.pictures[self._truth] = kept.pictures[self._output]
+                added.pictures[self._truth] = added.pictures[self._output]
         if self._key is not None and self._key[0] == self._key_of.get(number):
-            kept.pictures[KEY] = self._key[1]
+            added.pictures[KEY] = self._key[1]
 
 
-def worst_of(frames: Iterable[FrameRecord]) -> int | None:
-    """Return the number of the worst frame, the first of equally bad ones; None if nothing tells.
+def format_album(album: Album | None) -> str:
+    """Write album.json."""
+    plain = {"frames": [], "images": []} if album is None else album.to_plain()
+    return json.dumps(plain, allow_nan=False, separators=(",", ":")) + "\n"
+
+
+def merge_albums(
+    files: Sequence[Path], numbers: Sequence[Collection[int]], run: RunSummary
+) -> tuple[Album, list[Path]]:
+    """Return the album of a joined run, of no more frames and bytes than that of a single one.
+
+    Parameters
+    ----------
+    files
+        The album.json of each report that was joined. One is in memory at a time.
+    numbers
+        The frames that each report is asked for.
+    run
+        What the reports were joined into; its key intervals are chosen evenly.
+
+    Returns
+    -------
+    album : Album
+        Without facts.
+    unreadable : list of Path
+        Files that are missing or damaged.
+    """
+    file_of: dict[int, Path] = {}
+    unreadable = []
+    for file, asked in zip(files, numbers, strict=True):
+        try:
+            there = [int(frame["number"]) for frame in _read_album(file)["frames"]]
+        except _NOT_AN_ALBUM:
+            unreadable.append(file)
+        else:
+            file_of |= dict.fromkeys((number for number in there if number in asked), file)
+
+    chosen = _choose_frames(run, file_of)
+    room = bytes_per_picture(len(chosen) + 1)
+    frames: dict[int, Shown] = {}
+    for file in dict.fromkeys(file_of[number] for number in sorted(chosen)):
+        plain = _read_album(file)
+        try:
+            wanted = {number for number in chosen if file_of[number] == file}
+            frames |= {shown.number: shown for shown in _read_frames(plain, wanted, room)}
+        except _NOT_AN_ALBUM:
+            unreadable.append(file)
+    has_truth = any(TRUTH in frame.pictures for frame in frames.values())
+    before, after = (OUTPUT, TRUTH) if has_truth else (KEY, OUTPUT)
+    return Album((OUTPUT, TRUTH, KEY), before, after, room, frames=frames), unreadable
+
+
+_NOT_AN_ALBUM = (
+    *(ArithmeticError, AttributeError, LookupError, OSError, RecursionError, TypeError),
+    ValueError,
+)
+
+
+def _read_album(file: Path) -> dict[str, Any]:
+    album: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return album
+
+
+def _read_frames(plain: Mapping[str, Any], numbers: Collection[int], room: int) -> list[Shown]:
+    """Read frames of an album, each picture once, in at most about `room` bytes."""
+    pictures: dict[tuple[int, int], Picture] = {}
+
+    def picture(index: int, room: int) -> Picture:
+        if (index, room) not in pictures:
+            pictures[index, room] = Picture.from_plain(plain["images"][index]).within(room)
+        return pictures[index, room]
+
+    return [
+        Shown(
+            frame["number"],
+            frame["label"],
+            "",
+            {},
+            {name: picture(i, room) for name, i in frame["pictures"].items()},
+            {name: picture(i, room // 2) for name, i in frame["errors"].items()},
+            None if frame["holes"] is None else picture(frame["holes"], room),
+        )
+        for frame in plain["frames"]
+        if frame["number"] in numbers
+    ]
+
+
+def _choose_frames(run: RunSummary, available: Collection[int]) -> set[int]:
+    """Choose whole key intervals evenly, as a gallery does, and the worst frame."""
+    intervals: dict[int, list[int]] = {}
+    for frame in run.frames:
+        intervals.setdefault(frame.key, []).append(frame.number)
+    groups = list(intervals.values())
+    worst = worst_frame(frame for frame in run.frames if frame.number in available)
+    chosen = set() if worst is None else {worst}
+    complete = [i for i, group in enumerate(groups) if all(n in available for n in group)]
+    if complete:
+        for wanted in evenly_spaced_groups(groups):
+            # Albums of long chunks lack intervals, so that the nearest one has to do.
+            chosen.update(groups[min(complete, key=lambda i: abs(i - wanted))])
+    return chosen
+
+
+def worst_frame(frames: Iterable[FrameRecord]) -> int | None:
+    """Return the number of the worst frame, the first of equally bad ones.
 
     By all metrics of the finished run, VMAF and flicker among them; where no frame is scored, by
-    the predicted error.
+    the predicted error. None without either.
     """
     records = tuple(frames)
-    known = [(f.score.badness, -f.number) for f in records if f.score is not None]
-    measured = [(badness, number) for badness, number in known if badness is not None]
+    scored = [(f.score.badness, -f.number) for f in records if f.score is not None]
+    measured = [(badness, number) for badness, number in scored if badness is not None]
     predicted = [(f.risk.error, -f.number) for f in records if f.risk is not None]
-    ranked = measured or ([] if known else predicted)
+    ranked = measured or ([] if scored else predicted)
     return -max(ranked)[1] if ranked else None
 
 
-def evenly(groups: Sequence[Sequence[int]]) -> list[int]:
-    """Return the indices of as many groups of frames as a page has room for, evenly spread."""
+def evenly_spaced_groups(groups: Sequence[Sequence[int]]) -> list[int]:
+    """Return the indices of as many groups of frames as a page has room for, evenly spaced."""
     size = max((len(group) for group in groups), default=0) or 1  # groups may be empty
-    return spread(len(groups), max(FRAMES // size, 1))
+    return evenly_spaced(len(groups), max(MAX_FRAMES // size, 1))
 
 
-def room_for(frames: int) -> int:
+def bytes_per_picture(frames: int) -> int:
     """Return the bytes that a picture may take: a frame has output, truth and half of an error."""
-    return min(ROOM, int(BUDGET / (2.5 * max(frames, 1))))
+    return min(PICTURE_BYTES, int(BUDGET / (2.5 * max(frames, 1))))
 
 
-def spread(count: int, limit: int) -> list[int]:
+def evenly_spaced(count: int, limit: int) -> list[int]:
     """Return at most `limit` indices out of `count`, evenly, with the first and the last."""
     if count <= limit:
         return list(range(count))

@@ -14,54 +14,42 @@ import numpy as np
 from exwarp_cli.domain.frame import Bool, Float32, UInt8
 from exwarp_cli.metrics.display import PEAK, encode
 
+# Media types of colour and errors, and of masks.
 WEBP, PNG = "image/webp", "image/png"
-"""Media types of colour and errors, and of masks."""
 
-LONGEST = 640
-"""Longest side of a picture, pixels."""
+LONGEST = 640  # longest side of a picture, pixels
 
+# Qualities of WebP that are tried in turn until a picture is small enough.
 QUALITIES = (82, 60, 40, 20)
-"""Qualities of WebP that are tried in turn until a picture is small enough."""
 
-HIGHEST = 16
-"""Brightest scene-linear value that a picture keeps: four stops above white."""
+HIGHEST = 16  # brightest scene-linear value that a picture keeps: four stops above white
 
+# Of the sRGB curve at 1, with which the logarithm above goes on.
 SLOPE = 1.055 / 2.4
-"""Of the sRGB curve at 1, which the logarithm above goes on with."""
 
+# Share of a picture's pixel that has to be holes; half of it would lose thin ones.
 HOLE_SHARE = 0.25
-"""Share of a picture's pixel that has to be holes; half of it would lose thin ones."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """An encoded image.
+    """An encoded image."""
 
-    Attributes
-    ----------
-    media
-        WEBP or PNG.
-    data
-        The file.
-    width, height
-        Pixels.
-    peak
-        Scene-linear value of code 255, see `curve`; 0 for errors and masks, which hold no colour.
-    """
-
-    media: str
-    data: bytes
+    media: str  # WEBP or PNG
+    data: bytes  # the file
     width: int
     height: int
+    # Scene-linear value of code 255, see `tone_curve`; 0 for errors and masks.
     peak: int = 0
 
-    def plain(self) -> dict[str, str | int]:
+    def to_plain(self) -> dict[str, str | int]:
         """Return what the page's script reads."""
-        return {"url": self.url, "width": self.width, "height": self.height, "peak": self.peak}
+        url = f"data:{self.media};base64,{base64.b64encode(self.data).decode('ascii')}"
+        return {"url": url, "width": self.width, "height": self.height, "peak": self.peak}
 
     @classmethod
-    def of(cls, plain: Mapping[str, Any]) -> Picture:
-        """Return the picture that `plain` described.
+    def from_plain(cls, plain: Mapping[str, Any]) -> Picture:
+        """Return the picture that `to_plain` described.
 
         Raises
         ------
@@ -81,22 +69,17 @@ class Picture:
         from PIL import Image
 
         with Image.open(io.BytesIO(self.data)) as image:
-            return _webp(np.asarray(image.convert("RGB")), room, self.peak)
-
-    @property
-    def url(self) -> str:
-        """The picture as a data URL."""
-        return f"data:{self.media};base64,{base64.b64encode(self.data).decode('ascii')}"
+            return _encode_webp(np.asarray(image.convert("RGB")), room, self.peak)
 
 
-def reduced(pixels: Float32, longest: int = LONGEST) -> Float32:
+def shrink(pixels: Float32, longest: int = LONGEST) -> Float32:
     """Shrink an image so that its longest side is at most `longest` pixels.
 
     Parameters
     ----------
     pixels
-        float32 [H, W, 3] or more, scene-linear; NaN and negative values become 0, infinities the
-        brightest value that pictures keep.
+        float32 [H, W, 3] or more, scene-linear; NaN and negative values become 0, infinities
+        HIGHEST.
 
     Returns
     -------
@@ -104,21 +87,22 @@ def reduced(pixels: Float32, longest: int = LONGEST) -> Float32:
         The mean over the area of each pixel, 0 to HIGHEST.
     """
     colour = np.nan_to_num(pixels[..., :3].astype(np.float32), nan=0.0, posinf=HIGHEST, neginf=0.0)
-    return np.stack([_shrunk(colour[..., c].clip(0, HIGHEST), longest) for c in range(3)], -1)
+    return np.stack([_shrink_plane(colour[..., c].clip(0, HIGHEST), longest) for c in range(3)], -1)
 
 
-def peak_of(*images: Float32) -> int:
+def find_peak(*images: Float32) -> int:
     """Return the power of two, 1 to HIGHEST, that 99.9 % of the pixels stay below in all images."""
     bright = max(float(np.percentile(image, 99.9)) for image in images)
     return int(min(2 ** math.ceil(math.log2(max(bright, 1.0))), HIGHEST))
 
 
-def curve(linear: Float32, peak: int) -> Float32:
+def tone_curve(linear: Float32, peak: int) -> Float32:
     """Encode scene-linear values 0 to `peak` as 0 to 1.
 
     The sRGB curve up to 1, above it the logarithm with the same slope; divided by its value at
-    `peak`. With the sRGB curve alone over 0 to 16, shadows would be left in steps of 16 levels.
+    `peak`.
     """
+    # With the sRGB curve alone over 0 to 16, shadows would be left in steps of 16 levels.
     toe = linear * np.float32(12.92)
     body = np.float32(1.055) * np.maximum(linear, 0) ** np.float32(1 / 2.4) - np.float32(0.055)
     above = 1 + np.float32(SLOPE) * np.log(np.maximum(linear, 1))
@@ -126,36 +110,28 @@ def curve(linear: Float32, peak: int) -> Float32:
     return np.asarray(coded.clip(0, None) / (1 + SLOPE * math.log(peak)), np.float32)
 
 
-def colour_picture(pixels: Float32, peak: int, room: int) -> Picture:
-    """Encode what `reduced` returned, in at most about `room` bytes."""
-    return _webp(_bytes(curve(pixels, peak)), room, peak)
+def encode_colour(pixels: Float32, peak: int, room: int) -> Picture:
+    """Encode what `shrink` returned, in at most about `room` bytes."""
+    return _encode_webp(_to_bytes(tone_curve(pixels, peak)), room, peak)
 
 
-def error_picture(reference: Float32, test: Float32, room: int, longest: int = LONGEST) -> Picture:
-    """Encode how far two frames are apart on a display.
+def encode_error(reference: Float32, test: Float32, room: int, longest: int = LONGEST) -> Picture:
+    """Encode how far two frames are apart on a display, in at most about `room` bytes.
 
     The mean over the channels of the absolute difference of sRGB values, taken before shrinking;
-    code 255 is the whole range, by a square root that keeps small errors visible.
-
-    Parameters
-    ----------
-    reference, test
-        float32 [H, W, 3] or more, scene-linear, of one size.
-    room
-        Bytes that it may take.
-    longest
-        Longest side of the picture, pixels.
+    code 255 is the whole range, by a square root that keeps small errors visible. Frames are
+    float32 [H, W, 3] or more, scene-linear, of one size.
     """
     apart = np.abs(encode(reference) - encode(test)).mean(axis=-1) / np.float32(PEAK)
-    grey = _bytes(np.sqrt(_shrunk(apart, longest)))
-    return _webp(np.repeat(grey[..., None], 3, axis=-1), room, 0)
+    grey = _to_bytes(np.sqrt(_shrink_plane(apart, longest)))
+    return _encode_webp(np.repeat(grey[..., None], 3, axis=-1), room, 0)
 
 
-def mask_picture(mask: Bool, longest: int = LONGEST) -> Picture:
+def encode_mask(mask: Bool, longest: int = LONGEST) -> Picture:
     """Encode holes, bool [H, W], as a PNG of one bit a pixel."""
     from PIL import Image
 
-    holes = _shrunk(mask.astype(np.float32), longest) > HOLE_SHARE
+    holes = _shrink_plane(mask.astype(np.float32), longest) > HOLE_SHARE
     file = io.BytesIO()
     Image.fromarray(np.where(holes, 255, 0).astype(np.uint8)).convert("1").save(
         file, "PNG", optimize=True
@@ -163,7 +139,7 @@ def mask_picture(mask: Bool, longest: int = LONGEST) -> Picture:
     return Picture(PNG, file.getvalue(), holes.shape[1], holes.shape[0])
 
 
-def _shrunk(plane: Float32, longest: int) -> Float32:
+def _shrink_plane(plane: Float32, longest: int) -> Float32:
     """Average a plane [H, W] over areas, or return it where it is small enough."""
     height, width = plane.shape
     if max(height, width) <= longest:
@@ -176,15 +152,12 @@ def _shrunk(plane: Float32, longest: int) -> Float32:
     return np.asarray(small, np.float32)
 
 
-def _bytes(values: Float32) -> UInt8:
-    """Round 0 to 1 to 8 bits."""
-    rounded: UInt8 = np.floor(values.clip(0, 1) * np.float32(255) + np.float32(0.5)).astype(
-        np.uint8
-    )
-    return rounded
+def _to_bytes(values: Float32) -> UInt8:
+    scaled = values.clip(0, 1) * np.float32(255)
+    return np.asarray(np.floor(scaled + np.float32(0.5)), np.uint8)
 
 
-def _webp(pixels: UInt8, room: int, peak: int) -> Picture:
+def _encode_webp(pixels: UInt8, room: int, peak: int) -> Picture:
     """Encode 8-bit pixels [H, W, 3]; below the lowest quality only fewer pixels help."""
     from PIL import Image
 

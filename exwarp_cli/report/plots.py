@@ -1,22 +1,24 @@
-"""The plots of a page, each a `plot_style.Figure`; None in any series is what was not measured."""
+"""The plots of a page, as SVG that stands inside HTML; None in a series is what was not measured.
+
+matplotlib draws with placeholder colours, which are replaced by the variables of the page's style
+sheet, so that plots follow its light and dark themes.
+"""
 
 from __future__ import annotations
 
+import io
+import logging
 import math
-from collections.abc import Mapping, Sequence
+import re
+import warnings
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
-from exwarp_cli.report.plot_style import (
-    COLOURS,
-    MARKERS,
-    SERIES,
-    Figure,
-    Labels,
-    draw,
-    draw_panels,
-    kind_role,
-)
+from markupsafe import Markup, escape
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,9 +26,24 @@ if TYPE_CHECKING:
 
 Values = Sequence[float | None]
 
-POINTS = 2000
-"""Points of a line at most."""
+# Colours of series: --c0 to --c6 of the style sheet, after Okabe and Ito.
+SERIES = 7
 
+# Further colours of the style sheet that plots use.
+ROLES = (
+    *("fg", "muted", "grid", "warp", "extrapolate", "hold", "blend", "interpolate", "key", "mark"),
+    *("bg", "softsplat", "lookahead", "rendered"),
+)
+
+# A placeholder for each name, which matplotlib draws with.
+COLOURS = {role: f"#fe01{i:02x}" for i, role in enumerate(ROLES)} | {
+    f"c{i}": f"#fe02{i:02x}" for i in range(SERIES)
+}
+
+# Of series in their order: colour is never all that distinguishes them.
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+
+# What makes a frame, and the marker of its points.
 KINDS = {
     "warp": "o",
     "extrapolate": "^",
@@ -38,10 +55,86 @@ KINDS = {
     "key": "D",
     "rendered": "d",
 }
-"""What makes a frame, and the marker of its points."""
+
+MAX_POINTS = 2000  # of a line
+
+WIDTH = 7.2  # of a plot, inches of 72 units
+
+# Stands before every id of a plot until the page gives it a number.
+IDS = "%PLOT%"
+
+SCATTER_COLUMNS = 3
+
+# The timeline: columns at most (more intervals share one), and sizes in pixels.
+TIMELINE_COLUMNS = 600
+LEFT, TIMELINE_WIDTH, ROW, LEGEND = 46, 520, 22, 18
+
+SETTINGS: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "exwarp",
+    "text.parse_math": False,  # a dollar sign in a name is one
+    "font.size": 10,
+    "axes.titlesize": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": COLOURS["muted"],
+    "axes.labelcolor": COLOURS["muted"],
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "grid.color": COLOURS["grid"],
+    "grid.linewidth": 0.6,
+    "text.color": COLOURS["fg"],
+    "xtick.color": COLOURS["muted"],
+    "ytick.color": COLOURS["muted"],
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "lines.linewidth": 1.4,
+    "patch.edgecolor": COLOURS["fg"],
+}
 
 
-def lines(
+@dataclass(frozen=True)
+class Labels:
+    """What is written on a plot."""
+
+    title: str  # heading above it
+    x: str = ""  # axes, with units; empty for none
+    y: str = ""
+    description: str = ""  # what it shows in a sentence, for those who do not see it
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A plot for a page."""
+
+    labels: Labels
+    svg: str  # with `IDS` before every id
+    note: str = ""  # a line below it
+
+    def numbered(self, name: str) -> Markup:
+        """Return the SVG with ids that begin with a name, which has to be unique in the page."""
+        return Markup(self.svg.replace(IDS, f"{name}-"))
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One small scatter plot: a title, its points, and a line such as the correlation."""
+
+    title: str
+    x: Sequence[float]
+    y: Sequence[float]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class TimelineCell:
+    """One cell of a timeline: a kind out of `KINDS`, and the text shown on hover."""
+
+    kind: str
+    hint: str
+
+
+def draw_lines(
     labels: Labels,
     x: Sequence[float],
     series: Mapping[str, Values],
@@ -53,59 +146,52 @@ def lines(
     `marked` are indices into `x` that get a ring; an upright line stands before each frame that
     comes after one of the `cuts`.
     """
-
-    def paint(axes: Axes) -> None:
+    with _canvas(2.3) as canvas:
+        axes = _add_axes(canvas, labels)
         for i, (name, values) in enumerate(series.items()):
-            kept = thinned(values)
-            few = len(kept) <= 60
+            points = thin_out(values)
+            marker = MARKERS[i % len(MARKERS)] if len(points) <= 60 else None
             axes.plot(
-                [x[j] for j in kept], _numbers([values[j] for j in kept]), color=_series(i),
-                label=name, marker=MARKERS[i % len(MARKERS)] if few else None, markersize=3.5,
+                *_select(x, values, points), color=_series_colour(i), label=name, marker=marker,
+                markersize=3.5,
             )  # fmt: skip
-            spots = [(x[j], values[j]) for j in marked if values[j] is not None]
-            _rings(axes, spots)
-        _upright(axes, cuts)
-        _whole_frames(axes, x)
-        _legend(axes, len(series))
+            rings = [j for j in marked if values[j] is not None]
+            if rings:
+                axes.plot(
+                    *_select(x, values, rings), linestyle="none", marker="o", markersize=9,
+                    markerfacecolor="none", markeredgecolor=COLOURS["mark"], zorder=5,
+                    markeredgewidth=1.6,
+                )  # fmt: skip
+        _mark_frames(axes, x, cuts)
+        _draw_legend(axes, len(series))
+        return _finish(canvas, labels)
 
-    return draw(labels, 2.3, paint)
 
-
-def points(
+def draw_points(
     labels: Labels,
     x: Sequence[float],
     values: Values,
     kinds: Sequence[str],
-    marked: Sequence[int] = (),
     cuts: Sequence[float] = (),
 ) -> Figure:
-    """Draw one value a frame, coloured by what made the frame, a word out of KINDS each.
-
-    `marked` and `cuts` are as in :func:`lines`.
-    """
-
-    def paint(axes: Axes) -> None:
-        kept = thinned(values)
-        axes.plot(
-            [x[j] for j in kept], _numbers([values[j] for j in kept]),
-            color=COLOURS["grid"], linewidth=1,
-        )  # fmt: skip
+    """Draw one value a frame, coloured by what made the frame, a word out of KINDS each."""
+    with _canvas(2.5) as canvas:
+        axes = _add_axes(canvas, labels)
+        points = thin_out(values)
+        axes.plot(*_select(x, values, points), color=COLOURS["grid"], linewidth=1)
         for kind in dict.fromkeys(kinds):
-            chosen = [j for j in kept if kinds[j] == kind and values[j] is not None]
-            if chosen:
+            of_kind = [j for j in points if kinds[j] == kind and values[j] is not None]
+            if of_kind:
                 axes.plot(
-                    [x[j] for j in chosen], _numbers([values[j] for j in chosen]), linestyle="none",
-                    color=_kind(kind), marker=KINDS.get(kind, "."), markersize=4, label=kind,
+                    *_select(x, values, of_kind), linestyle="none", color=COLOURS[kind_role(kind)],
+                    marker=KINDS.get(kind, "."), markersize=4, label=kind,
                 )  # fmt: skip
-        _rings(axes, [(x[j], values[j]) for j in marked if values[j] is not None])
-        _upright(axes, cuts)
-        _whole_frames(axes, x)
-        _legend(axes, len(set(kinds)))
-
-    return draw(labels, 2.5, paint)
+        _mark_frames(axes, x, cuts)
+        _draw_legend(axes, len(set(kinds)))
+        return _finish(canvas, labels)
 
 
-def bars(
+def draw_bars(
     labels: Labels,
     groups: Sequence[str],
     series: Mapping[str, Values],
@@ -123,35 +209,41 @@ def bars(
         By series, values that are marked across its bars: the paper's.
     """
     width = 0.8 / max(len(series), 1)
-
-    def paint(axes: Axes) -> None:
+    is_in_legend = False  # the first mark stands for all
+    with _canvas(2.6) as canvas:
+        axes = _add_axes(canvas, labels)
         for i, (name, values) in enumerate(series.items()):
-            at = [g - 0.4 + width * (i + 0.5) for g in range(len(groups))]
+            x = [group - 0.4 + width * (i + 0.5) for group in range(len(groups))]
             axes.bar(
-                at, _numbers(values), width * 0.92, color=_series(i), label=name,
+                x, _to_floats(values), width * 0.92, color=_series_colour(i), label=name,
                 hatch="///" if i >= SERIES else None, edgecolor=COLOURS["bg"], linewidth=0,
             )  # fmt: skip
-            marks = (references or {}).get(name, ())
-            known = [(a, m) for a, m in zip(at, marks, strict=False) if m is not None]
+            pairs = zip(x, (references or {}).get(name, ()), strict=False)
+            marks = [(a, mark) for a, mark in pairs if mark is not None]
             axes.hlines(
-                [m for _, m in known], [a - width / 2 for a, _ in known],
-                [a + width / 2 for a, _ in known], color=COLOURS["fg"], linewidth=2,
-                label="paper" if known and name == _first(references) else "_",
+                [mark for _, mark in marks], [a - width / 2 for a, _ in marks],
+                [a + width / 2 for a, _ in marks], color=COLOURS["fg"], linewidth=2,
+                label="paper" if marks and not is_in_legend else "_",
             )  # fmt: skip
-        _names(axes, groups)
-        _legend(axes, len(series) + bool(references))
+            is_in_legend |= bool(marks)
+        is_long = sum(len(str(group)) for group in groups) > 70
+        axes.set_xticks(
+            range(len(groups)), [str(group) for group in groups],
+            rotation=30 if is_long else 0, ha="right" if is_long else "center",
+        )  # fmt: skip
+        axes.grid(False, axis="x")
+        _draw_legend(axes, len(series) + bool(references))
+        return _finish(canvas, labels)
 
-    return draw(labels, 2.6, paint)
 
-
-def stacked_bars(
+def draw_stacked_bars(
     labels: Labels,
     groups: Sequence[str],
     parts: Mapping[str, Values],
     kinds: bool = False,
     note: str = "",
 ) -> Figure:
-    """Draw one lying bar a group, made of parts.
+    """Draw one horizontal bar a group, made of parts.
 
     Parameters
     ----------
@@ -160,162 +252,188 @@ def stacked_bars(
     parts
         A length for each group; None counts as 0.
     kinds
-        Whether the parts are named out of KINDS and coloured so.
+        True if the parts are named out of KINDS and coloured so.
     note
         A line below it.
     """
-
-    def paint(axes: Axes) -> None:
+    with _canvas(1.1 + 0.34 * len(groups)) as canvas:
+        axes = _add_axes(canvas, labels)
         left = [0.0] * len(groups)
         for i, (name, values) in enumerate(parts.items()):
             lengths = [value or 0.0 for value in values]
-            colour = _kind(name) if kinds else _series(i)
-            hatch = "///" if i >= SERIES and not kinds else None  # colours have come round
+            colour = COLOURS[kind_role(name)] if kinds else _series_colour(i)
+            hatch = "///" if i >= SERIES and not kinds else None  # colours repeat from here on
             axes.barh(
                 range(len(groups)), lengths, 0.7, left=left, label=name, color=colour, hatch=hatch,
                 edgecolor=COLOURS["bg"], linewidth=0.5,
             )  # fmt: skip
             left = [a + b for a, b in zip(left, lengths, strict=True)]
-        axes.set_yticks(range(len(groups)), [str(g) for g in groups])
+        axes.set_yticks(range(len(groups)), [str(group) for group in groups])
         axes.invert_yaxis()
         axes.grid(False, axis="y")
-        _legend(axes, max(len(parts), 2))
+        _draw_legend(axes, max(len(parts), 2))
+        return _finish(canvas, labels, note)
 
-    return draw(labels, 1.1 + 0.34 * len(groups), paint, note)
 
-
-def histogram(
+def draw_histogram(
     labels: Labels, edges: Sequence[float], counts: Mapping[str, Sequence[float]]
 ) -> Figure:
     """Draw counts between edges, one step line a series; a single one is filled."""
-
-    def paint(axes: Axes) -> None:
+    with _canvas(2.1) as canvas:
+        axes = _add_axes(canvas, labels)
         for i, (name, values) in enumerate(counts.items()):
             axes.stairs(
-                values, edges, label=name, color=_series(i), fill=len(counts) == 1, linewidth=1.6
-            )
-        _legend(axes, len(counts))
-
-    return draw(labels, 2.1, paint)
-
-
-@dataclass(frozen=True)
-class Panel:
-    """One small scatter plot: a title, its points, and a line such as the correlation."""
-
-    title: str
-    x: Sequence[float]
-    y: Sequence[float]
-    note: str = ""
+                values, edges, label=name, color=_series_colour(i), fill=len(counts) == 1,
+                linewidth=1.6,
+            )  # fmt: skip
+        _draw_legend(axes, len(counts))
+        return _finish(canvas, labels)
 
 
-def scatter(labels: Labels, panels: Sequence[Panel], columns: int = 3) -> Figure:
-    """Draw small scatter plots with a common y axis, in rows of `columns`."""
-    rows = max(math.ceil(len(panels) / columns), 1)
-
-    def paint(canvas: Canvas) -> None:
-        grid = canvas.subplots(rows, min(columns, max(len(panels), 1)), sharey=True, squeeze=False)
+def draw_scatter(labels: Labels, panels: Sequence[Panel]) -> Figure:
+    """Draw small scatter plots with a common y axis, in rows of `SCATTER_COLUMNS`."""
+    rows = max(math.ceil(len(panels) / SCATTER_COLUMNS), 1)
+    columns = min(SCATTER_COLUMNS, max(len(panels), 1))
+    with _canvas(0.4 + 1.9 * rows) as canvas:
+        grid = canvas.subplots(rows, columns, sharey=True, squeeze=False)
         for axes in grid.flat[len(panels) :]:
             axes.set_visible(False)
         for i, (panel, axes) in enumerate(zip(panels, grid.flat, strict=False)):
-            kept = thinned(panel.y)
+            points = thin_out(panel.y)
             axes.scatter(
-                [panel.x[j] for j in kept], [panel.y[j] for j in kept], s=7, alpha=0.55,
+                [panel.x[j] for j in points], [panel.y[j] for j in points], s=7, alpha=0.55,
                 color=COLOURS["c0"], linewidths=0,
             )  # fmt: skip
             axes.set_title(panel.title)
             axes.set_xlabel(panel.note)
-            if i % columns == 0:
+            if i % SCATTER_COLUMNS == 0:
                 axes.set_ylabel(labels.y)
+        return _finish(canvas, labels)
 
-    return draw_panels(labels, 0.4 + 1.9 * rows, paint)
 
-
-def series_panels(labels: Labels, x: Sequence[float], series: Mapping[str, Values]) -> Figure:
+def draw_series_panels(labels: Labels, x: Sequence[float], series: Mapping[str, Values]) -> Figure:
     """Draw a small line plot for each series below each other, each with its own y axis."""
-
-    def paint(canvas: Canvas) -> None:
+    with _canvas(0.5 + 0.75 * max(len(series), 1)) as canvas:
         grid = canvas.subplots(len(series), 1, sharex=True, squeeze=False)
         for axes, (name, values) in zip(grid.flat, series.items(), strict=True):
-            kept = thinned(values)
-            axes.plot([x[j] for j in kept], _numbers([values[j] for j in kept]), color=_series(0))
+            axes.plot(*_select(x, values, thin_out(values)), color=_series_colour(0))
             axes.set_ylabel(name, rotation=0, ha="right", va="center")
             axes.locator_params(axis="y", nbins=3)
-            _whole_frames(axes, x)
+            _mark_frames(axes, x)
         grid.flat[-1].set_xlabel(labels.x)
+        return _finish(canvas, labels)
 
-    return draw_panels(labels, 0.5 + 0.75 * max(len(series), 1), paint)
+
+def draw_timeline(
+    labels: Labels,
+    rows: Sequence[str],
+    columns: Sequence[Sequence[TimelineCell | None]],
+    kinds: Sequence[str],
+) -> Figure:
+    """Draw coloured cells: a row a slot, a column a key interval.
+
+    Parameters
+    ----------
+    rows
+        Names of the rows, from the top.
+    columns
+        For each column a cell a row; None stays empty. Of more than TIMELINE_COLUMNS, neighbours
+        share a column: its colour is the most frequent, and its hint counts the others.
+    kinds
+        The kinds that appear, for the legend.
+    """
+    shared = columns
+    if len(columns) > TIMELINE_COLUMNS:
+        bounds = [i * len(columns) // TIMELINE_COLUMNS for i in range(TIMELINE_COLUMNS + 1)]
+        shared = [
+            [_most_frequent([column[r] for column in columns[a:b]]) for r in range(len(rows))]
+            for a, b in pairwise(bounds)
+        ]
+    step = TIMELINE_WIDTH / max(len(shared), 1)
+    gap = 0.6 if step > 3 else 0
+    height = ROW * len(rows)
+    svg = _svg_opening(f"0 0 {LEFT + TIMELINE_WIDTH} {height + LEGEND}", labels)
+    x = LEFT
+    for kind in kinds:
+        svg += (
+            f'<rect x="{x}" y="{height + 6}" width="9" height="9" class="k-{kind_role(kind)}"/>'
+            f'<text class="word" x="{x + 13}" y="{height + 14}">{escape(kind)}</text>'
+        )
+        x += 26 + 6 * len(kind)
+    parts = [svg]
+    for r, name in enumerate(rows):
+        y = r * ROW
+        parts.append(
+            f'<text class="name" x="{LEFT - 6}" y="{y + ROW * 0.68:g}">{escape(name)}</text>'
+        )
+        for c, column in enumerate(shared):
+            cell = column[r]
+            if cell is not None:
+                parts.append(
+                    f'<rect x="{LEFT + c * step:.2f}" y="{y + 1}" width="{step - gap:.2f}" '
+                    f'height="{ROW - 2}" class="k-{kind_role(cell.kind)}">'
+                    f"<title>{escape(cell.hint)}</title></rect>"
+                )
+    return Figure(labels, "".join(parts) + "</svg>")
 
 
-def thinned(values: Values, limit: int = POINTS) -> list[int]:
-    """Return the indices to draw: all, or the lowest and highest of `limit` / 2 stretches.
+def _most_frequent(cells: Sequence[TimelineCell | None]) -> TimelineCell | None:
+    filled = [cell for cell in cells if cell is not None]
+    if not filled:
+        return None
+    counts = Counter(cell.kind for cell in filled).most_common()
+    kinds = ", ".join(f"{kind} {count}" for kind, count in counts)
+    return TimelineCell(counts[0][0], f"{filled[0].hint} and {len(filled) - 1} more: {kinds}")
+
+
+def thin_out(values: Values) -> list[int]:
+    """Return the indices to draw: all, or the lowest and highest of MAX_POINTS / 2 stretches.
 
     So no single bad frame is lost from a long sequence.
     """
-    if len(values) <= limit:
+    if len(values) <= MAX_POINTS:
         return list(range(len(values)))
-    stretches = limit // 2
-    kept: set[int] = set()
+    stretches = MAX_POINTS // 2
+    indices: set[int] = set()
     for i in range(stretches):
         span = range(i * len(values) // stretches, (i + 1) * len(values) // stretches)
-        known = [(value, j) for j in span if (value := values[j]) is not None]
-        kept.update({min(known)[1], max(known)[1]} if known else {span[0]})
-    return sorted(kept)
+        measured = [(value, j) for j in span if (value := values[j]) is not None]
+        indices.update({min(measured)[1], max(measured)[1]} if measured else {span[0]})
+    return sorted(indices)
 
 
-def _numbers(values: Values) -> list[float]:
-    return [math.nan if value is None else float(value) for value in values]
+def kind_role(kind: str) -> str:
+    """Return the role whose colour stands for what makes a frame, a word out of `KINDS`."""
+    return kind if kind in ROLES else "muted"
 
 
-def _series(index: int) -> str:
+def _series_colour(index: int) -> str:
     return COLOURS[f"c{index % SERIES}"]
 
 
-def _kind(name: str) -> str:
-    return COLOURS[kind_role(name)]
+def _to_floats(values: Values) -> list[float]:
+    return [math.nan if value is None else float(value) for value in values]
 
 
-def _whole_frames(axes: Axes, x: Sequence[float]) -> None:
-    """Let no tick fall between two frames, nor a single one stand in a row of fractions."""
-    if not all(float(value).is_integer() for value in x):
-        return
-    axes.locator_params(axis="x", integer=True)
-    if len(set(x)) == 1:
-        axes.set_xlim(x[0] - 0.5, x[0] + 0.5)
-        axes.set_xticks([x[0]])
+def _select(
+    x: Sequence[float], values: Values, indices: Sequence[int]
+) -> tuple[list[float], list[float]]:
+    return [x[j] for j in indices], _to_floats([values[j] for j in indices])
 
 
-def _first(references: Mapping[str, Values] | None) -> str | None:
-    """Return the first series with a mark: only that one stands in the legend."""
-    found = (references or {}).items()
-    return next((name for name, marks in found if any(m is not None for m in marks)), None)
-
-
-def _names(axes: Axes, groups: Sequence[str]) -> None:
-    long = sum(len(str(g)) for g in groups) > 70
-    axes.set_xticks(
-        range(len(groups)), [str(g) for g in groups],
-        rotation=30 if long else 0, ha="right" if long else "center",
-    )  # fmt: skip
-    axes.grid(False, axis="x")
-
-
-def _rings(axes: Axes, spots: Sequence[tuple[float, float | None]]) -> None:
-    if spots:
-        axes.plot(
-            [a for a, _ in spots], _numbers([b for _, b in spots]), linestyle="none", marker="o",
-            markersize=9, markerfacecolor="none", markeredgecolor=COLOURS["mark"], zorder=5,
-            markeredgewidth=1.6,
-        )  # fmt: skip
-
-
-def _upright(axes: Axes, cuts: Sequence[float]) -> None:
-    """Draw a line before each of these frames."""
+def _mark_frames(axes: Axes, x: Sequence[float], cuts: Sequence[float] = ()) -> None:
+    """Draw a line before each frame after a cut; let no tick stand between two frames."""
     for number in cuts:
         axes.axvline(number - 0.5, color=COLOURS["fg"], linestyle="--", linewidth=1, zorder=1)
+    if all(float(value).is_integer() for value in x):
+        if len(set(x)) == 1:
+            axes.set_xlim(x[0] - 0.5, x[0] + 0.5)
+            axes.set_xticks([x[0]])
+        else:
+            axes.locator_params(axis="x", integer=True)
 
 
-def _legend(axes: Axes, count: int) -> None:
+def _draw_legend(axes: Axes, count: int) -> None:
     """Put a legend above the plot, where it hides nothing; none for a single series."""
     handles, names = axes.get_legend_handles_labels()
     if count > 1 and handles:
@@ -323,3 +441,71 @@ def _legend(axes: Axes, count: int) -> None:
             handles, names, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=min(len(names), 5),
             borderaxespad=0.2, handlelength=1.4, columnspacing=1.4,
         )  # fmt: skip
+
+
+@contextmanager
+def _canvas(height: float) -> Iterator[Canvas]:
+    """Yield a canvas, `height` inches high, without settings of the user's own matplotlib."""
+    with quiet():
+        import matplotlib
+        from matplotlib.figure import Figure as Canvas
+
+        with matplotlib.rc_context():
+            matplotlib.rcdefaults()
+            matplotlib.rcParams.update(SETTINGS)
+            yield Canvas(figsize=(WIDTH, height), layout="constrained")
+
+
+def _add_axes(canvas: Canvas, labels: Labels) -> Axes:
+    axes = canvas.add_subplot()
+    axes.set_xlabel(labels.x)
+    axes.set_ylabel(labels.y)
+    return axes
+
+
+def _finish(canvas: Canvas, labels: Labels, note: str = "") -> Figure:
+    """Turn a canvas into an SVG element for HTML; the same input gives the same text.
+
+    Letters that matplotlib's fonts lack do not matter, as the browser writes the text.
+    """
+    file = io.StringIO()
+    metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    canvas.savefig(file, format="svg", metadata=metadata, transparent=True)
+    text = file.getvalue()
+    # No prologue, fonts or global style.
+    body = text[text.index("<svg") :]
+    body = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", body, count=1, flags=re.DOTALL)
+    box = re.search(r'viewBox="([^"]*)"', body)
+    body = body[body.index(">") + 1 :]
+    body = re.sub(r'(<g) id="[^"]*"', r"\1", body)
+    body = body.replace("xlink:href", "href")
+    body = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{IDS}", body)
+    body = re.sub(r"font-size: ([0-9.]+)px; font-family: [^;\"]*", r"font-size: \1px", body)
+    for name, colour in COLOURS.items():
+        body = body.replace(colour, f"var(--{name})")
+    body = re.sub(r"\s*\n\s*", " ", body)
+    opening = _svg_opening(box[1] if box else "0 0 1 1", labels)
+    return Figure(labels, opening + body.rstrip(), note)
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Suppress matplotlib's messages on its caches and fonts, which begin on import."""
+    log = logging.getLogger("matplotlib")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.setLevel(level)
+
+
+def _svg_opening(view_box: str, labels: Labels) -> str:
+    title, description = escape(labels.title), escape(labels.description or labels.title)
+    return (
+        f'<svg class="plot" viewBox="{view_box}" role="img" '
+        f'aria-labelledby="{IDS}title {IDS}desc">'
+        f'<title id="{IDS}title">{title}</title><desc id="{IDS}desc">{description}</desc>'
+    )

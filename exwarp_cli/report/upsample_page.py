@@ -4,47 +4,55 @@ from __future__ import annotations
 
 from typing import Any
 
-from exwarp_cli.domain.decision import FEATURES, HOLD, NODES
+from exwarp_cli.domain.decision import CHOICES, FEATURES, HOLD, NODES
 from exwarp_cli.domain.metric import KEY_FRAMES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.metrics.display import PEAK
-from exwarp_cli.report.gallery import Album, worst_of
-from exwarp_cli.report.page import (
+from exwarp_cli.report.gallery import Album, worst_frame
+from exwarp_cli.report.html import (
+    BY_FIELD,
     Block,
     Cell,
-    Link,
     Number,
     Page,
     Section,
     Table,
     Text,
-    Viewer,
-)
-from exwarp_cli.report.page_parts import (
-    BY_FIELD,
     better,
-    cuts_line,
-    facts_of,
     file_name,
-    held_line,
+    frame_cell,
+    frames_section,
     metric_plots,
-    nonfinite_line,
-    number,
-    percent,
     quality_numbers,
     quality_table,
-    rendered_text,
-    time_text,
-    worst_table,
+    score_facts,
+    worst_tables,
 )
-from exwarp_cli.report.plot_style import Figure, Labels
-from exwarp_cli.report.plots import histogram, lines, points, series_panels, stacked_bars
-from exwarp_cli.report.quality import mean
-from exwarp_cli.report.review import review_line, worth_a_look
-from exwarp_cli.report.strip import Cell as StripCell
-from exwarp_cli.report.strip import strip
+from exwarp_cli.report.plots import (
+    Figure,
+    Labels,
+    TimelineCell,
+    draw_histogram,
+    draw_lines,
+    draw_points,
+    draw_series_panels,
+    draw_stacked_bars,
+    draw_timeline,
+)
+from exwarp_cli.report.review import places_worth_a_look
+from exwarp_cli.report.schema import mean
+from exwarp_cli.report.sentences import (
+    describe_cuts,
+    describe_holds,
+    describe_nonfinite,
+    describe_review,
+    format_number,
+    format_percent,
+    format_rendered,
+    format_time,
+)
 
 PREDICTED = (
     "How wrong each new frame is expected to be, without ground truth. It is a forecast by how "
@@ -62,61 +70,49 @@ TRIALS_NOTE = (
     "frames. dB: PSNR; between key frames the mean of the frame's tiles."
 )
 
-MOST_PLACES = 20
-"""Of the list on the page; review.csv has more."""
+PULSE_NOTE = (
+    "How much softer (below 0) or sharper new frames are than the key frames around, weighted "
+    "by time. Softer frames make textures shimmer."
+)
 
-MOST_ROWS = 200
-"""Of a table on the page; report.json has them all."""
+MAX_PLACES = 20  # of the list on the page; review.csv has more
+MAX_ROWS = 200  # of a table on the page; report.json has them all
 
 
 def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None = None) -> Page:
     """Build the page of a run.
 
-    Parameters
-    ----------
-    run
-        The run; its frames are plotted.
-    document
-        What `exwarp_cli.report.summary.report` made of it: tables and headline.
-    album
-        Pictures of its frames; None for a page without a viewer.
+    `document` is what `schema.run_document` returned: tables and headline. `album` has pictures of
+    the run's frames, and gets facts and the worst frame as its start.
     """
-    frames = run.frames
     if album is not None:
-        for frame in frames:
-            album.tell(frame.number, made_by(frame), _facts(frame), frame.risk)
-        _start_at_worst(album, frames)
-    shown = () if album is None else tuple(album.frames)
+        for frame in run.frames:
+            album.set_facts(frame.number, frame_maker(frame), _facts(frame), frame.risk)
+        # VMAF and flicker are known only now.
+        if (worst := worst_frame(run.frames)) in album.frames:
+            album.start = worst
     source = document["input"]
-    count = document["frames"]["written"]
     return Page(
         file_name(source["pattern"]),
-        f"{run.method} on {source['pattern']}: {count} frames, "
+        f"{run.method} on {source['pattern']}: {document['frames']['written']} frames, "
         f"{source['width']}x{source['height']}",
         headline(document),
         (
-            Section("frames", "Frames", [Viewer(album)] if album and album.frames else []),
-            Section("review", "Worth a look", _review(run, document, shown)),
-            Section("quality", "Quality", _quality(run, document, shown)),
-            Section("decisions", "Decisions", _decisions(run, document)),
-            Section("holes", "Holes and features", _evidence(run, document)),
-            Section("timing", "Time", _timing(frames, document)),
-            Section("left-out", "Left out", _left_out(document)),
-            Section("nonfinite", "NaN and infinities", _nonfinite(document)),
-            Section("input", "Input and settings", _settings(document)),
+            frames_section(album),
+            Section("review", "Worth a look", _review(run, document, album)),
+            Section("quality", "Quality", _quality(run, document, album)),
+            Section("decisions", "Decisions", _decisions(run, document["decisions"])),
+            Section("holes", "Holes and features", _holes_and_features(run, document)),
+            Section("timing", "Time", _timing(run, document["timing_ms"])),
+            Section("left-out", "Left out", _left_out(document["left_out"])),
+            Section("nonfinite", "NaN and infinities", _nonfinite(document["nonfinite"])),
+            Section("input", "Input and settings", [_settings(document)]),
         ),
     )
 
 
-def _start_at_worst(album: Album, frames: tuple[FrameRecord, ...]) -> None:
-    """Show the worst frame first, if it was kept: VMAF and flicker are known only at the end."""
-    worst = worst_of(frames)
-    if worst in album.frames:
-        album.start = worst
-
-
-def made_by(frame: FrameRecord) -> str:
-    """Say what made a frame, as `plots.KINDS` names it."""
+def frame_maker(frame: FrameRecord) -> str:
+    """Return what made a frame, as `plots.KINDS` names it."""
     if frame.kind in (FrameKind.KEY, FrameKind.RENDERED):
         return str(frame.kind.value)
     if frame.kind is FrameKind.DROPPED:
@@ -127,77 +123,52 @@ def made_by(frame: FrameRecord) -> str:
 def headline(document: dict[str, Any]) -> list[Number]:
     """Return the numbers on top: the saved time first, where the headers state it."""
     frames, fps, holes = document["frames"], document["fps"], document["holes"]
-    found = _saved(document.get("render_time"))
-    parts = f"{rendered_text(frames)}, {frames['generated']} generated"
+    decisions, pulse = document["decisions"], document["pulse"]
+    numbers = _render_time_numbers(document["render_time"])
+    kinds = f"{format_rendered(frames)}, {frames['generated']} generated"
     if frames["dropped"]:
-        parts += f", {frames['dropped']} repeated"
-    found.append(Number("Frames", f"{frames['written']:,}", parts))
-    found.append(Number("Frame rate", f"{fps['base']:g} → {fps['output']:g} fps", fps["source"]))
+        kinds += f", {frames['dropped']} repeated"
+    numbers.append(Number("Frames", f"{frames['written']:,}", kinds))
+    numbers.append(Number("Frame rate", f"{fps['base']:g} → {fps['output']:g} fps", fps["source"]))
     if fps["effective"] is not None:
-        found.append(Number("Effective", f"{fps['effective']:.1f} fps", "new frames alone"))
-    found += quality_numbers(document["quality"]["all"])
-    found += _pulse_number(document["pulse"])
-    found += _left_out_numbers(document["left_out"])
+        numbers.append(Number("Effective", f"{fps['effective']:.1f} fps", "new frames alone"))
+    numbers += quality_numbers(document["quality"]["all"])
+    if pulse is not None and pulse["against"] == KEY_FRAMES:
+        metric = BY_FIELD["pulse"]
+        note = f"{better(metric)}; against {KEY_FRAMES}"
+        numbers.append(Number(metric.name, metric.with_unit(pulse["mean"]), note))
+    for key, label, note in (
+        ("frames", "Left out", "frames whose input cannot be used"),
+        ("rendered", "Not used", "rendered frames, which are generated"),
+        ("scores", "Not scored", "frames whose ground truth cannot be used"),
+    ):
+        if count := sum(len(interval[key]) for interval in document["left_out"]):
+            numbers.append(Number(label, f"{count:,}", note))
     if document["input"]["motion"]["source"] == "estimated":
         note = "from colour by optical flow, far less exact than a renderer's vectors"
-        found.append(Number("Motion", "estimated", note))
+        numbers.append(Number("Motion", "estimated", note))
     if holes["mean_fraction"] is not None:
         note = f"of the pixels of {counted(sum(holes['histogram']['counts']), 'frame')}, on average"
-        found.append(Number("Holes", str(percent(holes["mean_fraction"])), note))
-    if document["decisions"]["warp_share"] is not None:
-        found.append(
-            Number(
-                "Warps",
-                str(percent(document["decisions"]["warp_share"], 0)),
-                "of decisions" if document["decisions"]["cost"] is None else "of the area",
-            )
-        )
+        numbers.append(Number("Holes", f"{format_percent(holes['mean_fraction'])}", note))
+    if decisions["warp_share"] is not None:
+        note = "of decisions" if decisions["cost"] is None else "of the area"
+        numbers.append(Number("Warps", f"{format_percent(decisions['warp_share'], 0)}", note))
     if fps["throughput"]:
-        found.append(
-            Number("Time", str(time_text(1 / fps["throughput"])), "per written frame, all threads")
-        )
-    return found
+        time = format_time(1 / fps["throughput"])
+        numbers.append(Number("Time", str(time), "per written frame, all threads"))
+    return numbers
 
 
-def _left_out_numbers(left_out: list[dict[str, Any]]) -> list[Number]:
-    """Return how many frames lack their input, their rendered frame or their ground truth."""
-    labels = {
-        "frames": ("Left out", "frames whose input cannot be used"),
-        "rendered": ("Not used", "rendered frames, which are generated"),
-        "scores": ("Not scored", "frames whose ground truth cannot be used"),
-    }
-    counts = {name: sum(len(one[name]) for one in left_out) for name in labels}
-    return [
-        Number(label, f"{counts[name]:,}", note)
-        for name, (label, note) in labels.items()
-        if counts[name]
-    ]
-
-
-def _pulse_number(block: dict[str, Any] | None) -> list[Number]:
-    """Return the pulse where it is measured against key frames."""
-    if block is None or block["against"] != KEY_FRAMES:
+def _render_time_numbers(saved: dict[str, Any] | None) -> list[Number]:
+    if saved is None:
         return []
-    metric = BY_FIELD["pulse"]
-    note = f"{better(metric)}; against {block['against']}"
-    return [Number(metric.name, metric.with_unit(block["mean"]), note)]
-
-
-def _saved(block: dict[str, Any] | None) -> list[Number]:
-    """Return what was saved, where a header said how long a frame rendered."""
-    if block is None or block.get("saved_s") is None:
-        return []
-    share = percent(block.get("saved_share"), 0)
-    found = [
-        Number("Render time saved", str(time_text(block["saved_s"])), f"{share} of rendering all")
-    ]
-    for key, label, note in (
-        ("key_frame_s", "Rendered frame", "by the headers, on average"),
-        ("generated_frame_s", "Generated frame", "reading and writing included"),
-    ):
-        if block.get(key) is not None:
-            found.append(Number(label, str(time_text(block[key])), note))
-    return found
+    share = f"{format_percent(saved['saved_share'], 0)} of rendering all"
+    values = (
+        ("Render time saved", saved["saved_s"], share),
+        ("Rendered frame", saved["key_frame_s"], "by the headers, on average"),
+        ("Generated frame", saved["generated_frame_s"], "reading and writing included"),
+    )
+    return [Number(label, str(format_time(value)), note) for label, value, note in values]
 
 
 def _facts(frame: FrameRecord) -> dict[str, str]:
@@ -207,36 +178,44 @@ def _facts(frame: FrameRecord) -> dict[str, str]:
         facts["path"] = frame.path
     if frame.decision is not None:
         facts["decision"] = f"{frame.decision.node} = {frame.decision.choice}"
-    facts |= facts_of(frame.score, frame.hole_score)
+    facts |= score_facts(frame.score, frame.hole_score)
     if frame.key_pulse is not None:
         metric = BY_FIELD["pulse"]
         facts[f"{metric.name} against {KEY_FRAMES}"] = metric.with_unit(frame.key_pulse)
     if frame.risk is not None:
         facts["predicted error"] = f"{frame.risk.error:.1f} of 255"
     if frame.has_holes:
-        facts["holes"] = str(percent(frame.hole_fraction))
+        facts["holes"] = str(format_percent(frame.hole_fraction))
     return facts
 
 
-def _review(run: RunSummary, document: dict[str, Any], shown: tuple[int, ...]) -> list[Block]:
+def _review(run: RunSummary, document: dict[str, Any], album: Album | None) -> list[Block]:
     """List what is most worth a look, and draw the predicted error of the new frames."""
-    found = document["review"]
-    if found is None:
+    review = document["review"]
+    if review is None:
         return []
-    blocks: list[Block] = [Text(f"{PREDICTED} {review_line(found).capitalize()}.")]
-    known = [frame for frame in run.frames if frame.risk is not None]
-    if len(known) > 1:
-        blocks.append(_predicted_errors(known, found, after_cuts(run)))
+    blocks: list[Block] = [Text(f"{PREDICTED} {describe_review(review).capitalize()}.")]
+    errors = [(frame, frame.risk.error) for frame in run.frames if frame.risk is not None]
+    if len(errors) > 1:
+        numbers = [frame.number for frame, _ in errors]
+        series: dict[str, list[float | None]] = {"predicted": [error for _, error in errors]}
+        psnr = [None if frame.score is None else frame.score.psnr_db for frame, _ in errors]
+        if any(db is not None for db in psnr):
+            series["measured"] = [None if db is None else PEAK / 10 ** (db / 20) for db in psnr]
+        labels = Labels(
+            "Predicted error per frame", "frame", "RMS of 255 levels",
+            "How wrong each new frame is expected to be; lower is better.",
+        )  # fmt: skip
+        worst = numbers.index(review["predicted_error"]["worst_frame"])
+        blocks.append(draw_lines(labels, numbers, series, (worst,), _after_cuts(run)))
     rows: list[list[Cell]] = [
         [
-            Link(str(place.frame), f"#viewer:{place.frame}")
-            if place.frame in shown
-            else str(place.frame),
+            frame_cell(place.frame, album),
             f"{place.error:.1f}",
             f"{place.width}x{place.height} at {place.x},{place.y}",
             place.reason,
         ]
-        for place in worth_a_look(run)[:MOST_PLACES]
+        for place in places_worth_a_look(run)[:MAX_PLACES]
     ]
     if rows:
         columns = ("frame", "predicted error", "pixels", "why")
@@ -244,24 +223,7 @@ def _review(run: RunSummary, document: dict[str, Any], shown: tuple[int, ...]) -
     return blocks
 
 
-def _predicted_errors(known: list[FrameRecord], found: dict[str, Any], cuts: list[int]) -> Figure:
-    """Draw the predicted error of each new frame, beside the measured one where there is one."""
-    numbers = [frame.number for frame in known]
-    series: dict[str, list[float | None]] = {
-        "predicted": [None if frame.risk is None else frame.risk.error for frame in known]
-    }
-    scores = [None if frame.score is None else frame.score.psnr_db for frame in known]
-    if any(score is not None for score in scores):
-        series["measured"] = [None if db is None else PEAK / 10 ** (db / 20) for db in scores]
-    labels = Labels(
-        "Predicted error per frame", "frame", "RMS of 255 levels",
-        "How wrong each new frame is expected to be; lower is better.",
-    )  # fmt: skip
-    worst = numbers.index(found["predicted_error"]["worst_frame"])
-    return lines(labels, numbers, series, (worst,), cuts)
-
-
-def after_cuts(run: RunSummary) -> list[int]:
+def _after_cuts(run: RunSummary) -> list[int]:
     """Return the output number of the first frame after each cut, as far as it was written."""
     first: dict[int, int] = {}
     for frame in run.frames:
@@ -269,129 +231,107 @@ def after_cuts(run: RunSummary) -> list[int]:
     return [first[cut.number] for cut in run.cuts or () if cut.number in first]
 
 
-def _quality(run: RunSummary, document: dict[str, Any], shown: tuple[int, ...]) -> list[Block]:
+def _quality(run: RunSummary, document: dict[str, Any], album: Album | None) -> list[Block]:
+    blocks: list[Block] = []
     scored = [frame for frame in run.frames if frame.score is not None]
-    keyed = _keyed_pulses(run, document)
-    if not scored:
-        return keyed
-    quality = document["quality"]
-    blocks = {"all pixels": quality["all"], "holes only": quality["holes"]}
-    blocks |= {f"made by {name}": part for name, part in quality["by_decision"].items()}
-    blocks["repeated"] = quality["dropped"]
-    blocks = {name: part for name, part in blocks.items() if part["frames"] or name == "all pixels"}
-    numbers, scores = [f.number for f in scored], [f.score for f in scored]
-    made = [made_by(f) for f in scored]
-    table = quality_table(
-        "Against ground truth", blocks, "Means over the frames between key frames."
-    )
-    values = [None if score is None else score.psnr_db for score in scores]
-    found: list[Block] = [table]
-    cuts = after_cuts(run)
-    if len(scored) > 1 and any(value is not None for value in values):
-        labels = Labels(
-            "PSNR per frame",
-            "frame",
-            "PSNR dB",
-            "PSNR of every scored frame, coloured by what made it; higher is better.",
-        )
-        found.insert(0, points(labels, numbers, values, made, cuts=cuts))
-    found += metric_plots(numbers, scores, skip=("psnr_db",), cuts=cuts)
-    worst = worst_table(numbers, scores, shown, made)
-    return [*found, *([] if worst is None else [worst]), *keyed]
+    if scored:
+        numbers, scores = [f.number for f in scored], [f.score for f in scored]
+        makers, cuts = [frame_maker(f) for f in scored], _after_cuts(run)
+        psnr = [None if score is None else score.psnr_db for score in scores]
+        if len(scored) > 1 and any(value is not None for value in psnr):
+            labels = Labels(
+                "PSNR per frame", "frame", "PSNR dB",
+                "PSNR of every scored frame, coloured by what made it; higher is better.",
+            )  # fmt: skip
+            blocks.append(draw_points(labels, numbers, psnr, makers, cuts))
+        quality = document["quality"]
+        parts = {"holes only": quality["holes"]}
+        parts |= {f"made by {name}": part for name, part in quality["by_decision"].items()}
+        parts["repeated"] = quality["dropped"]
+        parts = {name: part for name, part in parts.items() if part["frames"]}
+        note = "Means over the frames between key frames."
+        all_parts = {"all pixels": quality["all"], **parts}
+        blocks.append(quality_table("Against ground truth", all_parts, note))
+        blocks += metric_plots(numbers, scores, skip=("psnr_db",), cuts=cuts)
+        blocks += worst_tables(numbers, scores, album, makers)
 
-
-def _keyed_pulses(run: RunSummary, document: dict[str, Any]) -> list[Block]:
-    """Draw the pulse of new frames against their key frames, where there is no ground truth."""
-    block, metric = document["pulse"], BY_FIELD["pulse"]
-    if block is None or block["against"] != KEY_FRAMES:
-        return []
-    known = [(f.number, f.key_pulse) for f in run.frames if f.key_pulse is not None]
-    numbers, values = [n for n, _ in known], [value for _, value in known]
-    note = (
-        "How much softer (below 0) or sharper new frames are than the key frames around, weighted "
-        "by time. Softer frames make textures shimmer."
-    )
-    rows: list[list[Cell]] = [
-        ["mean of the new frames", metric.text(block["mean"])],
-        [f"worst, frame {block['worst_frame']}", metric.text(block["worst"])],
-    ]
-    found: list[Block] = [Table("Sharpness", ("", metric.title), rows, note)]
-    if len(known) > 1:
-        labels = Labels(f"{metric.name} per frame", "frame", metric.title, note)
-        worst = numbers.index(block["worst_frame"])
-        series = {metric.title: values}
-        found.insert(0, lines(labels, numbers, series, (worst,), cuts=after_cuts(run)))
-    return found
-
-
-def _decisions(run: RunSummary, document: dict[str, Any]) -> list[Block]:
-    made = [frame for frame in run.frames if frame.slot]
-    if not made:
-        return []
-    found: list[Block] = [_strip(run.frames)]
-    decisions = document["decisions"]
-    if decisions["gate"]:
-        found.append(_trials(decisions["gate"]))
-    if decisions["warp_share"] is None:
-        return found
-    rows: list[list[Cell]] = [
-        [node, *(number(decisions["nodes"][node][choice], 0) for choice in ("warp", "extrapolate"))]
-        for node in NODES
-    ]
-    found.append(Table("Decisions by node", ("node", "warp", "extrapolate"), rows))
-    paths: list[list[Cell]] = [
-        [name, number(count, 0)] for name, count in decisions["paths"].items()
-    ]
-    of_tiles = decisions["cost"] is not None
-    title, unit = ("tiles", "tiles") if of_tiles else ("key intervals", "intervals")
-    found.append(Table(f"Paths of the {title}", ("path", unit), paths))
-    return found
-
-
-def _trials(trials: list[dict[str, Any]]) -> Table:
-    """List on which key frames methods were tried, and which of them was used where."""
-    cheap, dear = (name.removesuffix("_db") for name in trials[0] if name.endswith("_db"))
-    rows: list[list[Cell]] = [
-        [
-            "none" if trial["frame"] is None else str(trial["frame"]),
-            number(trial[f"{cheap}_db"], 2),
-            number(trial[f"{dear}_db"], 2),
-            trial["used"],
-            ranges(trial["keys"]),
+    pulse, metric = document["pulse"], BY_FIELD["pulse"]
+    if pulse is not None and pulse["against"] == KEY_FRAMES:
+        pulses = [(f.number, f.key_pulse) for f in run.frames if f.key_pulse is not None]
+        if len(pulses) > 1:
+            labels = Labels(f"{metric.name} per frame", "frame", metric.title, PULSE_NOTE)
+            numbers = [number for number, _ in pulses]
+            series = {metric.title: [value for _, value in pulses]}
+            worst = numbers.index(pulse["worst_frame"])
+            blocks.append(draw_lines(labels, numbers, series, (worst,), _after_cuts(run)))
+        rows: list[list[Cell]] = [
+            ["mean of the new frames", metric.text(pulse["mean"])],
+            [f"worst, frame {pulse['worst_frame']}", metric.text(pulse["worst"])],
         ]
-        for trial in trials
-    ]
-    columns = ("key frame", f"{cheap}, dB", f"{dear}, dB", "used", "intervals")
-    return Table("The network on the shot's own key frames", columns, rows, TRIALS_NOTE)
+        blocks.append(Table("Sharpness", ("", metric.title), rows, PULSE_NOTE))
+    return blocks
 
 
-def _strip(frames: tuple[FrameRecord, ...]) -> Figure:
+def _decisions(run: RunSummary, decisions: dict[str, Any]) -> list[Block]:
+    if not any(frame.slot for frame in run.frames):
+        return []
+    blocks: list[Block] = [_timeline(run.frames)]
+    if trials := decisions["gate"]:
+        cheap, dear = (name for name in trials[0] if name.endswith("_db"))
+        rows: list[list[Cell]] = [
+            [
+                "none" if trial["frame"] is None else str(trial["frame"]),
+                format_number(trial[cheap], 2),
+                format_number(trial[dear], 2),
+                trial["used"],
+                ranges(trial["keys"]),
+            ]
+            for trial in trials
+        ]
+        titles = (f"{name.removesuffix('_db')}, dB" for name in (cheap, dear))
+        columns = ("key frame", *titles, "used", "intervals")
+        title = "The network on the shot's own key frames"
+        blocks.append(Table(title, columns, rows, TRIALS_NOTE))
+    if decisions["warp_share"] is not None:
+        nodes: list[list[Cell]] = [
+            [node, *(format_number(decisions["nodes"][node][choice], 0) for choice in CHOICES)]
+            for node in NODES
+        ]
+        blocks.append(Table("Decisions by node", ("node", *CHOICES), nodes))
+        paths: list[list[Cell]] = [
+            [name, format_number(count, 0)] for name, count in decisions["paths"].items()
+        ]
+        title, unit = "key intervals", "intervals"
+        if decisions["cost"] is not None:
+            title = unit = "tiles"
+        blocks.append(Table(f"Paths of the {title}", ("path", unit), paths))
+    return blocks
+
+
+def _timeline(frames: tuple[FrameRecord, ...]) -> Figure:
     """Draw what made each slot: key intervals from left to right, slots below each other."""
-    intervals: dict[int, list[StripCell | None]] = {}
+    intervals: dict[int, list[TimelineCell | None]] = {}
     count = max(frame.slot for frame in frames)
     for frame in frames:
         column = intervals.setdefault(frame.key, [None] * count)
         if frame.slot:
-            taken = frame.decision
-            why = "" if taken is None else f", {taken.node} = {taken.choice}"
+            decision = frame.decision
+            why = "" if decision is None else f", {decision.node} = {decision.choice}"
             path = "" if frame.path is None else f", path {frame.path}"
-            hint = f"frame {frame.number}: {made_by(frame)}{why}{path}"
-            column[frame.slot - 1] = StripCell(made_by(frame), hint)
+            hint = f"frame {frame.number}: {frame_maker(frame)}{why}{path}"
+            column[frame.slot - 1] = TimelineCell(frame_maker(frame), hint)
     labels = Labels(
         "What made each frame",
         description="A column a key interval and a row a slot, coloured by what made the frame.",
     )
-    kinds = dict.fromkeys(made_by(frame) for frame in frames if frame.slot)
-    return strip(
-        labels, [f"slot {i + 1}" for i in range(count)], list(intervals.values()), list(kinds)
-    )
+    kinds = dict.fromkeys(frame_maker(frame) for frame in frames if frame.slot)
+    rows = [f"slot {i + 1}" for i in range(count)]
+    return draw_timeline(labels, rows, list(intervals.values()), list(kinds))
 
 
-def _evidence(run: RunSummary, document: dict[str, Any]) -> list[Block]:
-    """Draw the hole share, and the features that decisions were taken by."""
-    found: list[Block] = []
-    frames = run.frames
-    holes = [frame for frame in frames if frame.has_holes]
+def _holes_and_features(run: RunSummary, document: dict[str, Any]) -> list[Block]:
+    blocks: list[Block] = []
+    holes = [frame for frame in run.frames if frame.has_holes]
     if len(holes) > 1:
         labels = Labels(
             "Hole share per frame", "frame", "holes, % of pixels",
@@ -399,101 +339,99 @@ def _evidence(run: RunSummary, document: dict[str, Any]) -> list[Block]:
         )  # fmt: skip
         shares = [100 * (frame.hole_fraction or 0.0) for frame in holes]
         numbers = [frame.number for frame in holes]
-        found.append(lines(labels, numbers, {"holes": shares}, cuts=after_cuts(run)))
-        if document["holes"]["histogram"] is not None:
-            found.append(_hole_histogram(document["holes"]))
-    seen = [(f.number, f.decision.features) for f in frames if f.decision and f.decision.features]
-    if seen:
+        blocks.append(draw_lines(labels, numbers, {"holes": shares}, cuts=_after_cuts(run)))
+        if histogram := document["holes"]["histogram"]:
+            # As the paper's Figure 2, up to the last bin with frames.
+            edges, counts = histogram["edges"], histogram["counts"]
+            bins = max(i + 1 for i, count in enumerate(counts) if count)
+            p95 = format_percent(document["holes"]["p95_fraction"])
+            labels = Labels(
+                "Frames by hole share", "holes, % of pixels", "frames",
+                f"Histogram of the hole share; 95 % of the frames have at most {p95}.",
+            )  # fmt: skip
+            percents = [100 * edge for edge in edges[: bins + 1]]
+            blocks.append(draw_histogram(labels, percents, {"frames": counts[:bins]}))
+    features = [
+        (f.number, f.decision.features) for f in run.frames if f.decision and f.decision.features
+    ]
+    if features:
         labels = Labels(
             "Features that the policy sees", "frame",
             description="The features of each decision's instant, per slot.",
         )  # fmt: skip
-        columns = zip(*(features.values for _, features in seen), strict=True)
+        columns = zip(*(entry.values for _, entry in features), strict=True)
         series = {
             name: list(map(float, values))
             for name, values in zip(FEATURES, columns, strict=True)
             if name != "R"
         }
-        found.append(series_panels(labels, [n for n, _ in seen], series))
-    return found
+        blocks.append(draw_series_panels(labels, [number for number, _ in features], series))
+    return blocks
 
 
-def _hole_histogram(holes: dict[str, Any]) -> Figure:
-    """Draw how many frames have which hole share, as the paper's Figure 2; bins up to the last."""
-    edges, counts = holes["histogram"]["edges"], holes["histogram"]["counts"]
-    bins = max(i + 1 for i, count in enumerate(counts) if count)
-    labels = Labels(
-        "Frames by hole share", "holes, % of pixels", "frames",
-        f"Histogram of the hole share; 95 % of the frames have at most "
-        f"{percent(holes['p95_fraction'])}.",
-    )  # fmt: skip
-    return histogram(labels, [100 * e for e in edges[: bins + 1]], {"frames": counts[:bins]})
-
-
-def _timing(frames: tuple[FrameRecord, ...], document: dict[str, Any]) -> list[Block]:
-    steps = [step for step, ms in document["timing_ms"].items() if ms is not None]
+def _timing(run: RunSummary, timing_ms: dict[str, float | None]) -> list[Block]:
+    steps = [step for step, ms in timing_ms.items() if ms is not None]
     if not steps:
         return []
     groups: dict[str, list[FrameRecord]] = {}
-    for frame in frames:
+    for frame in run.frames:
         if frame.timing_ms:
-            groups.setdefault(made_by(frame), []).append(frame)
+            groups.setdefault(frame_maker(frame), []).append(frame)
     parts = {
-        step: [mean(f.timing_ms.get(step, 0.0) for f in made) for made in groups.values()]
+        step: [mean(f.timing_ms.get(step, 0.0) for f in group) for group in groups.values()]
         for step in steps
     }
     labels = Labels(
         "Time per frame by what made it", "ms",
         description="Mean milliseconds of each step for each kind of frame, end to end.",
     )  # fmt: skip
-    rows: list[list[Cell]] = [[step, number(document["timing_ms"][step])] for step in steps]
+    note = "Steps overlap on several threads: reading runs ahead and writing behind."
+    rows: list[list[Cell]] = [[step, format_number(timing_ms[step])] for step in steps]
     return [
-        stacked_bars(
-            labels, list(groups), parts,
-            note="Steps overlap on several threads: reading runs ahead and writing behind.",
-        ),
+        draw_stacked_bars(labels, list(groups), parts, note=note),
         Table("Mean of the frames that had the step", ("step", "ms"), rows),
-    ]  # fmt: skip
+    ]
 
 
-def _left_out(document: dict[str, Any]) -> list[Block]:
-    """List what was left out as its input cannot be used."""
+def _left_out(left_out: list[dict[str, Any]]) -> list[Block]:
+    if not left_out:
+        return []
     rows: list[list[Cell]] = [
         [
-            *(str(one["key"]), ranges(one["frames"]), ranges(one["scores"])),
-            *(ranges(one["rendered"]), one["reason"]),
+            *(str(interval["key"]), ranges(interval["frames"]), ranges(interval["scores"])),
+            *(ranges(interval["rendered"]), interval["reason"]),
         ]
-        for one in document["left_out"]
+        for interval in left_out
     ]
-    if not rows:
-        return []
-    columns = ("key frame", "frames", "not scored", "rendered, not used", "why")
-    title = "Key intervals left out"
-    if not any(one["frames"] for one in document["left_out"]):
-        unused = any(one["rendered"] for one in document["left_out"])
-        title = "Rendered frames that are not used" if unused else "Not scored"
-    return [Table(title, columns, rows)]
+    title = "Not scored"
+    if any(interval["frames"] for interval in left_out):
+        title = "Key intervals left out"
+    elif any(interval["rendered"] for interval in left_out):
+        title = "Rendered frames that are not used"
+    return [Table(title, ("key frame", "frames", "not scored", "rendered, not used", "why"), rows)]
 
 
-def _nonfinite(document: dict[str, Any]) -> list[Block]:
-    """List what is not finite in the input."""
-    found = document["nonfinite"]
-    if not found:
+def _nonfinite(nonfinite: list[dict[str, Any]]) -> list[Block]:
+    if not nonfinite:
         return []
+    view = ["view"] if nonfinite[0]["view"] else []
     rows: list[list[Cell]] = [
-        [str(one["key"]), str(one["slot"]), *([one["view"]] if one["view"] else []),
-         one["channels"], number(one["pixels"], 0)]
-        for one in found[:MOST_ROWS]
+        [str(entry["key"]), str(entry["slot"]), *([entry["view"]] if entry["view"] else []),
+         entry["channels"], format_number(entry["pixels"], 0)]
+        for entry in nonfinite[:MAX_ROWS]
     ]  # fmt: skip
-    columns = ["key frame", "slot", *(["view"] if found[0]["view"] else []), "channels", "pixels"]
-    return [Table("Not finite in the input", columns, rows, nonfinite_line(found))]
+    columns = ["key frame", "slot", *view, "channels", "pixels"]
+    return [Table("Not finite in the input", columns, rows, describe_nonfinite(nonfinite))]
 
 
-def _settings(document: dict[str, Any]) -> list[Block]:
+def _settings(document: dict[str, Any]) -> Table:
     source, fps = document["input"], document["fps"]
     geometry = {"key": "for the key frames", "slot": "for every slot"}[document["setting"]]
     if source["motion"]["source"] == "estimated":
         geometry = "none with vectors"
+    cuts = "not looked for"
+    if document["cuts"] is not None:
+        cuts = describe_cuts(document["cuts"]) if document["cuts"] else "none"
     rows: list[list[Cell]] = [
         ["sequence", source["pattern"]],
         ["key frames", f"{source['first']}-{source['last']}"],
@@ -505,31 +443,20 @@ def _settings(document: dict[str, Any]) -> list[Block]:
         ["evidence", source["motion"]["evidence"]],
         ["depth", source["depth"]],
         ["moving by name", ", ".join(source["dynamic"]) if source["dynamic"] else None],
-        ["cuts", _cuts(document["cuts"])],
-        ["holds", held_line(document["held"]) if document["held"] else None],
+        ["cuts", cuts],
+        ["holds", describe_holds(document["held"]) if document["held"] else None],
         ["method", document["method"]],
         ["uses the next key frame", "yes" if document["lookahead"] else "no"],
     ]
     for name in ("extrapolator", "interpolator", "policy"):
-        network = document.get(name) or {}
-        rows += [
-            [f"{name} {key}", _plain(value)] for key, value in network.items() if value is not None
-        ]
+        for key, value in (document[name] or {}).items():
+            if isinstance(value, bool):
+                rows.append([f"{name} {key}", "yes" if value else "no"])
+            elif isinstance(value, list):
+                rows.append([f"{name} {key}", ", ".join(map(str, value)) or "none"])
+            elif value is not None:
+                rows.append([f"{name} {key}", str(value)])
     if document["verified"] is not None:
         rows.append(["files read back, all as written", str(document["verified"])])
     rows.append(["ExWarp", document["version"]])
-    return [Table("", ("", ""), rows)]
-
-
-def _cuts(cuts: list[dict[str, Any]] | None) -> str:
-    """Say where cuts are."""
-    if cuts is None:
-        return "not looked for"
-    return cuts_line(cuts) if cuts else "none"
-
-
-def _plain(value: Any) -> str:
-    """Write a setting in words."""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return ", ".join(map(str, value)) or "none" if isinstance(value, list | tuple) else str(value)
+    return Table("", ("", ""), rows)

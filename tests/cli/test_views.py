@@ -14,7 +14,7 @@ from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.errors import ExwarpError
 from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.pipeline.source import each_view, open_source
-from exwarp_cli.report.summary import report
+from exwarp_cli.report.schema import run_document
 from tests.cli import shots
 from tests.stereo_layouts import LAYOUTS
 from tests.stereo_shots import EYES, arguments, write_stereo
@@ -66,7 +66,7 @@ class TestEveryLayout:
         # Measured: 33 dB; the other eye's truth is 20 dB away.
         assert scores(tmp_path / "out", "right") > 31
         assert scores(tmp_path / "out", "left") < 25
-        motion = report(found)["input"]["motion"]
+        motion = run_document(found)["input"]["motion"]
         wanted = "previous=backward.u,-backward.v next=forward.u,-forward.v"
         assert motion["source"] == "calibrated"
         assert (wanted if layout == "nuke" else "previous=X,-Y next=-Z,W") in motion["evidence"]

@@ -12,21 +12,24 @@ import scipy.stats
 
 from exwarp_cli.accel.mac_array import MacArray, schedule
 from exwarp_cli.accel.quantised_mlp import PAPER_SIZES
-from exwarp_cli.domain.bench import BenchSettings
 from exwarp_cli.domain.decision import PATHS
 from exwarp_cli.domain.settings import SourceSettings
-from exwarp_cli.pipeline.bench.pictures import makers_of, names_of
-from exwarp_cli.pipeline.bench.plan import Subject
-from exwarp_cli.pipeline.bench.work import Benchmark, Measured
-from exwarp_cli.report.bench import figures, paper
-from exwarp_cli.report.bench.choices import feature_points
-from exwarp_cli.report.bench.document import document
-from exwarp_cli.report.bench.markdown import about, markdown
-from exwarp_cli.report.bench.page import bench_page
-from exwarp_cli.report.bench.statistics import pearson, spearman
-from exwarp_cli.report.bench.tables import tables_of
 from exwarp_cli.report.gallery import Album
-from exwarp_cli.report.page import Page, Table
+from exwarp_cli.report.html import Page, Table
+from exwarp_cli.research.bench import bench_figures, paper
+from exwarp_cli.research.bench.bench_document import (
+    bench_document,
+    describe_benchmark,
+    feature_points,
+    pearson,
+    spearman,
+)
+from exwarp_cli.research.bench.bench_folder import format_markdown
+from exwarp_cli.research.bench.bench_page import bench_page
+from exwarp_cli.research.bench.bench_tables import make_tables
+from exwarp_cli.research.bench.benchmark import Benchmark, Measured
+from exwarp_cli.research.bench.subjects import Subject
+from exwarp_cli.research.bench.systems import BenchSettings, makers_of, pictures_of
 
 SYSTEMS = ("exwarp", "s1", "s6", "softsplat")
 
@@ -82,7 +85,7 @@ def benchmark_of(*rows: Measured) -> Benchmark:
 
 
 def document_of(benchmark: Benchmark) -> dict[str, Any]:
-    return document(benchmark, schedule(MacArray(), PAPER_SIZES), 1e9)
+    return bench_document(benchmark, schedule(MacArray(), PAPER_SIZES), 1e9)
 
 
 @pytest.fixture
@@ -152,7 +155,7 @@ def test_correlation_is_none_where_a_feature_does_not_vary(found):
 
 
 def test_markdown_leaves_out_what_was_not_measured(found):
-    text = markdown(found)
+    text = format_markdown(found)
     assert "VMAF |" not in text and "FLIP |" not in text
     assert "| town | 854x480 | slot | measured |" in text and "| TN | - | slot | paper |" in text
     assert "trained without it (town, pier)" in text
@@ -160,11 +163,11 @@ def test_markdown_leaves_out_what_was_not_measured(found):
 
 def test_markdown_escapes_names():
     found = document_of(benchmark_of(measured("a|b_c*<script>")))
-    assert "a\\|b\\_c\\*\\<script\\>" in markdown(found)
+    assert "a\\|b\\_c\\*\\<script\\>" in format_markdown(found)
 
 
 def test_every_row_of_every_table_has_only_known_columns(found):
-    for table in tables_of(found):
+    for table in make_tables(found):
         assert table.rows, table.name
         keys = [column.key for column in table.columns]
         assert len(set(keys)) == len(keys), table.name
@@ -210,8 +213,8 @@ def test_correlations_agree_with_scipy(seed):
     ],
 )  # fmt: skip
 def test_paths_share_the_pictures_that_are_alike(path, names):
-    assert names_of(path.lower(), path) == names
-    foreign = names_of("extranet", path)
+    assert pictures_of(path.lower(), path) == names
+    foreign = pictures_of("extranet", path)
     assert foreign == tuple(f"extranet {n}" if "E" in n else n for n in names)
     assert makers_of(path.lower(), path) == PATHS[path].made_by
 
@@ -233,7 +236,7 @@ def test_points_tell_the_rendered_pixels():
 
 def test_the_subtitle_tells_all_sizes_and_rates():
     rows = (measured(), measured("pier", width=1280, height=720, fps=24.0))
-    text = about(document_of(benchmark_of(*rows)))
+    text = describe_benchmark(document_of(benchmark_of(*rows)))
     assert "2 sequences of 854x480, 1280x720 pixels, 4 key intervals" in text
     assert "30 to 120 and 24 to 96 frames per second, G-buffers for every slot" in text
 
@@ -286,13 +289,15 @@ def test_the_headline_begins_with_what_is_saved_where_headers_tell_it():
 )
 def test_short_names_of_sequences(sizes, labels):
     rows = (measured(n, width=w, height=h) for n, (w, h) in zip("ab", sizes, strict=True))
-    assert figures.labels_of(document_of(benchmark_of(*rows))) == labels
+    assert bench_figures.sequence_labels(document_of(benchmark_of(*rows))) == labels
 
 
 def test_figures_without_anything_measured_are_left_out(found):
-    assert figures.holes(found) is not None and figures.fps(found) is not None
+    assert (
+        bench_figures.draw_holes(found) is not None and bench_figures.draw_rates(found) is not None
+    )
     for row in found["holes"]:
         row["histogram"] = None
     for row in found["fps"]:
         row["effective"] = {"oracle": 120.0}
-    assert figures.holes(found) is None and figures.fps(found) is None
+    assert bench_figures.draw_holes(found) is None and bench_figures.draw_rates(found) is None

@@ -7,13 +7,12 @@ from typing import Any
 
 import pytest
 
-from exwarp_cli.domain.real_time import CLOCKS, SLOT_MS
-from exwarp_cli.report.bench.clocked import measured_latencies, table_latencies
-from exwarp_cli.report.bench.markdown import markdown
-from exwarp_cli.report.bench.page import bench_page
-from exwarp_cli.report.bench.tables import tables_of
 from exwarp_cli.report.gallery import Album
-from exwarp_cli.report.plot_style import Figure
+from exwarp_cli.report.plots import Figure
+from exwarp_cli.research.bench.bench_folder import format_markdown
+from exwarp_cli.research.bench.bench_page import bench_page
+from exwarp_cli.research.bench.bench_tables import make_tables
+from exwarp_cli.research.bench.real_time import CLOCKS, SLOT_MS, measured_latencies, table_latencies
 from tests.unit.test_bench_report import benchmark_of, document_of, frames, measured
 
 SYSTEMS = ("exwarp", "oracle", "oracle-return", "s1", "s2", "s6")
@@ -134,10 +133,10 @@ def test_tables_say_which_times_they_are_from(clock):
     benchmark = clocked(clock)
     benchmark.measured[0].timing["steps_ms"]["inputs"] = 1.0
     document = document_of(benchmark)
-    text = markdown(document)
+    text = format_markdown(document)
     assert f"(Figure 8, clock {clock})" in text and f"(Figure 9, clock {clock})" in text
     assert ("this machine's" in text) == (clock == "measured")
-    for table in tables_of(document):
+    for table in make_tables(document):
         if table.name.startswith("real_time"):
             keys = [column.key for column in table.columns]
             assert table.rows and len(set(keys)) == len(keys)
@@ -154,4 +153,4 @@ def test_the_page_has_figures_under_the_clock():
 def test_without_a_clock_nothing_is_said_of_it():
     document = document_of(benchmark_of(measured()))
     assert "real_time" not in document
-    assert not [table for table in tables_of(document) if table.name.startswith("real_time")]
+    assert not [table for table in make_tables(document) if table.name.startswith("real_time")]

@@ -24,8 +24,8 @@ from exwarp_cli.errors import (
 )
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.evaluation import Comparison, evaluate
-from exwarp_cli.report.comparison import comparison
-from exwarp_cli.report.summary import to_json
+from exwarp_cli.report.comparison import comparison_document
+from exwarp_cli.report.schema import to_json
 
 SIZE = (16, 24)
 
@@ -132,7 +132,7 @@ def test_masks_give_the_score_in_holes(tmp_path: Path, truth: str, numbered_as: 
     original = picture(2)
     expected = score(original, original * np.float32(0.9), hole > 0.5)[1]
     assert [frame.hole_score for frame in result.frames] == [None, expected, None, None]
-    assert comparison(result)["quality"]["holes"]["frames"] == 1
+    assert comparison_document(result)["quality"]["holes"]["frames"] == 1
 
 
 def test_the_display_window_is_compared(tmp_path: Path) -> None:
@@ -195,7 +195,7 @@ def test_table(tmp_path: Path, truth: str) -> None:
     assert result.exit_code == 0, result.output
     assert "4 frames, matched by order" in result.stdout
     lines = {line.split("│")[1].strip(): line for line in result.stdout.splitlines() if "│" in line}
-    found = comparison(evaluate(truth, test))
+    found = comparison_document(evaluate(truth, test))
     assert f"{found['quality']['all']['psnr_db']:.2f}" in lines["all pixels"]
     assert f"{found['worst']['psnr_db']:.2f}" in lines["worst: 104"]
     assert [cell.strip() for cell in lines["holes"].split("│")[2:7]] == [*"----", "0"]
@@ -232,7 +232,7 @@ def test_broken_pixels_are_scored_as_black_and_white(tmp_path: Path, truth: str)
     broken[0, 0] = np.nan
     broken[1, 1] = np.inf
     result = evaluate(truth, sequence(tmp_path / "b", {1: broken}))
-    assert "NaN" not in to_json(comparison(result))
+    assert "NaN" not in to_json(comparison_document(result))
     assert 0 < result.frames[0].score.psnr_db < 100
 
 

@@ -17,8 +17,7 @@ from exwarp_cli.io.vmaf import EncodedVmaf, vmaf
 from exwarp_cli.metrics import extranet
 from exwarp_cli.metrics.flicker import error
 from exwarp_cli.pipeline.evaluation import Comparison, evaluate
-from exwarp_cli.report.comparison import comparison
-from exwarp_cli.report.thresholds import require_quality
+from exwarp_cli.report.comparison import comparison_document, require_quality
 from tests.blender_layers import blender_depth, layer
 from tests.cli import shots
 from tests.cli.street import Street
@@ -128,7 +127,7 @@ def test_without_vectors_a_note_says_why_there_is_no_flicker(tmp_path: Path) -> 
         "flicker is not measured, as it follows the motion of the first sequence: "
         f"{a}/shot.####.exr has no motion vectors",
     )
-    assert comparison(found)["notes"] == list(found.notes)
+    assert comparison_document(found)["notes"] == list(found.notes)
     with pytest.raises(InputError, match=r"nothing can be measured.*no motion vectors"):
         evaluate(a, a, measuring=measure("flicker"))
 
@@ -181,7 +180,7 @@ def test_the_preset_counts_generated_frames(tmp_path: Path, headers: bool) -> No
             stream.write(to_display(truth[n]), to_display(made[n]))
         values = stream.close()
     assert [f.score.vmaf for f in found.frames if f.score.vmaf is not None] == values
-    document = comparison(found)
+    document = comparison_document(found)
     assert document["preset"] == "extranet"
     assert document["metrics"] == ["psnr_db", "ssim", "vmaf"]
     count, by = (7, "by their headers") if headers else (11, "as their pixels are not those")
@@ -308,17 +307,17 @@ def test_a_limit_is_the_worst_that_passes(compared: Comparison, name: str) -> No
     require_quality(judged(compared, limit(f"{name}={value - step!r}")))
     exact = judged(compared, limit(f"{name}={value!r}"))
     require_quality(exact)
-    (verdict,) = comparison(exact)["thresholds"]
+    (verdict,) = comparison_document(exact)["thresholds"]
     assert (verdict["value"], verdict["passed"], verdict["name"]) == (value, True, name)
     broken = judged(compared, limit(f"{name}={value + step!r}"), limit("ssim=0"))
     with pytest.raises(QualityError, match=rf"{name} [\d.]+ is (below|above)"):
         require_quality(broken)
-    assert [v["passed"] for v in comparison(broken)["thresholds"]] == [False, True]
+    assert [v["passed"] for v in comparison_document(broken)["thresholds"]] == [False, True]
 
 
 def test_nothing_passes_unmeasured(compared: Comparison) -> None:
     unmeasured = judged(compared, limit("hdr-flip=1"))
-    assert comparison(unmeasured)["thresholds"][0]["passed"] is False
+    assert comparison_document(unmeasured)["thresholds"][0]["passed"] is False
     with pytest.raises(UsageError, match="hdr-flip cannot be judged"):
         require_quality(unmeasured)
 

@@ -16,10 +16,8 @@ from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.errors import QualityError, UsageError
 from exwarp_cli.pipeline import sequence_scores
 from exwarp_cli.pipeline.evaluation import Comparison, evaluate
-from exwarp_cli.report.compare_page import compare_page
-from exwarp_cli.report.comparison import comparison
-from exwarp_cli.report.page import render
-from exwarp_cli.report.thresholds import require_quality
+from exwarp_cli.report.comparison import compare_page, comparison_document, require_quality
+from exwarp_cli.report.html import render
 from tests.unit.test_compare import picture, sequence
 
 SIZE = (16, 24)
@@ -62,7 +60,7 @@ def mean(result: Comparison, *numbers: int) -> float:
 
 
 def test_means_are_taken_apart_by_what_headers_tell(compared: Comparison) -> None:
-    quality = comparison(compared)["quality"]
+    quality = comparison_document(compared)["quality"]
     parts = {
         "all": (quality["all"], tuple(FRAMES)),
         "generated": (quality["generated"], (2, 3, 4, 7)),
@@ -83,7 +81,7 @@ def test_headers_that_tell_nothing_leave_nulls(
     save(tmp_path / "b" / "shot.0002.exr", picture(2, SIZE), *origin)
     found = evaluate(shots[0], str(tmp_path / "b"))
     assert found.frames[0].origin == sequence_scores.Origin()
-    quality = comparison(found)["quality"]
+    quality = comparison_document(found)["quality"]
     parts = (quality["generated"], quality["dropped"], *quality["by_decision"].values())
     for block in parts:
         assert block["frames"] == 0
@@ -120,17 +118,17 @@ def test_table_rows_and_columns(shots: tuple[str, str], tmp_path: Path) -> None:
 def test_the_page_has_rows_and_a_number_of_generated_frames(
     compared: Comparison, shots: tuple[str, str]
 ) -> None:
-    text = render(compare_page(compared, comparison(compared)))
+    text = render(compare_page(compared, comparison_document(compared)))
     for name in ("generated", "repeated", "made by warp", "made by extrapolate"):
         assert text.count(f">{name}<") == 1, name
     assert "PSNR, generated" in text and "of 4 frames alone" in text
     assert "pulse, generated" in text
     assert f"{mean(compared, 2, 3, 4, 7):.2f} dB" in text
     plain = evaluate(shots[0], shots[0])
-    page = render(compare_page(plain, comparison(plain)))
+    page = render(compare_page(plain, comparison_document(plain)))
     assert ", generated" not in page and "made by" not in page and ">repeated<" not in page
     only = evaluate(*shots, frames="2-4")
-    assert "PSNR, generated" not in render(compare_page(only, comparison(only)))
+    assert "PSNR, generated" not in render(compare_page(only, comparison_document(only)))
 
 
 def limited(shots: tuple[str, str], text: str, frames: str | None = None) -> Comparison:
@@ -142,7 +140,7 @@ def test_a_limit_on_generated_frames(shots: tuple[str, str], compared: Compariso
     value = mean(compared, 2, 3, 4, 7)
     passing = limited(shots, f"generated.psnr={value - 1e-6!r}")
     require_quality(passing)
-    (verdict,) = comparison(passing)["thresholds"]
+    (verdict,) = comparison_document(passing)["thresholds"]
     assert (verdict["name"], verdict["scope"]) == ("generated.psnr", "generated")
     assert verdict["value"] == pytest.approx(value, abs=1e-12)
     with pytest.raises(QualityError, match=r"generated\.psnr [\d.]+ is below"):

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from exwarp_cli.domain.joining import Outcome
+from exwarp_cli.domain.results import RunOutcome
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.errors import ClusterError, OutputError
 from exwarp_cli.farm import dask_cluster
@@ -93,7 +93,7 @@ class Progress(NoProgress):
         self.messages.append(text)
 
 
-DONE = ChunkResult(Outcome(), None)
+DONE = ChunkResult(RunOutcome(), None)
 
 
 @pytest.fixture(autouse=True)

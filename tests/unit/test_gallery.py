@@ -12,7 +12,7 @@ import pytest
 from exwarp_cli.domain.results import Score
 from exwarp_cli.report import gallery as module
 from exwarp_cli.report.gallery import Gallery
-from exwarp_cli.report.page import viewer_data
+from exwarp_cli.report.html import viewer_data
 
 SLOTS = 4
 
@@ -47,7 +47,7 @@ def watch(gallery: Gallery, keys: Sequence[int], truth: bool) -> Gallery:
 @pytest.fixture(autouse=True)
 def few(monkeypatch) -> None:
     """Room for three key intervals of a page, so that most are left out."""
-    monkeypatch.setattr(module, "FRAMES", 3 * SLOTS)
+    monkeypatch.setattr(module, "MAX_FRAMES", 3 * SLOTS)
 
 
 @pytest.mark.parametrize("truth", [True, False])

@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.joining import join, missing_keys
 from exwarp_cli.domain.results import (
     InterpolatorSummary,
     NetworkSummary,
@@ -19,6 +18,7 @@ from exwarp_cli.domain.results import (
     RunSummary,
 )
 from exwarp_cli.errors import InputError
+from exwarp_cli.report.merge import merge_runs, missing_keys
 from tests.unit.sample_runs import path_run
 
 NETWORK = NetworkSummary("/a/e.onnx", "0" * 64, "cpu", demodulated=True)
@@ -59,14 +59,14 @@ PARTS = ((1001, 1002), (1003,), (1004, 1006, 1008), (1005, 1007))
 @pytest.mark.parametrize("order", list(itertools.permutations(range(4)))[::5])
 def test_parts_make_the_whole_in_any_order(order: Sequence[int]) -> None:
     one = whole()
-    assert join([part(one, *PARTS[i]) for i in order]) == one
+    assert merge_runs([part(one, *PARTS[i]) for i in order]) == one
 
 
 def test_joined_runs_are_joined_again() -> None:
     one = whole()
     first, *rest = (part(one, *keys) for keys in PARTS)
-    assert join([join(rest), first]) == one
-    assert join([one]) == one
+    assert merge_runs([merge_runs(rest), first]) == one
+    assert merge_runs([one]) == one
 
 
 def test_parts_without_frames_count_as_done() -> None:
@@ -74,7 +74,7 @@ def test_parts_without_frames_count_as_done() -> None:
     one = whole()
     kept = part(one, *range(1001, 1008))
     bare = replace(part(one, 1008), frames=())
-    found = join([bare, kept])
+    found = merge_runs([bare, kept])
     assert found.frames == kept.frames and missing_keys(found) == []
 
 
@@ -90,10 +90,10 @@ def test_a_frame_twice_is_refused_by_the_names_of_both() -> None:
     one = whole()
     parts = [part(one, 1001, 1002), part(one, 1003), part(one, 1002, 1004)]
     with pytest.raises(InputError) as error:
-        join(parts, ["r/a", "r/b", "r/c"])
+        merge_runs(parts, ["r/a", "r/b", "r/c"])
     assert "frame 1005 is in r/a and again in r/c" in str(error.value)
     with pytest.raises(InputError, match="the run of key frames 1002,1004"):
-        join(parts)
+        merge_runs(parts)
 
 
 OTHERS: dict[str, dict[str, Any]] = {
@@ -131,7 +131,7 @@ def test_parts_of_different_runs_are_refused(name: str) -> None:
     else:
         other = replace(other, input=replace(other.input, **INPUTS[name]))
     with pytest.raises(InputError, match=name.strip()) as error:
-        join([other, part(one, 1001)], ["second", "first"])
+        merge_runs([other, part(one, 1001)], ["second", "first"])
     assert str(error.value).startswith("first and second are no parts of one run: the ")
 
 
@@ -139,7 +139,7 @@ def test_long_values_are_cut_in_messages() -> None:
     one = whole()
     other = replace(part(one, 1002), layers=tuple(f"layer {i}" for i in range(100)))
     with pytest.raises(InputError) as error:
-        join([part(one, 1001), other])
+        merge_runs([part(one, 1001), other])
     assert len(str(error.value)) < 400
 
 
@@ -159,13 +159,13 @@ def test_where_machines_differ_the_first_part_tells() -> None:
             motion_evidence=evidence.replace("340", "341"),
         ),
     )
-    found = join([elsewhere, first])
+    found = merge_runs([elsewhere, first])
     assert (found.input, found.extrapolator, found.policy) == (first.input, NETWORK, POLICY)
 
 
 def test_a_cut_that_is_given_anywhere_is_given() -> None:
     one = whole()
-    found = join(
+    found = merge_runs(
         [
             replace(part(one, 1002), cuts=(Cut(1003, "given"),)),
             replace(part(one, 1003), cuts=(Cut(1003, "detected"),)),

@@ -16,12 +16,12 @@ from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import SURFACE
 from exwarp_cli.pipeline import key_frames
-from exwarp_cli.pipeline.bench.opened import EVERYTHING
 from exwarp_cli.pipeline.interval_builder import IntervalBuilder
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader
 from exwarp_cli.pipeline.key_frames import reads_late
 from exwarp_cli.pipeline.shots import _Leap
 from exwarp_cli.pipeline.source import open_source
+from exwarp_cli.research.bench.subjects import EVERYTHING
 from exwarp_cli.synthesis.methods import METHODS
 from tests.unit.exr_files import write_single
 from tests.unit.filled import Filled

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from exwarp_cli.domain.decision import PATHS
-from exwarp_cli.domain.real_time import (
+from exwarp_cli.research.bench.real_time import (
     BUSY,
     BY_PATH,
     LATE,

@@ -8,7 +8,8 @@ import pytest
 
 from exwarp_cli.domain.results import FrameKind, FrameRecord, InputSummary, RunSummary
 from exwarp_cli.io.exr.template import parse_duration, render_seconds
-from exwarp_cli.report.render_time import duration, render_time
+from exwarp_cli.report.schema import render_time_saved
+from exwarp_cli.report.sentences import format_duration
 
 
 @pytest.mark.parametrize(
@@ -71,7 +72,7 @@ def test_what_is_saved_is_what_was_not_rendered_less_the_tools_own_time():
         record(3, FrameKind.DROPPED),
         record(1, FrameKind.GENERATED),
     )
-    found = render_time(made)
+    found = render_time_saved(made)
     assert found is not None
     # Two frames of 50 s; a repeat is none, and the resumed one cost this run nothing.
     assert found["key_frame_s"] == 50 and found["key_frames"] == 2
@@ -84,7 +85,7 @@ def test_what_is_saved_is_what_was_not_rendered_less_the_tools_own_time():
 def test_key_frames_that_are_not_shown_were_rendered_too():
     key = record(0, FrameKind.KEY, render=(40.0, "RenderTime"))
     slots = [replace(record(i, FrameKind.GENERATED), key=k) for k, i in ((1, 1), (2, 1), (2, 2))]
-    found = render_time(run(key, *slots))
+    found = render_time_saved(run(key, *slots))
     assert found is not None
     # Four frames at the output's rate, of two that were rendered.
     assert found["saved_s"] == 2 * 40 - 10 and found["saved_share"] == 70 / 160
@@ -92,21 +93,21 @@ def test_key_frames_that_are_not_shown_were_rendered_too():
 
 def test_nothing_is_said_where_no_header_tells_or_nothing_was_made():
     key = record(0, FrameKind.KEY, render=(40.0, "RenderTime"))
-    assert render_time(run(record(0, FrameKind.KEY), record(1, FrameKind.GENERATED))) is None
-    assert render_time(run(key, record(1, FrameKind.DROPPED))) is None
+    assert render_time_saved(run(record(0, FrameKind.KEY), record(1, FrameKind.GENERATED))) is None
+    assert render_time_saved(run(key, record(1, FrameKind.DROPPED))) is None
 
 
 def test_scoring_is_not_the_tools_time():
     key = record(0, FrameKind.KEY, render=(40.0, "RenderTime"))
     scored = [record(i, FrameKind.GENERATED, timing_ms={"score": 2000.0}) for i in (1, 2)]
-    found = render_time(run(key, *scored))
+    found = render_time_saved(run(key, *scored))
     assert found is not None
     assert found["generated_frame_s"] == (10 - 4) / 2 and found["saved_s"] == 80 - 6
 
 
 def test_a_tool_slower_than_the_renderer_saves_less_than_nothing():
     key = record(0, FrameKind.KEY, render=(1.0, "RenderTime"))
-    found = render_time(run(key, record(1, FrameKind.GENERATED)))
+    found = render_time_saved(run(key, record(1, FrameKind.GENERATED)))
     assert found is not None and found["saved_s"] == -9
 
 
@@ -115,4 +116,4 @@ def test_a_tool_slower_than_the_renderer_saves_less_than_nothing():
     [(0.25, "0.2 s"), (119.9, "119.9 s"), (600, "10 min"), (7500, "2 h 5 min"), (-600, "-10 min")],
 )
 def test_times_in_words(seconds, text):
-    assert duration(seconds) == text
+    assert format_duration(seconds) == text

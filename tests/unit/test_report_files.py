@@ -14,8 +14,8 @@ import pytest
 from exwarp_cli.domain.decision import Decision, Features
 from exwarp_cli.domain.results import Score
 from exwarp_cli.errors import OutputError
+from exwarp_cli.report.csv_tables import format_cell, format_frames_csv
 from exwarp_cli.report.folder import write_report
-from exwarp_cli.report.frames_csv import cell, frames_csv, named
 from tests.unit.sample_runs import interval, path_run, run
 
 COLUMNS = [
@@ -42,7 +42,7 @@ def rows_of(text: str) -> list[dict[str, str]]:
 
 
 def test_columns_are_those_of_the_contract() -> None:
-    assert frames_csv(()).splitlines() == [",".join(COLUMNS + TIMES)]
+    assert format_frames_csv(()).splitlines() == [",".join(COLUMNS + TIMES)]
 
 
 def test_every_value_has_its_cell() -> None:
@@ -61,7 +61,7 @@ def test_every_value_has_its_cell() -> None:
         decision=DECISION,
         render=(42.5, "RenderTime"),
     )
-    key, row = rows_of(frames_csv((first, second)))
+    key, row = rows_of(format_frames_csv((first, second)))
     assert list(row) == [*COLUMNS, *TIMES, "score_ms"]
     filled = {name: value for name, value in row.items() if value != ""}
     assert filled == {
@@ -122,7 +122,7 @@ def test_every_value_has_its_cell() -> None:
 def test_a_decision_without_features_has_no_cells_for_them() -> None:
     frame = interval(1001, "ggg", 1001)[1]
     bare = Decision("d2", "warp", outputs=(34.5, 30.25))
-    (row,) = rows_of(frames_csv((replace(frame, decision=bare),)))
+    (row,) = rows_of(format_frames_csv((replace(frame, decision=bare),)))
     filled = {
         name: row[name]
         for name in COLUMNS[COLUMNS.index("made_by") : COLUMNS.index("scored")]
@@ -134,33 +134,36 @@ def test_a_decision_without_features_has_no_cells_for_them() -> None:
 
 
 def test_rows_keep_their_order() -> None:
-    rows = rows_of(frames_csv(path_run("S1", 2).frames))
+    rows = rows_of(format_frames_csv(path_run("S1", 2).frames))
     assert [row["frame"] for row in rows] == [str(n) for n in range(1001, 1009)]
     assert [row["kind"] for row in rows[:4]] == ["key", "dropped", "generated", "dropped"]
 
 
 @pytest.mark.parametrize("value", [None, math.nan, math.inf, -math.inf])
 def test_unmeasured_cells_are_empty(value: float | None) -> None:
-    assert cell(value) == ""
+    assert format_cell(value) == ""
 
 
 def test_file_names_that_csv_could_break_on_come_back() -> None:
     frame = replace(interval(1001, "", 1001)[0], file='a, "b"\n\r \udcff.exr')
-    text = frames_csv((frame,))
+    text = format_frames_csv((frame,))
     assert rows_of(text)[0]["file"] == 'a, "b"\n\\r \\udcff.exr'
 
 
 @pytest.mark.parametrize("name", ["=1+1", "+a", "-a", "@a", "'a", "''", "\t=a", "a=1"])
 def test_no_spreadsheet_takes_a_file_name_for_a_formula(name: str) -> None:
     frame = replace(interval(1001, "", 1001)[0], file=f"{name}.exr")
-    written = rows_of(frames_csv((frame,)))[0]["file"]
-    assert written[0] not in "=+-@\t" and named(written) == f"{name}.exr"
+    written = rows_of(format_frames_csv((frame,)))[0]["file"]
+    assert written[0] not in "=+-@\t" and written.removeprefix("'") == f"{name}.exr"
 
 
 def test_folder_is_made_and_files_are_whole(tmp_path: Path) -> None:
     folder = tmp_path / "new" / "report"
     write_report(folder, path_run("S6", 2))
-    names = ["frames.csv", "report.html", "report.json", "review.csv", "review.txt"]
+    names = [
+        *("album.json", "frames.csv", "report.html", "report.json"),
+        *("review.csv", "review.txt", "run.json"),
+    ]
     assert sorted(p.name for p in folder.iterdir()) == names
     assert json.loads((folder / "report.json").read_text())["frames"]["written"] == 8
     assert len(rows_of((folder / "frames.csv").read_text())) == 8

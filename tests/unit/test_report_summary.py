@@ -13,7 +13,7 @@ import pytest
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.results import FrameKind, NetworkSummary, PolicySummary, RunSummary, Score
-from exwarp_cli.report.summary import finite, report, to_json
+from exwarp_cli.report.schema import replace_nonfinite, run_document, to_json
 from tests.unit.sample_runs import interval, path_run, record, run
 
 METRICS = ("psnr_db", "ssim", "flip", "hdr_flip", "vmaf", "flicker", "pulse")
@@ -78,7 +78,7 @@ def known(quality: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_keys_are_exactly_the_contract() -> None:
-    found = report(run(interval(1001, "ggg", 1001)))
+    found = run_document(run(interval(1001, "ggg", 1001)))
     assert keys_of(found) == CONTRACT
     assert list(found) == list(CONTRACT)
     assert found["schema"] == "exwarp.report/1"
@@ -86,7 +86,7 @@ def test_keys_are_exactly_the_contract() -> None:
 
 
 def test_what_was_not_measured_is_null() -> None:
-    found = report(run(interval(1001, "ggg", 1001), wall_seconds=0.0))
+    found = run_document(run(interval(1001, "ggg", 1001), wall_seconds=0.0))
     unknown = {**dict.fromkeys(METRICS), "frames": 0}
     assert found["quality"]["all"] == unknown
     assert found["quality"]["by_decision"] == {"warp": unknown, "extrapolate": unknown}
@@ -100,28 +100,28 @@ def test_pulse_is_that_of_new_frames_by_what_there_is() -> None:
     frames = interval(1001, "dgg", 1001)
     scored = [replace(frame, score=Score(pulse=-6.0)) for frame in frames[1:]]
     keyed = [replace(frames[2], key_pulse=2.0), replace(frames[3], key_pulse=-4.0)]
-    found = report(run([frames[0], *scored]))
+    found = run_document(run([frames[0], *scored]))
     expected = {"mean": -6.0, "worst": -6.0, "worst_frame": 1003, "frames": 2}
     assert found["pulse"] == {**expected, "against": "ground truth"}
     assert found["quality"]["all"]["pulse"] == -6
-    found = report(run([*frames[:2], *keyed]))
+    found = run_document(run([*frames[:2], *keyed]))
     expected = {"mean": -1.0, "worst": -4.0, "worst_frame": 1004, "frames": 2}
     assert found["pulse"] == {**expected, "against": "key frames"}
-    found = report(run([*frames[:2], keyed[0], scored[2]]))
+    found = run_document(run([*frames[:2], keyed[0], scored[2]]))
     expected = {"mean": -6.0, "worst": -6.0, "worst_frame": 1004, "frames": 1}
     assert found["pulse"] == {**expected, "against": "ground truth"}, "never of both"
 
 
 def test_the_network_is_named() -> None:
     network = NetworkSummary("/models/a.onnx", "0" * 64, "cuda", demodulated=True)
-    found = report(run(interval(1001, "ggg", 1001), extrapolator=network))
+    found = run_document(run(interval(1001, "ggg", 1001), extrapolator=network))
     expected = {"file": "/models/a.onnx", "sha256": "0" * 64, "device": "cuda", "demodulated": True}
     assert found["extrapolator"] == expected
 
 
 def test_the_policy_is_listed_with_what_it_lacked() -> None:
     policy = PolicySummary("/models/p.npz", "1" * 64, "motion", ("EMD_Wn", "EMD_Wp"))
-    found = report(run(interval(1001, "ggg", 1001), policy=policy))
+    found = run_document(run(interval(1001, "ggg", 1001), policy=policy))
     assert json.loads(to_json(found))["policy"] == {
         "file": "/models/p.npz",
         "sha256": "1" * 64,
@@ -137,7 +137,7 @@ def test_decisions_of_several_paths_add_up() -> None:
     frames = [replace(f, path=None) for f in interval(1000, "ggg", 997)]
     for k, path in enumerate(("S2", "S4", "S5", "S6")):
         frames += [replace(f, key=1001 + k) for f in path_run(path, 1).frames]
-    found = report(run(frames[:-1], decides=True))["decisions"]
+    found = run_document(run(frames[:-1], decides=True))["decisions"]
     assert found["paths"] == {"S1": 0, "S2": 1, "S3": 0, "S4": 1, "S5": 1, "S6": 0}
     assert found["nodes"] == {
         "d1": {"warp": 2, "extrapolate": 1},
@@ -152,18 +152,18 @@ def test_decisions_of_several_paths_add_up() -> None:
 def test_outside_the_tree_nothing_was_decided() -> None:
     """Blends are booked as warps, but no decision led to them."""
     frames = [replace(f, made_by="warp", score=Score(9, 0.5, 0.1)) for f in interval(1, "ggg", 1)]
-    found = report(run(frames))
+    found = run_document(run(frames))
     assert keys_of(found["decisions"]) == found["decisions"], "nothing but null"
     assert {part["frames"] for part in found["quality"]["by_decision"].values()} == {0}
 
 
 def test_an_empty_run_is_reported() -> None:
-    found = report(run([]))
+    found = run_document(run([]))
     assert set(found["frames"].values()) == {0}
     rates = {"base": 24.0, "effective": None, "output": 96.0, "factor": "4"}
     assert found["fps"] == {**rates, "throughput": None, "source": "header"}
     assert found["input"]["selected"] is None
-    assert report(path_run("S6", 0))["decisions"]["warp_share"] is None
+    assert run_document(path_run("S6", 0))["decisions"]["warp_share"] is None
 
 
 @pytest.mark.parametrize(
@@ -171,36 +171,36 @@ def test_an_empty_run_is_reported() -> None:
     [("S1", 48), ("S2", 72), ("S3", 96), ("S4", 96), ("S5", 96), ("S6", 96)],
 )
 def test_effective_fps_of_every_path(path: str, effective: float) -> None:
-    assert report(path_run(path))["fps"]["effective"] == effective
+    assert run_document(path_run(path))["fps"]["effective"] == effective
 
 
 def test_effective_fps_leaves_out_incomplete_intervals() -> None:
     frames = interval(1001, "ggg", 1001) + interval(1002, "dgd", 1005) + interval(1003, "", 1009)
-    assert report(run(frames))["fps"]["effective"] == 24 * (1 + (3 + 1) / 2)
-    assert report(run(frames[-1:]))["fps"]["effective"] is None
+    assert run_document(run(frames))["fps"]["effective"] == 24 * (1 + (3 + 1) / 2)
+    assert run_document(run(frames[-1:]))["fps"]["effective"] is None
 
 
 def test_effective_fps_at_another_rate_counts_key_frames_that_are_shown() -> None:
     first, second = interval(1, "gg", 1), interval(2, "gg", 4)[1:]
-    found = report(run(first + second, factor=Fraction(5, 2)))["fps"]
+    found = run_document(run(first + second, factor=Fraction(5, 2)))["fps"]
     assert (found["output"], found["effective"]) == (60.0, 60.0)
     # An odd number of intervals shows no more than the output has.
-    assert report(run(first, factor=Fraction(5, 2)))["fps"]["effective"] == 60.0
+    assert run_document(run(first, factor=Fraction(5, 2)))["fps"]["effective"] == 60.0
     held = interval(1, "dg", 1)
-    assert report(run(held, factor=Fraction(5, 2)))["fps"]["effective"] == 40.0
+    assert run_document(run(held, factor=Fraction(5, 2)))["fps"]["effective"] == 40.0
 
 
 def test_throughput_counts_what_this_run_wrote() -> None:
     frames = interval(1001, "ggg", 1001)
     frames = [replace(f, resumed=f.slot < 2) for f in frames]
-    found = report(run(frames))
+    found = run_document(run(frames))
     assert found["fps"]["throughput"] == 2 / 2.0
     assert found["frames"] == {
         "key": 1, "written": 4, "generated": 3, "dropped": 0, "rendered": 0,
         "resumed": 2, "made": 2, "replaced": 0,
     }  # fmt: skip
     done = [replace(f, resumed=True) for f in frames]
-    assert report(run(done))["fps"]["throughput"] is None
+    assert run_document(run(done))["fps"]["throughput"] is None
 
 
 # Node: (warp, extrapolate) in three intervals; the table of the decision tree.
@@ -218,7 +218,7 @@ SHARE = {"S1": 0, "S2": 1 / 2, "S3": 1 / 3, "S4": 2 / 3, "S5": 2 / 3, "S6": 1}
 @pytest.mark.parametrize("path", list(NODES))
 def test_decisions_of_every_path(path: str) -> None:
     frames = [*path_run(path).frames, record(1013, 1004, 0, FrameKind.KEY)]  # no tail
-    found = report(run(frames, decides=True))["decisions"]
+    found = run_document(run(frames, decides=True))["decisions"]
     for node in ("d1", "d2", "d3", "d4", "d5"):
         warp, extrapolate = NODES[path].get(node, (0, 0))
         assert found["nodes"][node] == {"warp": warp, "extrapolate": extrapolate}
@@ -239,7 +239,7 @@ MADE_BY = {
 
 @pytest.mark.parametrize("path", list(MADE_BY))
 def test_quality_is_split_by_what_made_the_frame(path: str) -> None:
-    found = report(path_run(path, scored=True))["quality"]
+    found = run_document(path_run(path, scored=True))["quality"]
     parts = (found["by_decision"]["warp"], found["by_decision"]["extrapolate"], found["dropped"])
     for part, slots in zip(parts, MADE_BY[path], strict=True):
         assert part["frames"] == 3 * len(slots)
@@ -257,7 +257,7 @@ def test_key_frames_are_never_scored_and_resumed_ones_are() -> None:
     scores = [Score(100, 1, 0), Score(30, 0.9, 0.2), Score(20, 0.7, 0.4), None]
     frames = [replace(f, score=s, resumed=True) for f, s in zip(frames, scores, strict=True)]
     frames[1] = replace(frames[1], hole_score=Score(10, 0.5, 0.6))
-    found = report(run(frames))["quality"]
+    found = run_document(run(frames))["quality"]
     overall = {"psnr_db": 25, "ssim": 0.8, "flip": pytest.approx(0.3), "frames": 2}
     assert known(found["all"]) == overall
     assert known(found["holes"]) == {"psnr_db": 10, "ssim": 0.5, "flip": 0.6, "frames": 1}
@@ -270,7 +270,7 @@ def test_a_metric_is_averaged_over_the_frames_that_have_it() -> None:
         replace(f, score=score)
         for f, score in zip(interval(1001, "ggg", 1001), scores, strict=True)
     ]
-    found = report(run(frames))["quality"]["all"]
+    found = run_document(run(frames))["quality"]["all"]
     assert known(found) == {"psnr_db": 25, "vmaf": 85, "flicker": 1.5, "frames": 3}
 
 
@@ -278,7 +278,7 @@ def test_holes_are_summed_up_over_shown_slots() -> None:
     fractions = [0.9, 0.0, 0.05, 1.0, None, 0.0, 0.049, 0.051]
     frames = interval(1001, "ggd", 1001) + interval(1002, "gdg", 1005)
     frames = [replace(f, hole_fraction=h) for f, h in zip(frames, fractions, strict=True)]
-    found = report(run(frames))["holes"]
+    found = run_document(run(frames))["holes"]
     known = [0.0, 0.05, 1.0, 0.0, 0.049, 0.051]
     assert found["mean_fraction"] == pytest.approx(np.mean(known))
     assert found["p95_fraction"] == pytest.approx(np.percentile(known, 95))
@@ -290,14 +290,14 @@ def test_timing_is_the_mean_over_frames_with_that_step() -> None:
     frames = interval(1001, "gg", 1001)
     timings: list[dict[str, float]] = [{"read": 10}, {"warp": 4, "flip": 1}, {"warp": 6}]
     frames = [replace(f, timing_ms=t) for f, t in zip(frames, timings, strict=True)]
-    found = report(run(frames))["timing_ms"]
+    found = run_document(run(frames))["timing_ms"]
     assert (found["read"], found["warp"], found["flip"], found["write"]) == (10, 5, 1, None)
 
 
 def test_input_without_motion_keeps_its_keys() -> None:
     made = run([])
     still = replace(made, input=replace(made.input, motion_source=None, motion_evidence=None))
-    assert report(still)["input"]["motion"] == {"source": None, "evidence": None}
+    assert run_document(still)["input"]["motion"] == {"source": None, "evidence": None}
 
 
 def spoilt_run() -> RunSummary:
@@ -314,7 +314,7 @@ def spoilt_run() -> RunSummary:
 
 
 def test_no_number_is_nan_or_infinite() -> None:
-    found = json.loads(to_json(report(spoilt_run())), parse_constant=pytest.fail)
+    found = json.loads(to_json(run_document(spoilt_run())), parse_constant=pytest.fail)
     assert found["quality"]["all"]["psnr_db"] is None
     assert found["holes"]["mean_fraction"] == 0.25
     assert found["timing_ms"]["warp"] is None
@@ -322,5 +322,5 @@ def test_no_number_is_nan_or_infinite() -> None:
 
 def test_floats_keep_their_digits() -> None:
     value = 0.1 + 0.2
-    assert json.loads(to_json(finite({"a": value})))["a"] == value
-    assert finite((np.int64(3), [np.float32(0.5)], -math.inf)) == [3, [0.5], None]
+    assert json.loads(to_json(replace_nonfinite({"a": value})))["a"] == value
+    assert replace_nonfinite((np.int64(3), [np.float32(0.5)], -math.inf)) == [3, [0.5], None]

@@ -6,8 +6,14 @@ from dataclasses import replace
 
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.risk import REASONS, ROWS, Risk, code_of
-from exwarp_cli.report.review import places_of, review, review_line, worth_a_look, worth_rendering
-from exwarp_cli.report.review_lists import review_csv, review_txt
+from exwarp_cli.report.csv_tables import format_review_csv, format_review_txt
+from exwarp_cli.report.review import (
+    frames_worth_rendering,
+    places_of_frame,
+    places_worth_a_look,
+    summarise_review,
+)
+from exwarp_cli.report.sentences import describe_review
 from tests.unit.sample_runs import record, run
 
 COLUMNS = 16
@@ -28,7 +34,7 @@ def risky(number: int, error: float, bad: dict[tuple[int, int], tuple[float, str
 def test_tiles_side_by_side_are_one_place():
     bad = {(2, 3): (40.0, "holes"), (2, 4): (30.0, "light"), (3, 4): (25.0, "holes"),
            (0, 15): (45.0, "motion"), (7, 0): (20.0, "light")}  # fmt: skip
-    places = places_of(risky(12, 9.0, bad), SIZE)
+    places = places_of_frame(risky(12, 9.0, bad), SIZE)
     assert [(p.x, p.y, p.width, p.height, p.reason) for p in places] == [
         (60, 0, 4, 4, "motion"),
         (12, 8, 8, 8, "holes"),
@@ -38,18 +44,18 @@ def test_tiles_side_by_side_are_one_place():
 
 def test_tiles_at_both_ends_of_neighbouring_rows_do_not_touch():
     bad = {(1, 15): (40.0, "light"), (2, 0): (40.0, "light")}
-    assert len(places_of(risky(12, 9.0, bad), SIZE)) == 2
+    assert len(places_of_frame(risky(12, 9.0, bad), SIZE)) == 2
 
 
 def test_a_frame_without_visible_error_has_no_place():
-    assert places_of(risky(12, 1.0, {(0, 0): (5.0, "light")}), SIZE) == []
+    assert places_of_frame(risky(12, 1.0, {(0, 0): (5.0, "light")}), SIZE) == []
 
 
 def test_the_worst_tenth_is_named_for_rendering():
     frames = [risky(number, number / 2, {}) for number in range(1, 31)]
-    assert worth_rendering(frames) == [28, 29, 30]
-    assert review_txt(frames) == "28-30\n"
-    assert worth_rendering([replace(f, risk=None) for f in frames]) == []
+    assert frames_worth_rendering(frames) == [28, 29, 30]
+    assert format_review_txt(frames) == "28-30\n"
+    assert frames_worth_rendering([replace(f, risk=None) for f in frames]) == []
 
 
 def test_the_middle_of_an_interval_is_rendered_for_those_beside_it():
@@ -59,20 +65,20 @@ def test_the_middle_of_an_interval_is_rendered_for_those_beside_it():
         for key in range(10)
         for slot in (1, 2, 3)
     ]
-    assert worth_rendering(frames) == [2, 6, 10]
+    assert frames_worth_rendering(frames) == [2, 6, 10]
     worse = [replace(f, risk=replace(f.risk, error=19.0)) if f.number == 7 else f for f in frames]
-    assert 7 in worth_rendering(worse) and 6 not in worth_rendering(worse)
+    assert 7 in frames_worth_rendering(worse) and 6 not in frames_worth_rendering(worse)
     alone = [replace(frame, made_by="warp") for frame in frames]
-    assert worth_rendering(alone) == [3, 7, 11]
+    assert frames_worth_rendering(alone) == [3, 7, 11]
 
 
 def test_frames_that_are_right_are_not_named():
-    assert review_txt([risky(number, 1.0, {}) for number in range(1, 31)]) == ""
+    assert format_review_txt([risky(number, 1.0, {}) for number in range(1, 31)]) == ""
 
 
 def test_the_list_begins_with_the_worst_place():
     made = run([risky(5, 2.0, {(0, 0): (20.0, "light")}), risky(6, 9.0, {(1, 1): (50.0, "holes")})])
-    assert review_csv(worth_a_look(made)).splitlines() == [
+    assert format_review_csv(places_worth_a_look(made)).splitlines() == [
         "frame,predicted_error,x,y,width,height,why",
         "6,50.5,4,4,4,4,holes",
         "5,19.7,0,0,4,4,light",
@@ -81,17 +87,20 @@ def test_the_list_begins_with_the_worst_place():
 
 def test_a_run_without_predicted_errors_tells_nothing():
     made = run([record(1, 1001, 0, FrameKind.KEY)])
-    assert review(made) is None and review_csv(worth_a_look(made)).count("\n") == 1
+    assert (
+        summarise_review(made) is None
+        and format_review_csv(places_worth_a_look(made)).count("\n") == 1
+    )
 
 
 def test_the_summary_is_one_line():
-    found = review(run([risky(6, 9.0, {(1, 1): (50.0, "holes")}), risky(7, 3.0, {})]))
+    found = summarise_review(run([risky(6, 9.0, {(1, 1): (50.0, "holes")}), risky(7, 3.0, {})]))
     assert found == {
         "predicted_error": {"mean": 6.0, "worst": 9.0, "worst_frame": 6, "frames": 2},
         "places": 1,
         "render": "6",
     }
-    assert review_line(found) == (
+    assert describe_review(found) == (
         "predicted error 6.0 of 255 levels on average, worst 9.0 in frame 6; 1 place worth a look; "
         "frames most worth rendering: 6"
     )

@@ -16,10 +16,10 @@ import pytest
 from exwarp_cli import cli
 from exwarp_cli.domain.results import RunSummary, Score
 from exwarp_cli.report.folder import PAGE_FILE, write_report
-from exwarp_cli.report.gallery import BUDGET, FRAMES, KEY, OUTPUT, TRUTH, Gallery
-from exwarp_cli.report.page import Link, Page, Section, Table, Text, is_number, render, script_json
-from exwarp_cli.report.summary import report as document_of
-from exwarp_cli.report.upsample_page import headline, made_by, upsample_page
+from exwarp_cli.report.gallery import BUDGET, KEY, MAX_FRAMES, OUTPUT, TRUTH, Gallery
+from exwarp_cli.report.html import Link, Page, Section, Table, Text, is_number, render, script_json
+from exwarp_cli.report.schema import run_document as document_of
+from exwarp_cli.report.upsample_page import frame_maker, headline, upsample_page
 from tests.unit.sample_runs import INPUT, path_run, run
 
 VOID = {"meta", "input", "br", "hr", "img", "link"}
@@ -253,8 +253,8 @@ def test_a_gallery_keeps_whole_intervals_evenly_and_the_worst() -> None:
             asked += 1
             gallery.frame(number, pixels, pixels, None, is_key=number % 4 == 0)
     kept = set(gallery.album.frames)
-    assert len(kept) == FRAMES + 1 and 1717 not in kept and gallery.album.start == 2929
-    assert asked == FRAMES + 2, "the worst before was dropped"
+    assert len(kept) == MAX_FRAMES + 1 and 1717 not in kept and gallery.album.start == 2929
+    assert asked == MAX_FRAMES + 2, "the worst before was dropped"
     starts = sorted(number for number in kept if number % 4 == 0)
     assert (
         starts[0] == 0
@@ -268,9 +268,9 @@ def test_a_gallery_keeps_whole_intervals_evenly_and_the_worst() -> None:
 
 def test_a_gallery_without_psnr_keeps_the_worst_by_what_there_is() -> None:
     gallery = Gallery(has_truth=True)
-    gallery.plan([[number] for number in range(3 * FRAMES)])
+    gallery.plan([[number] for number in range(3 * MAX_FRAMES)])
     pixels = np.zeros((8, 12, 3), np.float32)
-    for number in range(3 * FRAMES):
+    for number in range(3 * MAX_FRAMES):
         if gallery.wants(number, Score(flip=0.5 if number == 100 else 0.1)):
             gallery.frame(number, pixels, pixels, None, is_key=False)
     assert gallery.album.start == 100 and 100 in gallery.album.frames
@@ -289,7 +289,7 @@ def test_a_gallery_without_psnr_keeps_the_worst_by_what_there_is() -> None:
 )
 def test_what_made_a_frame_is_distinguished(method: str, maker: str, kind: str) -> None:
     frame = replace(long_run(1).frames[1], method=method, made_by=maker)
-    assert made_by(frame) == kind
+    assert frame_maker(frame) == kind
 
 
 def test_hole_shares_are_counted() -> None:

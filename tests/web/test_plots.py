@@ -13,21 +13,32 @@ import numpy as np
 import pytest
 
 from exwarp_cli.report import plots
-from exwarp_cli.report.plot_style import COLOURS, IDS, Figure, Labels
-from exwarp_cli.report.strip import COLUMNS, Cell, strip
+from exwarp_cli.report.plots import (
+    COLOURS,
+    IDS,
+    TIMELINE_COLUMNS,
+    Figure,
+    Labels,
+    TimelineCell,
+    draw_timeline,
+)
 
 LABELS = Labels("T <i> & $x$ 🎬", "x", "y", 'what "it" shows')
 X = list(range(8))
 Y = [1.0, 2.0, None, 4.0, 3.0, 2.0, 1.0, 0.5]
 FIGURES = {
-    "lines": lambda: plots.lines(LABELS, X, {"a": Y, "b": Y[::-1]}, marked=[3]),
-    "points": lambda: plots.points(LABELS, X, Y, ["warp", "extrapolate", "hold", "blend"] * 2),
-    "bars": lambda: plots.bars(LABELS, ["g", "h"], {"a": [1, 2], "b": [2, None]}, {"a": [3, 1]}),
-    "stacked": lambda: plots.stacked_bars(LABELS, ["g"], {f"s{i}": [1.0] for i in range(9)}),
-    "histogram": lambda: plots.histogram(LABELS, [0, 1, 2], {"a": [3, 4]}),
-    "scatter": lambda: plots.scatter(LABELS, [plots.Panel("p", [1, 2], [3, 4], "r = 1")] * 4),
-    "panels": lambda: plots.series_panels(LABELS, X, {"a": Y, "b": Y}),
-    "strip": lambda: strip(LABELS, ["1"], [[Cell("warp", "<w>")], [None]], ["warp"]),
+    "lines": lambda: plots.draw_lines(LABELS, X, {"a": Y, "b": Y[::-1]}, marked=[3]),
+    "points": lambda: plots.draw_points(LABELS, X, Y, ["warp", "extrapolate", "hold", "blend"] * 2),
+    "bars": lambda: plots.draw_bars(
+        LABELS, ["g", "h"], {"a": [1, 2], "b": [2, None]}, {"a": [3, 1]}
+    ),
+    "stacked": lambda: plots.draw_stacked_bars(LABELS, ["g"], {f"s{i}": [1.0] for i in range(9)}),
+    "histogram": lambda: plots.draw_histogram(LABELS, [0, 1, 2], {"a": [3, 4]}),
+    "scatter": lambda: plots.draw_scatter(LABELS, [plots.Panel("p", [1, 2], [3, 4], "r = 1")] * 4),
+    "panels": lambda: plots.draw_series_panels(LABELS, X, {"a": Y, "b": Y}),
+    "strip": lambda: draw_timeline(
+        LABELS, ["1"], [[TimelineCell("warp", "<w>")], [None]], ["warp"]
+    ),
 }
 
 
@@ -54,7 +65,7 @@ def test_plots_are_the_same_for_the_same_input() -> None:
 
 
 def test_the_marks_of_a_paper_stand_in_the_legend_once() -> None:
-    figure = plots.bars(LABELS, ["g"], {"a": [1], "b": [2]}, {"a": [3], "b": [4]})
+    figure = plots.draw_bars(LABELS, ["g"], {"a": [1], "b": [2]}, {"a": [3], "b": [4]})
     assert figure.svg.count(">paper<") == 1
 
 
@@ -70,9 +81,9 @@ def test_settings_of_the_user_do_not_show() -> None:
 def test_matplotlib_says_nothing_of_folders_that_it_cannot_write(tmp_path) -> None:
     (tmp_path / "file").write_text("")
     code = (
-        "from exwarp_cli.report.page import heat_colours; heat_colours()\n"
+        "from exwarp_cli.report.html import heat_colours; heat_colours()\n"
         "from exwarp_cli.report import plots\n"
-        "plots.lines(plots.Labels('🎬'), [1], {'🎬 $': [2]})"
+        "plots.draw_lines(plots.Labels('🎬'), [1], {'🎬 $': [2]})"
     )
     place = str(tmp_path / "file" / "below")
     done = subprocess.run(
@@ -85,15 +96,15 @@ def test_matplotlib_says_nothing_of_folders_that_it_cannot_write(tmp_path) -> No
 def test_long_series_keep_their_worst_and_best() -> None:
     values: list[float | None] = list(np.random.default_rng(5).normal(30, 1, 10_000))
     values[1234], values[7777], values[0] = 3.0, 99.0, None
-    kept = plots.thinned(values)
-    assert len(kept) <= plots.POINTS and {1234, 7777} <= set(kept) and kept == sorted(kept)
-    assert plots.thinned([None] * 5000)[:2] == [0, 5]
-    assert plots.thinned(values[:2000]) == list(range(2000))
+    kept = plots.thin_out(values)
+    assert len(kept) <= plots.MAX_POINTS and {1234, 7777} <= set(kept) and kept == sorted(kept)
+    assert plots.thin_out([None] * 5000)[:2] == [0, 5]
+    assert plots.thin_out(values[:2000]) == list(range(2000))
 
 
 def test_kinds_are_distinguished_by_colour_and_marker() -> None:
     count = len(plots.KINDS)
-    svg = plots.points(LABELS, list(range(count)), [1.0] * count, list(plots.KINDS)).svg
+    svg = plots.draw_points(LABELS, list(range(count)), [1.0] * count, list(plots.KINDS)).svg
     makers = {
         "warp",
         "extrapolate",
@@ -122,9 +133,9 @@ def test_kinds_are_distinguished_by_colour_and_marker() -> None:
 def test_no_tick_stands_between_two_frames(x: list[int], draw: str) -> None:
     y = [1.5] * len(x)
     svg = {
-        "lines": lambda: plots.lines(Labels("T"), x, {"a": y}),
-        "points": lambda: plots.points(Labels("T"), x, y, ["warp"] * len(x)),
-        "panels": lambda: plots.series_panels(Labels("T"), x, {"a": y}),
+        "lines": lambda: plots.draw_lines(Labels("T"), x, {"a": y}),
+        "points": lambda: plots.draw_points(Labels("T"), x, y, ["warp"] * len(x)),
+        "panels": lambda: plots.draw_series_panels(Labels("T"), x, {"a": y, "b": y}),
     }[draw]().svg
     texts = ET.fromstring(svg.replace(IDS, "")).iter("text")
     # The y axis is around 1.5, so what is 5 and more belongs to x.
@@ -134,16 +145,21 @@ def test_no_tick_stands_between_two_frames(x: list[int], draw: str) -> None:
 
 
 def test_a_strip_tells_every_cell() -> None:
-    svg = strip(LABELS, ["slot 1"], [[Cell("warp", "f1: a<b")], [Cell("odd", "f2")]], []).svg
+    svg = draw_timeline(
+        LABELS, ["slot 1"], [[TimelineCell("warp", "f1: a<b")], [TimelineCell("odd", "f2")]], []
+    ).svg
     root = ET.fromstring(svg.replace(IDS, ""))
     cells = [(e.get("class"), e.findtext("title")) for e in root.iter("rect")]
     assert cells == [("k-warp", "f1: a<b"), ("k-muted", "f2")]
 
 
 def test_a_long_strip_shares_columns_by_majority() -> None:
-    columns = [[Cell("extrapolate" if i % 3 else "warp", f"f{i}")] for i in range(10 * COLUMNS)]
-    root = ET.fromstring(strip(LABELS, ["1"], columns, ["warp"]).svg.replace(IDS, ""))
+    columns = [
+        [TimelineCell("extrapolate" if i % 3 else "warp", f"f{i}")]
+        for i in range(10 * TIMELINE_COLUMNS)
+    ]
+    root = ET.fromstring(draw_timeline(LABELS, ["1"], columns, ["warp"]).svg.replace(IDS, ""))
     cells = [e for e in root.iter("rect") if e.find("title") is not None]
-    assert len(cells) == COLUMNS and {e.get("class") for e in cells} == {"k-extrapolate"}
+    assert len(cells) == TIMELINE_COLUMNS and {e.get("class") for e in cells} == {"k-extrapolate"}
     hint = cells[0].findtext("title")
     assert hint == "f0 and 9 more: extrapolate 6, warp 4"

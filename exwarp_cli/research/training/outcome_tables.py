@@ -32,13 +32,13 @@ from exwarp_cli.io.threads import use_threads
 from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.models.policy_files import Array, pack_arrays, unpack_arrays
-from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side
 from exwarp_cli.pipeline.decide import outcomes_of, with_ids
 from exwarp_cli.policy.features import observe
 from exwarp_cli.policy.state import INPUTS, KEYS_BACK, Surroundings
 from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.runtime.stop import check_stop
+from exwarp_cli.runtime.worker_pool import follow_parent, run_tasks
 
 # Raised whenever the same scene would give other numbers.
 OUTCOMES_VERSION, FEATURES_VERSION = 1, 1
@@ -396,7 +396,7 @@ def _build_tables(survey: Survey, say: Say) -> list[PolicyTable]:
     ]
     measured: dict[tuple[str, str, str], Measured] = {}
     jobs = survey.jobs or processors().usable
-    with closing(side_by_side(measure_view, work, jobs, follow_parent)) as results:
+    with closing(run_tasks(measure_view, work, jobs, follow_parent)) as results:
         for (scene, view, *_), result in results:
             measured[scene.name, scene.manifest.size, view.name] = result
             count = len(result.outcomes)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli import cli
-from exwarp_cli.pipeline.bench import work
+from exwarp_cli.research.bench import benchmark
 from tests.cli import shots
 from tests.cli.decisions.conftest import KEYS, SETTINGS, take
 from tests.cli.documents import document_of
@@ -160,8 +160,8 @@ def test_a_second_run_measures_nothing_and_writes_the_same(bench, monkeypatch):
     def fail(*_: object) -> None:
         raise AssertionError("measured again")
 
-    monkeypatch.setattr(work, "measure", fail)
-    monkeypatch.setattr(work, "time_subject", fail)
+    monkeypatch.setattr(benchmark, "measure", fail)
+    monkeypatch.setattr(benchmark, "time_subject", fail)
     second, _ = bench(*FEW)
     assert second == first
     assert {path: path.read_bytes() for path in before} == before
@@ -170,8 +170,8 @@ def test_a_second_run_measures_nothing_and_writes_the_same(bench, monkeypatch):
 def test_a_clock_adds_real_time_to_what_was_measured(exwarp, whole, line, tmp_path, monkeypatch):
     out = tmp_path / "bench"
     shutil.copytree(whole("key"), out)
-    monkeypatch.setattr(work, "measure", None)
-    monkeypatch.setattr(work, "time_subject", None)
+    monkeypatch.setattr(benchmark, "measure", None)
+    monkeypatch.setattr(benchmark, "time_subject", None)
     result = exwarp(*line("key", out), "--clock", "table3")
     assert result.code == 0, result.err
     before, document = document_in(whole("key")), document_in(out)
@@ -207,8 +207,8 @@ def test_each_key_interval_moves_the_bar(exwarp, uneven, truth, tmp_path, monkey
         sys.stderr.write(json.dumps({"event": "measuring"}) + "\n")
         return measured(*given)
 
-    measured = work.measure
-    monkeypatch.setattr(work, "measure", measure)
+    measured = benchmark.measure
+    monkeypatch.setattr(benchmark, "measure", measure)
     how = ("--jobs", 1, "--metrics", "psnr", "--systems", "hold", "--progress", "json")
     line = ("bench", *uneven["key"], "--ground-truth", truth, "-o", tmp_path / "bench", *how)
     events = [json.loads(text) for text in exwarp(*line, "--frames", "1-3").err.splitlines()]
@@ -225,7 +225,7 @@ def test_chunks_and_workers_find_what_one_process_finds(bench, monkeypatch):
     alone, _ = bench(*FEW, name="alone")
     bench("--jobs", 2, *FEW[2:], "--frames", "1-3", name="chunks")
     bench(*FEW, "--frames", f"4-{KEYS}", name="chunks")
-    monkeypatch.setattr(work, "measure", None)
+    monkeypatch.setattr(benchmark, "measure", None)
     joined, _ = bench(*FEW, name="chunks")
     for key in ("quality", "holes", "features", "decisions", "fps", "extranet_procedure"):
         assert joined[key] == alone[key], key
@@ -235,13 +235,13 @@ def test_only_what_is_damaged_or_asked_for_anew_is_measured(bench, monkeypatch):
     first, folder = bench(*FEW)
     part = next(iter(folder.glob("parts/*/2.json")))
     part.write_text(part.read_text()[:100])
-    measure, measured = work.measure, []
+    measure, measured = benchmark.measure, []
 
     def counted(opened, loaded):
         measured.append(loaded.key)
         return measure(opened, loaded)
 
-    monkeypatch.setattr(work, "measure", counted)
+    monkeypatch.setattr(benchmark, "measure", counted)
     again, _ = bench(*FEW)
     assert again["quality"] == first["quality"] and measured == [1]
     fewer, _ = bench(*QUICK, "--systems", "s3,hold", "--frames", "2")
@@ -369,8 +369,8 @@ def test_terminated_it_says_so_at_once_and_its_workers_end(tmp_path):
 
 
 def test_workers_do_not_outlive_a_command_that_is_killed():
-    begin = "from exwarp_cli.pipeline.bench.side_by_side import *; from time import sleep; "
-    with start("-c", begin + "list(side_by_side(sleep, [(600,)] * 2, 2, follow_parent))") as it:
+    begin = "from exwarp_cli.runtime.worker_pool import *; from time import sleep; "
+    with start("-c", begin + "list(run_tasks(sleep, [(600,)] * 2, 2, follow_parent))") as it:
         workers = until(lambda: len(children(it.pid)) > 2 and children(it.pid))
         time.sleep(0.5)  # so that most often they are at work; sooner they have to end as well
         it.kill()

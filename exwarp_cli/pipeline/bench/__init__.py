@@ -1,1 +1,0 @@
-"""What ``exwarp bench`` measures: key intervals of sequences, by every system."""

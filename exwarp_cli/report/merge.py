@@ -1,0 +1,420 @@
+"""The reports of chunks, merged into the one that a single run would have written.
+
+Chunks' reports may overlap: jobs that are submitted again with chunks of another size, and engines
+that change the size on the way, leave such reports. Of each key frame the newest counts. None is
+deleted.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
+from pathlib import Path
+from typing import Any
+
+from exwarp_cli import __version__
+from exwarp_cli.domain.results import FrameRecord, RunSummary, join_cuts
+from exwarp_cli.domain.timeline import listed, ranges
+from exwarp_cli.errors import DamagedFileError, InputError, UsageError
+from exwarp_cli.report.comparison import SCHEMA as COMPARISON
+from exwarp_cli.report.folder import (
+    ALBUM_FILE,
+    CHUNKS,
+    REPORT_FILE,
+    RUN_FILE,
+    chunk_reports,
+    prepare_report,
+    write_report,
+)
+from exwarp_cli.report.gallery import merge_albums
+from exwarp_cli.report.run_file import parse_run
+from exwarp_cli.report.schema import SCHEMA, run_document
+
+# Characters of a value in a message.
+MAX_VALUE = 120
+
+_AGAIN = "do its key frames again with --report, or leave it out"
+
+
+@dataclass(frozen=True)
+class Merged:
+    """What came of merging."""
+
+    run: RunSummary
+    reports: int  # how many were merged
+    missing: str | None  # range of the sequence's key frames that are in none of them
+    unseen: tuple[Path, ...]  # folders whose pictures are not in the page
+    superseded: tuple[Path, ...] = ()  # folders with key frames of which newer reports count
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """What report.json holds, and as ``merged`` facts about the merging."""
+        merged = {
+            "reports": self.reports,
+            "missing": self.missing,
+            "without_pictures": [str(folder) for folder in self.unseen],
+            "superseded": [str(folder) for folder in self.superseded],
+        }
+        return run_document(self.run) | {"merged": merged}
+
+
+def merge_reports(
+    folders: Sequence[Path], output: Path | None = None, replace: bool = False
+) -> Merged:
+    """Merge reports into one, and write it.
+
+    Parameters
+    ----------
+    folders
+        Of reports, or of what chunks reported to: a folder without a report of its own stands for
+        those in its ``chunks``, of which the newest count.
+    output
+        The folder to write to; None for the only one of `folders`, whose ``chunks`` are merged.
+    replace
+        True if a report in it may be replaced.
+
+    Raises
+    ------
+    UsageError
+        When nothing says where to write.
+    InputError
+        When a report cannot be read, or they do not belong together.
+    OutputError
+        When the report cannot be written; OutputExistsError when `output` holds one.
+    """
+    if output is None:
+        if len(folders) > 1:
+            raise UsageError("several reports are named; say with -o where the joined one goes")
+        target = folders[0]
+        chunks = chunk_reports(target)
+        if not chunks:
+            raise InputError(
+                f"{target} holds no {CHUNKS}/*/{REPORT_FILE}, as upsample --report {target} "
+                "--as-chunk writes it; name the folders of the reports themselves, and with -o "
+                "where to write"
+            )
+        selected, superseded = _select_newest(chunks)
+    else:
+        target = output
+        selected, superseded = _select_reports(folders)
+        if output.resolve() in {folder.resolve() for folder in selected}:
+            raise UsageError(
+                f"-o {output} is one of the reports that are joined; name another folder"
+            )
+    runs = {folder: _read_run(folder) for folder in selected}
+    for folder, keys in selected.items():
+        if keys is not None:
+            runs[folder] = part_of_run(runs[folder], keys)
+
+    run = merge_runs(list(runs.values()), [str(folder) for folder in runs])
+    prepare_report(target, replace, "-o")
+    numbers = [{frame.number for frame in part.frames} for part in runs.values()]
+    album, unreadable = merge_albums([folder / ALBUM_FILE for folder in runs], numbers, run)
+    write_report(target, run, album)
+    unseen = tuple(path.parent for path in unreadable)
+    return Merged(run, len(runs), ranges(missing_keys(run)) or None, unseen, tuple(superseded))
+
+
+# Of each report, the key frames that are taken from it; None for all.
+Selection = dict[Path, frozenset[int] | None]
+
+
+def _select_reports(folders: Sequence[Path]) -> tuple[Selection, list[Path]]:
+    """Return the reports that folders stand for, each once: their own, else those of chunks."""
+    selected: Selection = {}
+    superseded: list[Path] = []
+    for folder in {folder.resolve(): folder for folder in folders}.values():
+        if (folder / REPORT_FILE).exists():
+            selected[folder] = None
+            continue
+        chunks = chunk_reports(folder)
+        if not chunks:
+            raise InputError(
+                f"{folder} holds no {REPORT_FILE}; name folders that upsample --report wrote"
+            )
+        newest, older = _select_newest(chunks)
+        selected |= newest
+        superseded += older
+    unique = {folder.resolve(): folder for folder in selected}
+    return {folder: selected[folder] for folder in unique.values()}, superseded
+
+
+def _select_newest(folders: Sequence[Path]) -> tuple[Selection, list[Path]]:
+    """Assign each key frame to the newest report that has it.
+
+    Returns
+    -------
+    selected : dict
+        Reports of which anything counts, in the order of `folders`.
+    superseded : list of Path
+        Reports with key frames of which newer ones count.
+    """
+
+    def finished_ns(folder: Path) -> int:
+        path = folder / REPORT_FILE
+        try:
+            return path.stat().st_mtime_ns
+        except OSError as error:
+            raise InputError(f"cannot read {path}: {error.strerror or error}; {_AGAIN}") from error
+
+    covered: frozenset[int] = frozenset()
+    keys: dict[Path, frozenset[int]] = {}
+    remaining: dict[Path, frozenset[int]] = {}
+    newest_first = sorted(folders, key=finished_ns, reverse=True)
+    for _, group in groupby(newest_first, key=finished_ns):
+        # Of the same moment none is newer: merging refuses frames that are in two of them.
+        same_moment = list(group)
+        for folder in same_moment:
+            keys[folder] = _read_keys(folder)
+            remaining[folder] = keys[folder] - covered
+        covered = covered.union(*(keys[folder] for folder in same_moment))
+    selected = {
+        folder: None if remaining[folder] == keys[folder] else remaining[folder]
+        for folder in folders
+        if remaining[folder] or not keys[folder]
+    }
+    return selected, [folder for folder in folders if remaining[folder] != keys[folder]]
+
+
+def _read_keys(folder: Path) -> frozenset[int]:
+    """Read the input numbers of a report's key frames from report.json, which is small."""
+    _, document = _read_report(folder)
+    try:
+        return frozenset(map(int, listed(document["input"]["selected"] or "")))
+    except (AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+        raise _unusable(folder, document) from error
+
+
+def _read_run(folder: Path) -> RunSummary:
+    """Read what `write_report` wrote.
+
+    Raises
+    ------
+    InputError
+        When a file cannot be read, or the report is one of another kind.
+    DamagedFileError
+        When a file is damaged or was changed, or is of a version that wrote something else.
+    """
+    report, document = _read_report(folder)
+    if not (folder / RUN_FILE).exists():
+        raise InputError(
+            f"{folder} holds no {RUN_FILE}, which earlier versions of ExWarp did not write; merge "
+            f"reports with the version that wrote them, or {_AGAIN}"
+        )
+    text = _read_text(folder / RUN_FILE)
+    try:
+        return parse_run(text, report)
+    except (AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+        raise _unusable(folder, document) from error
+
+
+def _read_report(folder: Path) -> tuple[str, dict[str, Any]]:
+    """Return the text and the document of report.json, if it is one of `upsample`."""
+    path = folder / REPORT_FILE
+    text = _read_text(path)
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise DamagedFileError(f"{path} is damaged; {_AGAIN}") from error
+    schema = document.get("schema") if isinstance(document, dict) else None
+    if schema == COMPARISON:
+        raise InputError(
+            f"{path} is the report of a comparison, which has no parts; name reports of upsample"
+        )
+    if schema != SCHEMA:
+        raise InputError(
+            f"{path} is no report of schema {SCHEMA}; name folders that upsample --report wrote"
+        )
+    return text, document
+
+
+def _unusable(folder: Path, document: dict[str, Any]) -> DamagedFileError:
+    version = document.get("version")
+    if version != __version__:
+        return DamagedFileError(
+            f"the report in {folder} was written by ExWarp {version}, and {__version__} cannot "
+            "read all of it; merge reports with the version that wrote them"
+        )
+    return DamagedFileError(
+        f"{REPORT_FILE} and {RUN_FILE} in {folder} do not go together, as if one was damaged or "
+        f"changed; {_AGAIN}"
+    )
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_bytes().decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise DamagedFileError(f"{path} is damaged; {_AGAIN}") from error
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}; {_AGAIN}") from error
+
+
+def part_of_run(run: RunSummary, keys: Collection[int]) -> RunSummary:
+    """Return what a run says of some of its key frames.
+
+    Cuts are those that the key frames meet, before or behind them; the wall time is the share of
+    their frames.
+    """
+    frames = tuple(frame for frame in run.frames if frame.key in keys)
+    met = {number + step for number in keys for step in (0, run.input.step)}
+    cuts = None if run.cuts is None else tuple(cut for cut in run.cuts if cut.number in met)
+    share = len(frames) / len(run.frames) if run.frames else 0.0
+    numbers = {frame.number for frame in frames}
+    files = tuple(file for file in run.files if file.frame is None or file.frame in numbers)
+    return replace(
+        run,
+        frames=frames,
+        keys=tuple(key for key in run.selected if key in keys),
+        cuts=cuts,
+        wall_seconds=run.wall_seconds * share,
+        left_out=tuple(interval for interval in run.left_out if interval.key in keys),
+        files=files,
+        verified=None if run.verified is None else len(files),
+        nonfinite=tuple(pixels for pixels in run.nonfinite if pixels.key in keys),
+    )
+
+
+def missing_keys(run: RunSummary) -> list[int]:
+    """Return the input numbers of the key frames of its sequence that a run is not for."""
+    return sorted(set(run.input.numbers) - set(run.selected))
+
+
+def merge_runs(runs: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSummary:
+    """Merge what chunks of one run found out.
+
+    Parameters
+    ----------
+    runs
+        In any order, at least one. No frame may be in two of them.
+    names
+        What messages call them, such as the folders of their reports; by default their key frames.
+
+    Returns
+    -------
+    RunSummary
+        That of the run that does all their frames. Its `wall_seconds` is the sum: the time that
+        machines spent, not the time that passed. Where machines may differ, as in paths, it has the
+        value of the part with the first frames.
+
+    Raises
+    ------
+    InputError
+        When they are no parts of one run, or two have the same frame.
+    """
+    names = names or [f"the run of key frames {ranges(run.selected) or 'none'}" for run in runs]
+    parts = sorted(
+        zip(runs, names, strict=True), key=lambda part: (part[0].selected, part[0].input.pattern)
+    )
+    ordered = [run for run, _ in parts]
+    first, first_name = parts[0]
+    for run, name in parts[1:]:
+        _require_parts_of_one_run(first, first_name, run, name)
+    files = dict.fromkeys(file for run in ordered for file in run.files)
+    left_out = [interval for run in ordered for interval in run.left_out]
+    verified = [run.verified for run in ordered]
+    return replace(
+        first,
+        frames=_merge_frames(parts),
+        keys=tuple(sorted({key for run in ordered for key in run.selected})),
+        cuts=join_cuts(run.cuts for run in ordered),
+        wall_seconds=sum(run.wall_seconds for run in ordered),
+        left_out=tuple(sorted(left_out, key=lambda interval: interval.key)),
+        # Frame by frame, a video last.
+        files=tuple(sorted(files, key=lambda f: (f.frame is None, f.frame or 0, f.kind))),
+        verified=None if None in verified else sum(count or 0 for count in verified),
+        nonfinite=tuple(pixels for run in ordered for pixels in run.nonfinite),
+    )
+
+
+def _merge_frames(parts: Sequence[tuple[RunSummary, str]]) -> tuple[FrameRecord, ...]:
+    frames = [(frame, name) for run, name in parts for frame in run.frames]
+    frames.sort(key=lambda entry: entry[0].number)
+    for (frame, name), (later, later_name) in pairwise(frames):
+        if frame.number == later.number:
+            raise InputError(
+                f"frame {frame.number} is in {name} and again in {later_name}; leave one of them "
+                "out"
+            )
+    return tuple(frame for frame, _ in frames)
+
+
+def _require_parts_of_one_run(a: RunSummary, a_name: str, b: RunSummary, b_name: str) -> None:
+    for name, value_of in REQUIRED_EQUAL.items():
+        first, second = value_of(a), value_of(b)
+        if first != second:
+            raise InputError(
+                f"{a_name} and {b_name} are no parts of one run: the {name} is "
+                f"{_format_value(first)} in the one and {_format_value(second)} in the other; join "
+                "only what one command did in chunks"
+            )
+
+
+def _format_value(value: Any) -> str:
+    if isinstance(value, tuple):
+        value = ", ".join(map(str, value))
+    text = "none" if value is None or value == "" else str(value)
+    return text if len(text) <= MAX_VALUE else f"{text[: MAX_VALUE - 1]}…"
+
+
+def _key_range(run: RunSummary) -> str:
+    step = f"x{run.input.step}" if run.input.step > 1 else ""
+    return f"{run.input.first}-{run.input.last}{step}"
+
+
+def _evidence(run: RunSummary) -> str | None:
+    """Mask what was measured: other processors differ in its last digits."""
+    evidence = run.input.motion_evidence
+    return None if evidence is None else re.sub(r"\d+\.\d+", "…", evidence)
+
+
+def _extrapolator(run: RunSummary) -> str | None:
+    network = run.extrapolator
+    if network is None:
+        return None
+    colour = "shading alone" if network.demodulated else "whole colour"
+    return f"sha256 {network.sha256} on {network.device}, given {colour}"
+
+
+def _interpolator(run: RunSummary) -> str | None:
+    network = run.interpolator
+    if network is None:
+        return None
+    return (
+        f"{network.name} on {network.device}, sha256 {network.sha256}, card {network.card_sha256}"
+    )
+
+
+def _policy(run: RunSummary) -> str | None:
+    policy = run.policy
+    if policy is None:
+        return None
+    missing = " and ".join(policy.missing) or "nothing"
+    return f"sha256 {policy.sha256} with objects from {policy.objects_from} and {missing} missing"
+
+
+# What all parts of a run have in common, by its name in messages. Paths are left out where a
+# checksum says the same, and so are folders: they are mounted elsewhere on other machines.
+REQUIRED_EQUAL: dict[str, Callable[[RunSummary], Any]] = {
+    "version of ExWarp": lambda run: run.version,
+    "input": lambda run: re.split(r"[/\\]", run.input.pattern)[-1],
+    "range of its key frames": _key_range,
+    "size of its frames": lambda run: f"{run.input.width}x{run.input.height}",
+    "program that wrote it": lambda run: run.input.producer,
+    "source of motion": lambda run: run.input.motion_source,
+    "reading of its vectors": _evidence,
+    "choice of what moves": lambda run: run.input.dynamic,
+    "method": lambda run: run.method,
+    "setting of G-buffers": lambda run: run.setting,
+    "rate of the input": lambda run: f"{run.base_fps} fps ({run.fps_source})",
+    "factor": lambda run: str(run.factor),
+    "network that extrapolates": _extrapolator,
+    "network that interpolates": _interpolator,
+    "policy": _policy,
+    "search for cuts": lambda run: "no" if run.cuts is None else "yes",
+    "choice of views": lambda run: run.views,
+    "choice of layers": lambda run: run.layers,
+}

@@ -1,0 +1,343 @@
+"""The contract of report.json, schema ``exwarp.report/1``, and the means that reports share."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, SOFTSPLAT, WARP
+from exwarp_cli.domain.gate import Trial
+from exwarp_cli.domain.lookahead import LOOKAHEAD
+from exwarp_cli.domain.metric import GROUND_TRUTH, KEY_FRAMES, METRICS
+from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary, Score
+from exwarp_cli.domain.tiles import paths_of
+from exwarp_cli.domain.timeline import ranges
+from exwarp_cli.report.review import summarise_review
+
+SCHEMA = "exwarp.report/1"
+
+# Steps of the work that a report always names; a run may time others too.
+STEPS = ("read", "features", "decide", "warp", "holes", "extrapolate", "write")
+
+HOLE_BINS = 20  # of the hole histogram: 5 % of the frame each
+
+
+def run_document(run: RunSummary) -> dict[str, Any]:
+    """Turn a run into the dictionary that report.json holds.
+
+    Keys are a contract: more may come, none is renamed. What was not measured is None, never 0,
+    and no number is NaN or infinite.
+    """
+    between = tuple(frame for frame in run.frames if frame.slot)
+    source = run.input
+    document = {
+        "schema": SCHEMA,
+        "version": run.version,
+        "method": run.method,
+        "setting": run.setting,
+        "lookahead": run.lookahead,
+        "input": {
+            "pattern": source.pattern,
+            "first": source.first,
+            "last": source.last,
+            "width": source.width,
+            "height": source.height,
+            "producer": source.producer,
+            "motion": {"source": source.motion_source, "evidence": source.motion_evidence},
+            "dynamic": source.dynamic,
+            "depth": source.depth,
+            "step": source.step,
+            "selected": ranges(run.selected) or None,
+        },
+        "frames": _count_frames(run.frames),
+        "fps": _frame_rates(run),
+        "holes": _summarise_holes(between),
+        "decisions": _summarise_decisions(run),
+        "quality": _summarise_quality(run.decides, between),
+        "pulse": _summarise_pulse(between),
+        "review": summarise_review(run),
+        "timing_ms": {
+            step: mean(f.timing_ms[step] for f in run.frames if step in f.timing_ms)
+            for step in timed_steps(run.frames)
+        },
+        "extrapolator": None if run.extrapolator is None else asdict(run.extrapolator),
+        "policy": None if run.policy is None else asdict(run.policy),
+        "interpolator": None if run.interpolator is None else asdict(run.interpolator),
+        "render_time": render_time_saved(run),
+        "cuts": None
+        if run.cuts is None
+        else [{"frame": cut.number, "source": cut.source} for cut in run.cuts],
+        "held": run.held,
+        "views": run.views,
+        "layers": run.layers,
+        "left_out": [asdict(interval) for interval in run.left_out],
+        "files": [asdict(file) for file in run.files],
+        "verified": run.verified,
+        "nonfinite": [asdict(pixels) for pixels in run.nonfinite],
+        "wall_s": run.wall_seconds,
+    }
+    plain: dict[str, Any] = replace_nonfinite(document)
+    return plain
+
+
+def replace_nonfinite(value: Any) -> Any:
+    """Return nested dictionaries and lists with plain numbers; NaN and infinities become None."""
+    if isinstance(value, dict):
+        return {key: replace_nonfinite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [replace_nonfinite(item) for item in value]
+    if isinstance(value, np.generic):
+        return replace_nonfinite(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def to_json(document: dict[str, Any]) -> str:
+    """Write a report as JSON text; floats keep all their digits."""
+    return json.dumps(document, indent=2, allow_nan=False) + "\n"
+
+
+def mean(values: Iterable[float]) -> float | None:
+    """Return the mean, or None without values."""
+    numbers = [float(value) for value in values]
+    return sum(numbers) / len(numbers) if numbers else None
+
+
+def score_values(score: Score | None) -> dict[str, float | None]:
+    """Return a score's values by their names in every report; None if not measured."""
+    return {m.field: None if score is None else getattr(score, m.field) for m in METRICS}
+
+
+def mean_scores(scores: Iterable[Score | None]) -> dict[str, float | int | None]:
+    """Average the scores that are there.
+
+    Returns
+    -------
+    dict
+        By metric the mean over the frames that have a value, or None. ``frames``: how many frames
+        were scored.
+    """
+    rows = [score_values(score) for score in scores if score is not None]
+    means = {
+        m.field: mean(value for row in rows if (value := row[m.field]) is not None) for m in METRICS
+    }
+    return {**means, "frames": len(rows)}
+
+
+def timed_steps(frames: tuple[FrameRecord, ...]) -> list[str]:
+    """Return the steps that a report names: `STEPS`, then others that were timed."""
+    others = {step for frame in frames for step in frame.timing_ms} - set(STEPS)
+    return [*STEPS, *sorted(others)]
+
+
+def _complete_intervals(run: RunSummary) -> list[list[FrameRecord]]:
+    """Group frames by key frame, without groups that lack a slot (the last one without tail)."""
+    groups: dict[int, list[FrameRecord]] = {}
+    for frame in run.frames:
+        groups.setdefault(frame.key, []).append(frame)
+    least = math.floor(run.factor)  # of 2.5, intervals show two or three
+    return [group for group in groups.values() if len({f.slot for f in group}) >= least]
+
+
+def _count_frames(frames: tuple[FrameRecord, ...]) -> dict[str, int]:
+    resumed, replaced = sum(f.resumed for f in frames), sum(f.replaced for f in frames)
+    kinds = [frame.kind for frame in frames]
+    return {
+        "key": kinds.count(FrameKind.KEY),
+        "written": len(frames),  # of an earlier run too
+        "generated": kinds.count(FrameKind.GENERATED),
+        "dropped": kinds.count(FrameKind.DROPPED),
+        "rendered": kinds.count(FrameKind.RENDERED),
+        # These three add up to "written".
+        "resumed": resumed,
+        "made": len(frames) - resumed - replaced,
+        "replaced": replaced,
+    }
+
+
+def _frame_rates(run: RunSummary) -> dict[str, Any]:
+    # A repeated frame is not new. At the paper's factor this is base x (1 + mean number of
+    # generated frames per key interval).
+    new = mean(
+        frame.kind is not FrameKind.DROPPED
+        for interval in _complete_intervals(run)
+        for frame in interval
+    )
+    fresh = sum(not frame.resumed for frame in run.frames)
+    return {
+        "base": run.base_fps,
+        "effective": None if new is None else run.output_fps * new,
+        "output": run.output_fps,
+        # Of joined runs, per second of all their machines.
+        "throughput": fresh / run.wall_seconds if fresh and run.wall_seconds > 0 else None,
+        "source": run.fps_source,
+        "factor": str(run.factor),  # a fraction such as 5/2, which loses no digits
+    }
+
+
+def _summarise_holes(between: tuple[FrameRecord, ...]) -> dict[str, Any]:
+    fractions = [f.hole_fraction for f in between if f.has_holes and f.hole_fraction is not None]
+    fractions = [fraction for fraction in fractions if math.isfinite(fraction)]
+    if not fractions:
+        return {"mean_fraction": None, "p95_fraction": None, "histogram": None}
+    edges = [i / HOLE_BINS for i in range(HOLE_BINS + 1)]
+    counts, _ = np.histogram(fractions, bins=edges)
+    return {
+        "mean_fraction": mean(fractions),
+        "p95_fraction": float(np.percentile(fractions, 95)),
+        "histogram": {"edges": edges, "counts": counts.tolist()},
+    }
+
+
+def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
+    """Count decisions, and state what the gate decided and what the network computed.
+
+    ``gate``: each trial with the key intervals that it decided for; ``look_ahead``: the frames that
+    warping and the network made; ``cost``: the network's share of the new frames' area.
+    """
+    paths: list[str] = []
+    for interval in _complete_intervals(run) if run.decides else ():
+        taken = [frame.path for frame in interval if frame.path]
+        tiles = {frame.slot: frame.tiles for frame in interval}
+        second, third = tiles.get(2), tiles.get(3)
+        if taken:
+            paths.append(taken[-1])
+        elif second is not None and third is not None:
+            paths += paths_of(second, third)
+    block = count_decisions(paths if run.decides else None)
+
+    keys: dict[Trial, dict[int, None]] = {}
+    for frame in run.frames:
+        if frame.trial is not None:
+            keys.setdefault(frame.trial, {})[frame.key] = None
+    cheap, dear = (SOFTSPLAT, LOOKAHEAD) if run.lookahead else CHOICES
+    trials = [
+        {
+            "frame": trial.frame,
+            f"{cheap}_db": trial.cheap_db,
+            f"{dear}_db": trial.dear_db,
+            "used": dear if trial.pays else cheap,
+            "keys": list(intervals),
+        }
+        for trial, intervals in keys.items()
+    ]
+    makers = Counter(frame.made_by for frame in run.frames)
+    counts = {"cheap": makers[SOFTSPLAT], "dear": makers[LOOKAHEAD]}
+    block |= {"gate": trials or None, "look_ahead": counts if trials and run.lookahead else None}
+
+    cost = mean(f.tiles.share(EXTRAPOLATE) for f in run.frames if f.tiles is not None)
+    block["cost"] = cost
+    if cost is not None:
+        block["warp_share"] = 1 - cost
+    return block
+
+
+def count_decisions(paths: Iterable[str] | None) -> dict[str, Any]:
+    """Count the decisions of a run.
+
+    Parameters
+    ----------
+    paths
+        S1 to S6 of each key interval with all its slots, or of each of its tiles; None for a
+        method outside the paper's decision tree, whose counts are all None.
+    """
+    if paths is None:
+        return {
+            "nodes": {node: dict.fromkeys(CHOICES) for node in NODES},
+            "paths": dict.fromkeys(PATHS),
+            "warp_share": None,
+        }
+    taken = Counter(paths)
+    steps = Counter[tuple[str, str]]()
+    for name, count in taken.items():
+        for step in PATHS[name].choices.items():
+            steps[step] += count
+    warped = sum(count for (_, choice), count in steps.items() if choice == WARP)
+    return {
+        "nodes": {node: {choice: steps[node, choice] for choice in CHOICES} for node in NODES},
+        "paths": {name: taken[name] for name in PATHS},
+        "warp_share": warped / steps.total() if steps else None,
+    }
+
+
+def _summarise_quality(decides: bool, between: Sequence[FrameRecord]) -> dict[str, Any]:
+    """Average scores over the frames that were not rendered, repeats included."""
+    frames = [frame for frame in between if frame.kind is not FrameKind.RENDERED]
+    generated = [f for f in frames if decides and f.kind is FrameKind.GENERATED]
+    return {
+        "all": mean_scores(f.score for f in frames),
+        "holes": mean_scores(f.hole_score for f in frames),
+        "by_decision": {
+            choice: mean_scores(f.score for f in generated if f.made_by == choice)
+            for choice in CHOICES
+        },
+        "dropped": mean_scores(f.score for f in frames if f.kind is FrameKind.DROPPED),
+    }
+
+
+def _summarise_pulse(between: Sequence[FrameRecord]) -> dict[str, Any] | None:
+    """Return the pulse of the generated frames, in per cent; None where none was measured.
+
+    Softer and sharper frames cancel out in ``mean``; ``worst`` has the largest magnitude. Frames
+    without ground truth are left out where others have it.
+    """
+    generated = [frame for frame in between if frame.kind is FrameKind.GENERATED]
+    scored = [frame for frame in generated if frame.score is not None]
+    pulses = [(f, f.pulse) for f in scored or generated if f.pulse is not None]
+    if not pulses:
+        return None
+    worst, value = max(pulses, key=lambda entry: abs(entry[1]))
+    return {
+        "mean": mean(pulse for _, pulse in pulses),
+        "worst": value,
+        "worst_frame": worst.number,
+        "frames": len(pulses),
+        "against": GROUND_TRUTH if scored else KEY_FRAMES,
+    }
+
+
+def render_time_saved(run: RunSummary) -> dict[str, Any] | None:
+    """Return what a run saved, from the render times in the headers of its key frames.
+
+    Returns
+    -------
+    dict or None
+        ``key_frame_s``, mean render time of a key frame; ``key_frames``, how many headers state it;
+        ``source``, the attribute; ``generated_frame_s``, this run's time for each generated frame,
+        reading and writing included, scoring not; ``saved_s``, what rendering the generated frames
+        would have taken beyond the key frames, less the run's time; ``saved_share``, that as a
+        share of rendering all frames. None where no header says it, or nothing was generated.
+    """
+    render_times = [frame.render for frame in run.frames if frame.render is not None]
+    # This run spent no time on resumed frames, nor on key frames of intervals that it kept.
+    fresh = [frame for frame in run.frames if not frame.resumed]
+    generated = sum(frame.kind is FrameKind.GENERATED for frame in fresh)
+    key_frame_s = mean(seconds for seconds, _ in render_times)
+    if key_frame_s is None or not generated:
+        return None
+    worked = {frame.key for frame in fresh}
+    rendered = sum(
+        frame.kind in (FrameKind.KEY, FrameKind.RENDERED) and frame.key in worked
+        for frame in run.frames
+    )
+    # Frames are scored one after the other, which a run without ground truth does not need.
+    scoring_s = sum(frame.timing_ms.get("score", 0.0) for frame in run.frames) / 1e3
+    spent = max(run.wall_seconds - scoring_s, 0.0)
+    # Key frames that fall on no output instant were rendered too.
+    shown = {frame.key for frame in run.frames if frame.kind is FrameKind.KEY}
+    saved = (generated - len(worked - shown)) * key_frame_s - spent
+    return {
+        "key_frame_s": key_frame_s,
+        "key_frames": len(render_times),
+        "source": render_times[0][1],
+        "generated_frame_s": spent / generated,
+        "saved_s": saved,
+        "saved_share": saved / ((generated + rendered) * key_frame_s),
+    }

@@ -1,0 +1,1 @@
+"""What ``exwarp bench`` measures of key intervals by every system, and its tables and page."""

@@ -1,0 +1,365 @@
+"""The contract of bench.json, schema ``exwarp.bench/1``: a table or figure of the paper a key."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from importlib import resources
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli import __version__
+from exwarp_cli.accel import verilog
+from exwarp_cli.accel.mac_array import Schedule
+from exwarp_cli.domain.decision import CHOICES, FEATURES, HOLD, PATHS
+from exwarp_cli.domain.results import Score
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.report.schema import count_decisions, mean, mean_scores, replace_nonfinite
+from exwarp_cli.research.bench import paper
+from exwarp_cli.research.bench.benchmark import GBUFFERS_OF, Benchmark, Measured
+from exwarp_cli.research.bench.real_time import BASE_FPS, REFRESH_HZ, SLOT_MS, clocked_row
+from exwarp_cli.research.bench.systems import (
+    CHOOSERS,
+    FIXED,
+    SLOTS,
+    describe_system,
+    is_lookahead,
+)
+
+SCHEMA = "exwarp.bench/1"
+
+# Bins of the histogram of hole shares (Figure 2); the last one holds 1, too.
+HOLE_EDGES = (0.0, 0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 1.0)
+
+# Features that vary within a sequence: R, the resolution, does not.
+VARYING_FEATURES = FEATURES[:-1]
+
+# Points from which on a correlation says anything.
+MIN_POINTS = 3
+
+Document = dict[str, Any]
+
+
+def bench_document(benchmark: Benchmark, predictor: Schedule, clock_hz: float) -> Document:
+    """Turn a benchmark into the dictionary of bench.json.
+
+    The time of `predictor`, the accelerator's schedule, is stated at `clock_hz`. None is what was
+    not measured, never 0; no number is NaN or infinite. What the paper prints stands under
+    ``paper``. ``real_time`` is there with a clock alone.
+    """
+    rows, clock = benchmark.measured, benchmark.settings.clock
+    document = {
+        "schema": SCHEMA,
+        "version": __version__,
+        "networks": benchmark.networks,
+        "metrics": sorted(benchmark.settings.metrics),
+        "systems": {
+            name: {"about": describe_system(name), "lookahead": is_lookahead(name)}
+            for name in benchmark.systems
+        },
+        "sequences": [
+            identify(row)
+            | {"intervals": len(row.parts)}
+            | {name: row.about[name] for name in ("fps", "producer", "policy")}
+            | {"machine": row.timing["machine"]}
+            for row in rows
+        ],
+        "runtime": [_runtime_row(row) for row in rows],
+        "holes": [_holes_row(row) for row in rows],
+        "features": [_features_row([row], identify(row)) for row in rows]
+        + [_features_row(rows, {"name": "all", "setting": None, "size": None})],
+        "quality": [_quality_row(row) for row in rows],
+        "comparison": [_comparison_row(row) for row in rows],
+        "fps": [_rate_row(row) for row in rows],
+        "decisions": [_decisions_row(row) for row in rows],
+        "predictor": _predictor_cost(predictor, clock_hz),
+        "extranet_procedure": [_extranet_row(row) for row in rows],
+        "render_time": [_render_time_row(row) for row in rows],
+    }
+    if clock is not None:
+        document["real_time"] = {
+            "clock": clock,
+            "refresh_hz": REFRESH_HZ,
+            "slot_ms": SLOT_MS,
+            "base": BASE_FPS,
+            "rows": [
+                identify(row) | clocked_row(row.about, row.timing["steps_ms"], row.parts, clock)
+                for row in rows
+            ],
+        }
+    plain: Document = replace_nonfinite(document)
+    return plain
+
+
+def identify(row: Measured) -> Document:
+    """Return how rows of all tables name a sequence."""
+    about, subject = row.about, row.subject
+    return {
+        "name": subject.name,
+        "setting": subject.setting,
+        "size": f"{about['width']}x{about['height']}",
+        "app": paper.app_of(subject.name, about["height"]),
+    }
+
+
+def _frames(row: Measured, system: str) -> list[Document]:
+    """Return the frames that a system shows at slots 1 to 3 of all key intervals."""
+    return [frame for part in row.parts for frame in part["systems"][system]]
+
+
+def _new_frames(row: Measured, system: str) -> float:
+    """Return the mean number of new frames a key interval."""
+    count: int = sum(frame["made_by"] != HOLD for frame in _frames(row, system))
+    return count / len(row.parts)
+
+
+def _mean_scores(frames: Iterable[Document], region: str = "all") -> Document:
+    """Average scores of frames; `region` is "all" or "holes"."""
+    return mean_scores(None if f[region] is None else Score(**f[region]) for f in frames)
+
+
+def _runtime_row(row: Measured) -> Document:
+    """Return a row of Table III: milliseconds a generated frame."""
+    steps, identity = row.timing["steps_ms"], identify(row)
+    gbuffer_s = row.about["render_s"]["gbuffer"]
+    printed = paper.RUNTIME.get(identity["app"])
+    return identity | {
+        "gbuffer_ms": None if gbuffer_s is None else 1e3 * gbuffer_s,
+        "warping_ms": steps["warp"],
+        "hole_marking_ms": steps.get("holes"),
+        "inference_ms": steps.get("network"),
+        "others_ms": {
+            name: value for name, value in steps.items() if name not in ("warp", "holes", "network")
+        },
+        "paper": None if printed is None else asdict(printed),
+    }
+
+
+def _holes_row(row: Measured) -> Document:
+    """Return what Figure 2 draws: how many frames have how many holes."""
+    identity = identify(row)
+    holes = [hole for part in row.parts for hole in part["holes"] if hole is not None]
+    if not holes:
+        return identity | {"mean": None, "below_10": None, "above_20": None, "histogram": None}
+    counts, _ = np.histogram(holes, bins=HOLE_EDGES)
+    return identity | {
+        "mean": mean(holes),
+        "p95": float(np.percentile(holes, 95)),
+        "below_10": sum(hole < 0.1 for hole in holes) / len(holes),
+        "above_20": sum(hole > 0.2 for hole in holes) / len(holes),
+        "histogram": {"edges": list(HOLE_EDGES), "counts": counts.tolist()},
+        "paper": paper.HOLES.get(identity["app"]),
+    }
+
+
+def feature_points(row: Measured) -> list[Document]:
+    """Return the features of every slot's decision beside the PSNR of W at that slot (Figure 4)."""
+    return [
+        {
+            "key": part["key"],
+            "slot": slot,
+            **dict(zip(FEATURES, values, strict=False)),
+            "R": values[5] * values[6],
+            "distance": values[7],
+            "warp_psnr_db": part["warp_psnr_db"][slot - 1],
+            "hole_fraction": part["holes"][slot - 1],
+        }
+        for part in row.parts
+        for slot, values in enumerate(part["features"], start=1)
+    ]
+
+
+def _features_row(rows: Iterable[Measured], identity: Document) -> Document:
+    """Return how the features go together with the quality of W."""
+    points = [point for row in rows for point in feature_points(row)]
+    psnr = [point["warp_psnr_db"] for point in points]
+    correlation = {}
+    for name in VARYING_FEATURES:
+        values = [point[name] for point in points]
+        correlation[name] = {"pearson": pearson(values, psnr), "spearman": spearman(values, psnr)}
+    return identity | {
+        "points": len(points),
+        "correlation": correlation,
+        "paper": paper.CORRELATION,
+    }
+
+
+def pearson(x: Sequence[float], y: Sequence[float]) -> float | None:
+    """Return the linear correlation, -1 to 1; None for few points or a constant series."""
+    a, b = np.asarray(x, np.float64), np.asarray(y, np.float64)
+    if len(a) < MIN_POINTS or np.ptp(a) == 0 or np.ptp(b) == 0:
+        return None
+    a, b = a - a.mean(), b - b.mean()
+    return float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum()))
+
+
+def spearman(x: Sequence[float], y: Sequence[float]) -> float | None:
+    """Return the correlation of ranks, -1 to 1; equal values share their mean rank."""
+    return pearson(_ranks(x).tolist(), _ranks(y).tolist())
+
+
+def _ranks(values: Sequence[float]) -> npt.NDArray[np.float64]:
+    _, inverse, counts = np.unique(np.asarray(values), return_inverse=True, return_counts=True)
+    last = np.cumsum(counts)
+    return np.asarray((last - (counts - 1) / 2)[inverse])
+
+
+def _quality_row(row: Measured) -> Document:
+    """Return a row of Table VI, with every system: means over slots 1 to 3."""
+    identity = identify(row)
+    systems = {}
+    for name in row.parts[0]["systems"]:
+        frames = _frames(row, name)
+        systems[name] = {
+            "all": _mean_scores(frames),
+            "holes": _mean_scores(frames, "holes"),
+            "by_decision": {
+                choice: _mean_scores(f for f in frames if f["made_by"] == choice)
+                for choice in CHOICES
+            },
+            "dropped": _mean_scores(f for f in frames if f["made_by"] == HOLD),
+        }
+    psnr = {name: systems[name]["all"]["psnr_db"] for name in FIXED if name in systems}
+    return identity | {
+        "systems": systems,
+        "returns": _mean_returns(row),
+        "best_path": max(psnr, key=lambda name: psnr[name]) if psnr else None,
+        "paper": paper.QUALITY.get(identity["app"]),
+    }
+
+
+def _mean_returns(row: Measured) -> Document | None:
+    """Return the mean return (sum of the paper's rewards) of every path and chooser."""
+    if row.parts[0]["returns"] is None:
+        return None
+    names = tuple(PATHS)
+    means: Document = {
+        name.lower(): mean(part["returns"][i] for part in row.parts) for i, name in enumerate(names)
+    }
+    for chooser in CHOOSERS:
+        means[chooser] = mean(
+            part["returns"][names.index(part["paths"][chooser])]
+            for part in row.parts
+            if chooser in part["paths"]
+        )
+    return means
+
+
+def _comparison_row(row: Measured) -> Document:
+    """Return a row of Table VII: look-ahead systems beside causal ones, with their latency."""
+    identity = identify(row)
+    interval_ms = 1e3 / row.about["fps"]
+    return identity | {
+        "systems": {
+            name: {
+                "lookahead": is_lookahead(name),
+                "waits_ms": interval_ms if is_lookahead(name) else 0.0,
+                "frame_ms": row.timing["systems_ms"].get(name),
+                **_mean_scores(_frames(row, name)),
+            }
+            for name in row.parts[0]["systems"]
+        },
+        "paper": paper.INTERPOLATION.get(identity["app"]),
+    }
+
+
+def _rate_row(row: Measured) -> Document:
+    """Return what Figure 8 draws: base x (1 + mean number of new frames a key interval)."""
+    base = row.about["fps"]
+    effective = {name: base * (1 + _new_frames(row, name)) for name in row.parts[0]["systems"]}
+    return identify(row) | {"base": base, "effective": effective, "paper": paper.EFFECTIVE_FPS}
+
+
+def _decisions_row(row: Measured) -> Document:
+    """Return what Figure 9 draws: decisions, nodes and paths of the systems that choose."""
+    counts = {
+        chooser: count_decisions(part["paths"][chooser] for part in row.parts)
+        for chooser in CHOOSERS
+        if chooser in row.parts[0]["paths"]
+    }
+    return identify(row) | counts | {"paper_warp_share": paper.WARP_SHARE}
+
+
+def _extranet_row(row: Measured) -> Document:
+    """Average what ExtraNet's procedure gives for the frame midway between key frames."""
+    systems = {
+        name: {
+            metric: mean(part["extranet"][name][metric] for part in row.parts)
+            for metric in ("psnr_db", "ssim")
+        }
+        for name in row.parts[0]["extranet"]
+    }
+    return identify(row) | {"systems": systems, "frames": len(row.parts)}
+
+
+def _render_time_row(row: Measured) -> Document:
+    """Return what rendering a frame took beside making one, in seconds, and what that saves."""
+    rendered: float | None = row.about["render_s"]["key"]
+    generated = {name: ms / 1e3 for name, ms in row.timing["systems_ms"].items()}
+    identity = identify(row) | {"key_frame_s": rendered, "generated_frame_s": generated}
+    if rendered is None:
+        return identity | {"times_faster": None, "saved_share": None}
+    shares = {}
+    for name, seconds in generated.items():
+        # Repeats cost time and save none, as they would not have been rendered.
+        new = _new_frames(row, name)
+        shares[name] = (new * rendered - len(SLOTS) * seconds) / ((1 + new) * rendered)
+    return identity | {
+        "times_faster": {name: rendered / each for name, each in generated.items() if each > 0},
+        "saved_share": shares,
+    }
+
+
+def _predictor_cost(schedule: Schedule, clock_hz: float) -> Document:
+    """Return the synthesis table: ours, counted or measured by `make hardware`, and the paper's."""
+    text = resources.files(verilog).joinpath("measured.json").read_text(encoding="utf-8")
+    synthesis: Mapping[str, Any] = json.loads(text)
+    return {
+        "clock_hz": clock_hz,
+        "cycles": schedule.cycles,
+        "mac_cycles": schedule.mac_cycles,
+        "utilisation": schedule.utilisation,
+        "latency_ns": schedule.latency_ns(clock_hz),
+        "memory_bytes": sum(schedule.core_bytes),
+        "fullest_core_bytes": max(schedule.core_bytes),
+        "cache_bytes": schedule.array.cache_bytes,
+        "refill_bytes": schedule.refill_bytes,
+        "synthesis": synthesis,
+        "paper": {
+            "area_mm2": paper.AREA_MM2,
+            "power_mw": paper.POWER_MW,
+            "latency_ns": paper.LATENCY_NS,
+        },
+    }
+
+
+def describe_benchmark(document: Document) -> str:
+    """Say in a few sentences what was measured, and on what."""
+    sequences = document["sequences"]
+    sizes = dict.fromkeys(row["size"] for row in sequences)
+    rates = dict.fromkeys(row["fps"] for row in sequences)
+    settings = {row["setting"] for row in sequences}
+    gbuffers = " and ".join(text for key, text in GBUFFERS_OF.items() if key in settings)
+    intervals = sum(row["intervals"] for row in sequences)
+    machines = dict.fromkeys(
+        f"{row['machine']['processor']}, {row['machine']['cores']} cores" for row in sequences
+    )
+    text = (
+        f"{_count(len(sequences), 'sequence')} of {', '.join(sizes)} pixels, "
+        f"{_count(intervals, 'key interval')}, "
+        + " and ".join(f"{rate:g} to {FACTOR * rate:g}" for rate in rates)
+        + f" frames per second, G-buffers for {gbuffers}, ExWarp {document['version']}. "
+        f"Run times on {'; '.join(machines)}."
+    )
+    unseen = [row["name"] for row in sequences if row["policy"]["trained_without_it"]]
+    if unseen:
+        names = ", ".join(dict.fromkeys(unseen))
+        text += f" The policy of each scene was trained without it ({names})."
+    return text
+
+
+def _count(count: int, noun: str) -> str:
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"

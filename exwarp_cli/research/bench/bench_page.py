@@ -1,0 +1,217 @@
+"""The page of a benchmark: the paper's tables and figures, and frames of each sequence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.report.gallery import BUDGET, PICTURE_BYTES, TRUTH, Album
+from exwarp_cli.report.html import Block, Number, Page, Section, Table, Text, Viewer
+from exwarp_cli.report.schema import mean
+from exwarp_cli.report.sentences import format_percent, format_time
+from exwarp_cli.research.bench.bench_document import Document, describe_benchmark
+from exwarp_cli.research.bench.bench_figures import FIGURES, draw_features, sequence_labels
+from exwarp_cli.research.bench.bench_tables import (
+    PAPER,
+    SEQUENCE,
+    SOURCE,
+    BenchTable,
+    Row,
+    make_tables,
+)
+from exwarp_cli.research.bench.benchmark import Benchmark, Measured
+from exwarp_cli.research.bench.subjects import OpenedSubject, load_networks
+from exwarp_cli.research.bench.systems import CHOOSERS, FIXED_PATHS, POLICY, SLOTS, pictures_of
+
+# Tables by section: what a farm asks first before what the paper shows.
+SECTIONS = {
+    "Saved": ("render_time",),
+    "Quality": ("comparison",),
+    "Paths": ("paths_psnr", "paths_ssim"),
+    "Decisions": ("decisions",),
+    "Rate": ("fps",),
+    "Real time": (  # only with a clock
+        *("real_time_fps", "real_time_paths", "real_time_decisions", "real_time_slots"),
+    ),
+    "Holes": ("holes",),
+    "Features": ("correlation",),
+    "Run time": ("runtime",),
+    "Predictor": ("predictor",),
+    "ExtraNet": ("extranet",),
+}
+
+# Tables with a row for each sequence and system: one a sequence.
+LONG = ("comparison", "extranet", "real_time_slots")
+
+# Systems of the headline; the first that was timed stands for what is saved.
+HEADLINE = ((POLICY, "ExWarp"), ("s6", "warping alone"), ("softsplat", "look-ahead"))
+
+# Systems whose frames are shown, with all that options add.
+PICTURED = (POLICY, "s6", "softsplat", "minterpolate", "hold")
+
+
+def bench_page(benchmark: Benchmark, document: Document, albums: Sequence[Album]) -> Page:
+    """Lay a benchmark out as a page; `albums` are those of its sequences."""
+    tables = {table.name: table for table in make_tables(document)}
+    sections = []
+    for title, names in SECTIONS.items():
+        shown = [tables[name] for name in names if name in tables]
+        if shown:
+            blocks = [block for table in shown for block in _blocks(benchmark, document, table)]
+            sections.append(Section(title.lower().replace(" ", "-"), title, blocks))
+    viewers: list[Block] = []
+    for i, (label, album) in enumerate(zip(sequence_labels(document), albums, strict=True)):
+        if album.frames:
+            viewers += [Text(label)] if len(albums) > 1 else []
+            viewers.append(Viewer(album, f"viewer-{i}"))
+    return Page(
+        "ExWarp benchmark",
+        describe_benchmark(document),
+        _numbers(document),
+        [sections[0], Section("frames", "Frames", viewers), *sections[1:]],
+    )
+
+
+def _blocks(benchmark: Benchmark, document: Document, table: BenchTable) -> list[Block]:
+    """Return a table as the page takes it, with its figure before."""
+    if not table.rows:
+        return []
+    blocks: list[Block] = []
+    if table.name in FIGURES and (figure := FIGURES[table.name](document)) is not None:
+        blocks.append(figure)
+    if table.name == "correlation":
+        blocks.append(draw_features(benchmark))
+    labels = sequence_labels(document)
+    if table.name not in LONG or len(labels) == 1:
+        return [*blocks, _page_table(table.title, table, table.rows, table.note)]
+    blocks.append(Text(f"{table.title}. {table.note}"))
+    groups: list[list[Row]] = []
+    before = None
+    for row in table.rows:
+        sequence = tuple(row[column.key] for column in SEQUENCE)
+        # The paper's rows follow those that they stand beside.
+        if row.get(SOURCE.key) != PAPER and sequence != before:
+            groups.append([])
+            before = sequence
+        groups[-1].append(row)
+    return blocks + [_page_table(n, table, rows) for n, rows in zip(labels, groups, strict=True)]
+
+
+def _page_table(title: str, table: BenchTable, rows: Sequence[Row], note: str = "") -> Table:
+    """Lay out rows without columns that are equal in all of them: titles have these.
+
+    Rows still begin with a name: that of the sequence, or where it is left out, of the system.
+    """
+    spare = {column.key for column in (*SEQUENCE, SOURCE)}
+    if not any(column.key == "system" for column in table.columns):
+        spare.remove(SEQUENCE[0].key)
+    columns = [
+        column
+        for column in table.measured_columns()
+        if column.key not in spare or len({row.get(column.key) for row in rows} - {None}) > 1
+    ]
+    cells = [[None if row.get(c.key) is None else c.text(row) for c in columns] for row in rows]
+    return Table(title, [column.title for column in columns], cells, note)
+
+
+def _numbers(document: Document) -> list[Number]:
+    """Return the headline: what is saved first, then means over the sequences."""
+    rows = document["comparison"]
+    numbers = _render_time_numbers(document)
+    for name, label in HEADLINE:
+        systems = [row["systems"][name] for row in rows if name in row["systems"]]
+        psnr, ssim = (mean(system[key] for system in systems) for key in ("psnr_db", "ssim"))
+        if psnr is not None and ssim is not None:
+            numbers.append(Number(f"PSNR, {label}", f"{psnr:.2f} dB", f"SSIM {ssim:.3f}"))
+    rated = [row for row in document["fps"] if POLICY in row["effective"]]
+    rate = mean(row["effective"][POLICY] for row in rated)
+    if rate is not None:
+        base = mean(row["base"] for row in rated)
+        numbers.append(Number("Effective rate", f"{rate:.1f} fps", f"ExWarp, from {base:g}"))
+    count = sum(row["intervals"] for row in document["sequences"])
+    return [*numbers, Number("Sequences", str(len(rows)), f"{count:,} key intervals")]
+
+
+def _render_time_numbers(document: Document) -> list[Number]:
+    """Return what was saved against rendering, where headers state how long that took."""
+    rows = [row for row in document["render_time"] if row["saved_share"] is not None]
+    for name, label in HEADLINE:
+        timed = [row for row in rows if name in row["saved_share"]]
+        if timed:
+            share = format_percent(mean(row["saved_share"][name] for row in timed))
+            rendered = format_time(mean(row["key_frame_s"] for row in timed))
+            generated = format_time(mean(row["generated_frame_s"][name] for row in timed))
+            return [
+                Number("Render time saved", str(share), f"{label}, of rendering all frames"),
+                Number("Rendered frame", str(rendered), "by the headers, on average"),
+                Number("Generated frame", str(generated), f"{label}, files apart"),
+            ]
+    return []
+
+
+def make_albums(benchmark: Benchmark) -> list[Album]:
+    """Return an album for each subject: a usual and a bad key interval, made once more."""
+    extra = [name for name in benchmark.systems if name not in benchmark.settings.systems]
+    systems = [name for name in PICTURED if name in benchmark.systems] + extra
+    keys = [_pictured_keys(row, systems) for row in benchmark.measured]
+    # A picture and an error for each system, half as large, and the truth, at three slots.
+    pictures = sum(map(len, keys)) * len(SLOTS) * (1.5 * len(systems) + 1)
+    room = min(PICTURE_BYTES, int(BUDGET / max(pictures, 1)))
+    return [
+        _make_album(benchmark, row, chosen, systems, room)
+        for row, chosen in zip(benchmark.measured, keys, strict=True)
+    ]
+
+
+def _pictured_keys(row: Measured, systems: Sequence[str]) -> list[int]:
+    """Return the numbers of the key frames with the median and the worst PSNR of a system."""
+    judge = next((name for name in systems if name in row.parts[0]["systems"]), None)
+    if judge is None:
+        return []
+    ranked = sorted(row.parts, key=lambda p: sum(f["all"]["psnr_db"] for f in p["systems"][judge]))
+    return sorted({ranked[0]["key"], ranked[len(ranked) // 2]["key"]})
+
+
+def _make_album(
+    benchmark: Benchmark, row: Measured, keys: Sequence[int], systems: Sequence[str], room: int
+) -> Album:
+    album = Album((*systems, TRUTH), next(iter(systems), TRUTH), TRUTH, room)
+    settings = benchmark.settings
+    opened = OpenedSubject(row.subject, settings, load_networks(settings, None))
+    index_of = {opened.number(key): key for key in opened.keys}
+    parts = {part["key"]: part for part in row.parts}
+    for number in keys:
+        key, part = index_of[number], parts[number]
+        opened.restart()
+        inputs = opened.load(key, lambda recipes: True)
+        interval = opened.builder.build(inputs)
+        frames, masks = opened.frames(inputs, interval), opened.masks(interval)
+        truth, paths = opened.truth(key), FIXED_PATHS | part["paths"]
+        shown = {
+            name: pictures_of(name, paths.get(name))
+            for name in systems
+            if name not in CHOOSERS or name in paths
+        }
+        for slot in SLOTS:
+            sources = {name: frames[pictures[slot - 1]] for name, pictures in shown.items()}
+            frame = opened.source.timeline.number(Slot(key, slot))
+            album.add(frame, "blend", sources | {TRUTH: truth[slot]}, TRUTH, masks.get(slot))
+            # Named after what made the frame of the learned policy, where that was measured.
+            chosen = part["systems"].get(POLICY)
+            maker = "blend" if chosen is None else str(chosen[slot - 1]["made_by"])
+            album.set_facts(frame, maker, _facts(part, slot, systems))
+    return album
+
+
+def _facts(part: dict[str, Any], slot: int, systems: Sequence[str]) -> dict[str, str]:
+    facts = {"slot": f"{slot} after key frame {part['key']}"}
+    if path := part["paths"].get(POLICY):
+        facts["path"] = path
+    for name in systems:
+        score = part["systems"][name][slot - 1]["all"]
+        facts[f"PSNR {name}"] = f"{score['psnr_db']:.2f} dB"
+    hole = part["holes"][slot - 1]
+    if hole is not None:
+        facts["holes"] = f"{hole:.1%}"
+    return facts

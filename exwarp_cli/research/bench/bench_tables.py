@@ -1,0 +1,600 @@
+"""All tables of a benchmark: a registry, from which Markdown, CSV and HTML are made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+from exwarp_cli.domain.decision import EXTRAPOLATE, NODES, WARP
+from exwarp_cli.domain.metric import METRICS
+from exwarp_cli.research.bench import paper
+from exwarp_cli.research.bench.bench_document import HOLE_EDGES, VARYING_FEATURES, Document
+from exwarp_cli.research.bench.real_time import (
+    BUSY,
+    BY_PATH,
+    CLOCKED_SYSTEMS,
+    LATE,
+    MEASURED,
+    TABLE,
+    TABLE_AS,
+)
+from exwarp_cli.research.bench.systems import CHOOSERS, FIXED, SLOTS, SYSTEMS
+
+OURS, PAPER = "measured", "paper"
+
+# Shown for what was not measured.
+NOTHING = "-"
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table."""
+
+    key: str  # of its values in the rows, and its name in CSV files
+    title: str  # its name for people
+    style: str = ""  # format specification of its numbers; empty for text
+    optional: bool = False  # left out of the table where no row has the key
+
+    def text(self, row: Row) -> str:
+        """Return a row's cell as people read it; a dash for what was not measured."""
+        value = row.get(self.key)
+        if value is None:
+            return NOTHING
+        return format(value, self.style) if self.style else str(value)
+
+
+@dataclass(frozen=True)
+class BenchTable:
+    """A table with its rows."""
+
+    name: str  # of its CSV file, without the ending
+    title: str
+    note: str  # what the numbers mean
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+
+    def measured_columns(self) -> list[Column]:
+        """Return the columns in which anything was measured."""
+        return [c for c in self.columns if any(row.get(c.key) is not None for row in self.rows)]
+
+
+@dataclass(frozen=True)
+class TableSpec:
+    """How a table is made of bench.json; title and note may depend on it."""
+
+    name: str
+    title: str | Callable[[Document], str]
+    note: str | Callable[[Document], str]
+    columns: tuple[Column, ...]
+    rows: Callable[[Document], Iterable[Row]]
+
+    def make(self, document: Document) -> BenchTable:
+        """Return the table of a document."""
+        rows = tuple(self.rows(document))
+        columns = tuple(
+            c for c in self.columns if not c.optional or any(c.key in row for row in rows)
+        )
+        title, note = (
+            text if isinstance(text, str) else text(document) for text in (self.title, self.note)
+        )
+        return BenchTable(self.name, title, note, columns, rows)
+
+
+SEQUENCE = (Column("scene", "scene"), Column("size", "size"), Column("setting", "G-buffers"))
+SOURCE = Column("source", "")
+SYSTEM = Column("system", "system")
+
+# Systems whose savings are listed, with all that options add.
+SAVING = ("exwarp", "s6", "softsplat")
+
+CHOICE_COLUMNS = (
+    Column("warp", "warp", ".1%"),
+    Column("extrapolate", "extrapolate", ".1%"),
+    *(Column(node, f"{node} warp", ".0%") for node in NODES),
+    *(Column(path, path.upper(), "d") for path in FIXED),
+)
+
+# Steps of a frame in bench.json and in the paper, and their titles.
+STEP_COLUMNS = (
+    ("gbuffer", "G-buffer generation"),
+    ("warping", "warping"),
+    ("hole_marking", "hole marking"),
+    ("inference", "network"),
+)
+OTHER_STEPS = (
+    *(("read", "reading"), ("geometry", "geometry"), ("features", "features")),
+    *(("decide", "decision"), ("inputs", "network's inputs")),
+)
+
+PATH_COLUMNS = (
+    *((path, path.upper()) for path in FIXED),
+    *(("exwarp", "ExWarp"), ("oracle", "oracle"), ("oracle-return", "oracle (return)")),
+)
+
+PATHS_NOTE = (
+    "Means over all frames shown at slots 1 to 3, repeats included. S1 is ExtraNet's way, S6 "
+    "warping alone; the oracles choose by ground truth. Paper: other scenes of the same "
+    "themes; 240p stands beside its 480p."
+)
+
+CLOCK_NOTE = (
+    "A display of 120 Hz shows 30 key frames a second, and a slot every 8.33 ms. A frame is "
+    "requested when its node decides, one slot ahead; E(F) after d1 = E is requested with the key "
+    "frame, two slots ahead. One engine runs E and is busy until that frame is ready. W needs no "
+    "engine. A frame that is not ready at its slot is dropped, and the slot repeats the frame "
+    "before. "
+)
+
+FROM_TABLE = (
+    "Latencies are means over the applications of the paper's Table III: W is G-buffer generation "
+    "and warping, E all four steps. "
+)
+
+LATENCY_NOTES = {
+    TABLE: FROM_TABLE + "Between 480p, 720p and 1080p they are interpolated by pixels. Smaller "
+    "frames count as 480p, larger ones in proportion to 1080p.",
+    **{clock: f"{FROM_TABLE}All frames count as {size}." for clock, size in TABLE_AS.items()},
+    MEASURED: "Latencies are this machine's, from the table of run times: W is geometry, warping "
+    "and hole marking; E is these, the network's inputs and the network. Reading, features and "
+    "the decision do not count.",
+}
+
+# What a slot shows under the clock.
+SLOT_KINDS = {
+    WARP: "W",
+    EXTRAPOLATE: "E",
+    BY_PATH: "repeat, by path",
+    LATE: "repeat, late",
+    BUSY: "repeat, engine busy",
+}
+
+
+def _sequence(row: Document) -> Document:
+    return {"scene": row["name"], "size": row["size"], "setting": row["setting"]}
+
+
+def _paper_row(row: Document) -> Document:
+    return {"scene": row["app"], "size": None, "setting": "slot", "source": PAPER}
+
+
+def _saving_rows(document: Document) -> Iterable[Row]:
+    for row in document["render_time"]:
+        for name, seconds in row["generated_frame_s"].items():
+            if name in SAVING or name not in SYSTEMS:
+                yield _sequence(row) | {
+                    "system": name,
+                    "key": row["key_frame_s"],
+                    "made": seconds,
+                    "saved": (row["saved_share"] or {}).get(name),
+                    "faster": (row["times_faster"] or {}).get(name),
+                }
+
+
+def _runtime_rows(document: Document) -> Iterable[Row]:
+    for row in document["runtime"]:
+        steps = {f"{name}_ms": row[f"{name}_ms"] for name, _ in STEP_COLUMNS}
+        others = {f"{name}_ms": value for name, value in row["others_ms"].items()}
+        yield _sequence(row) | {"source": OURS} | steps | others
+        if row["paper"] is not None:
+            yield _paper_row(row) | {f"{name}_ms": row["paper"][name] for name, _ in STEP_COLUMNS}
+
+
+def _hole_rows(document: Document) -> Iterable[Row]:
+    for row in document["holes"]:
+        shares = {}
+        if row["histogram"] is not None:
+            total = sum(row["histogram"]["counts"])
+            for low, count in zip(HOLE_EDGES, row["histogram"]["counts"], strict=False):
+                shares[f"from_{low:g}"] = count / total if total else None
+        means = {key: row.get(key) for key in ("mean", "p95", "below_10", "above_20")}
+        yield _sequence(row) | means | shares
+
+
+def _hole_note(document: Document) -> str:
+    printed = {row["app"]: row["paper"] for row in document["holes"] if row.get("paper")}
+    return (
+        "How many of the frames at slots 1 to 3 have that share of their pixels unseen in the key "
+        "frame." + "".join(f" The paper, {app}: {text}." for app, text in printed.items())
+    )
+
+
+def _correlation_rows(document: Document) -> Iterable[Row]:
+    for row in document["features"]:
+        values = _sequence(row)
+        for name in VARYING_FEATURES:
+            values[name] = row["correlation"][name]["spearman"]
+            values[f"{name}_pearson"] = row["correlation"][name]["pearson"]
+        yield values | {"points": row["points"]}
+
+
+def _path_rows(metric: str) -> Callable[[Document], Iterable[Row]]:
+    def rows(document: Document) -> Iterable[Row]:
+        for row in document["quality"]:
+            systems = row["systems"]
+            means = {s: systems[s]["all"][metric] for s, _ in PATH_COLUMNS if s in systems}
+            yield _sequence(row) | {"source": OURS, "best": row["best_path"]} | means
+            if row["paper"] is not None:
+                printed = {system: values[metric] for system, values in row["paper"].items()}
+                best = max(FIXED, key=lambda path: printed[path])
+                yield _paper_row(row) | {"best": best} | printed
+
+    return rows
+
+
+def _comparison_rows(document: Document) -> Iterable[Row]:
+    for row, quality in zip(document["comparison"], document["quality"], strict=True):
+        for name, values in row["systems"].items():
+            holes = quality["systems"][name]["holes"]
+            in_holes = {f"{m.field}_holes": holes[m.field] for m in METRICS if m.in_holes}
+            kind = "look-ahead" if values["lookahead"] else "causal"
+            identity = {"source": OURS, "system": name, "kind": kind}
+            yield _sequence(row) | identity | values | in_holes
+        for name, values in (row["paper"] or {}).items():
+            yield _paper_row(row) | {"system": name, "kind": "look-ahead"} | values
+        if quality["paper"]:
+            for name, label in (("s1", "ExtraNet (S1)"), ("exwarp", "ExWarp")):
+                identity = {"system": label, "kind": "causal"}
+                yield _paper_row(row) | identity | quality["paper"][name]
+
+
+def _rate_rows(document: Document) -> Iterable[Row]:
+    for row in document["fps"]:
+        yield _sequence(row) | row["effective"] | {"base": row["base"]}
+
+
+def _choice_rows(document: Document) -> Iterable[Row]:
+    for row in document["decisions"]:
+        for system in CHOOSERS:
+            if system in row:
+                yield _sequence(row) | {"system": system} | _choice_cells(row[system])
+
+
+def _choice_cells(decisions: Document) -> Document:
+    """Return the cells of `CHOICE_COLUMNS` for what `schema.count_decisions` counted."""
+    warp = decisions["warp_share"]
+    shares = {}
+    for node, counts in decisions["nodes"].items():
+        total = counts[WARP] + counts[EXTRAPOLATE]
+        shares[node] = counts[WARP] / total if total else None
+    paths = {name.lower(): count for name, count in decisions["paths"].items()}
+    return {"warp": warp, "extrapolate": None if warp is None else 1 - warp, **shares, **paths}
+
+
+def _predictor_rows(document: Document) -> Iterable[Row]:
+    cost = document["predictor"]
+    printed, synthesis = cost["paper"], cost["synthesis"]
+    fpga, simulated, cells = synthesis["ecp5"], synthesis["simulated"], synthesis["osu018"]
+    cycles, fmax_mhz = simulated["cycles"], fpga["fmax_mhz"]
+    rows = [
+        ("cycles of an inference", f"{cost['cycles']:,}", NOTHING),
+        ("of them multiplications", f"{cost['mac_cycles']:,}", NOTHING),
+        ("use of the MAC units", f"{cost['utilisation']:.1%}", NOTHING),
+        (
+            f"latency at {cost['clock_hz'] / 1e9:g} GHz",
+            f"{cost['latency_ns']:,.0f} ns",
+            f"{printed['latency_ns']} ns",
+        ),
+        ("weights and activations", f"{cost['memory_bytes']:,} bytes", NOTHING),
+        (
+            "fullest core, of its cache",
+            f"{cost['fullest_core_bytes']:,} of {cost['cache_bytes']:,} bytes",
+            "16 KB",
+        ),
+        ("fetched again an inference", f"{cost['refill_bytes']:,} bytes", NOTHING),
+        (
+            "simulated bit for bit",
+            f"{simulated['vectors']:,} states in {cycles:,} cycles each, measured",
+            NOTHING,
+        ),
+        (
+            "logic",
+            f"{fpga['luts']:,} LUTs, {fpga['flip_flops']:,} flip-flops (ECP5, measured)",
+            NOTHING,
+        ),
+        (
+            "multipliers and memories",
+            f"{fpga['multipliers']} of 18x18 bits, {fpga['block_rams']} of 18 Kbit (ECP5, "
+            "measured)",
+            NOTHING,
+        ),
+    ]
+    if fmax_mhz is not None:
+        rate = f"{fmax_mhz:.1f} MHz, {cycles / fmax_mhz:,.0f} µs (ECP5, measured)"
+        rows.append(("clock rate, an inference", rate, NOTHING))
+    area = NOTHING
+    if cells is not None:
+        area = f"{cells['area_mm2']:.2f} mm² without memories (180 nm, measured)"
+    rows.append(("area", area, f"{printed['area_mm2']} mm² (28 nm)"))
+    rows.append(("power", NOTHING, f"{printed['power_mw']} mW (28 nm)"))
+    return [{"parameter": name, "ours": ours, "paper": paper} for name, ours, paper in rows]
+
+
+def _extranet_rows(document: Document) -> Iterable[Row]:
+    for row in document["extranet_procedure"]:
+        for name, values in row["systems"].items():
+            yield _sequence(row) | {"system": name} | values | {"frames": row["frames"]}
+
+
+def _clocked_rate_rows(document: Document) -> Iterable[Row]:
+    for row in document["real_time"]["rows"]:
+        yield (
+            _sequence(row)
+            | {f"{name}_ms": ms for name, ms in row["latency_ms"].items()}
+            | {"extrapolate_slots": row["extrapolate_slots"]}
+            | {"base": document["real_time"]["base"]}
+            | {name: system["effective"] for name, system in row["systems"].items()}
+        )
+
+
+def _clocked_path_rows(document: Document) -> Iterable[Row]:
+    rows: dict[str, Row] = {}
+    for row in document["real_time"]["rows"]:
+        for path, played in row["paths"].items():
+            pairs = zip(SLOTS, played["made_by"], played["dropped"], strict=True)
+            slots = {f"slot_{slot}": SLOT_KINDS[reason or maker] for slot, maker, reason in pairs}
+            fps = document["real_time"]["base"] * (1 + played["new"])
+            cells = {"size": row["size"], "path": path, **slots, "new": played["new"], "fps": fps}
+            rows.setdefault(str(cells), cells)
+    return rows.values()
+
+
+def _clocked_choice_rows(document: Document) -> Iterable[Row]:
+    for row in document["real_time"]["rows"]:
+        for name in CHOOSERS:
+            if name in row["systems"]:
+                cells = _choice_cells(row["systems"][name]["decisions"])
+                yield _sequence(row) | {"system": name} | cells
+
+
+def _clocked_slot_rows(document: Document) -> Iterable[Row]:
+    rows = zip(document["real_time"]["rows"], document["fps"], document["quality"], strict=True)
+    for row, offline, quality in rows:
+        for name, system in row["systems"].items():
+            total = sum(system["slots"].values())
+            shares = {kind: count / total for kind, count in system["slots"].items()}
+            values = {key: system[key] for key in ("effective", "psnr_db", "ssim", "return")}
+            yield (
+                _sequence(row)
+                | {"system": name}
+                | shares
+                | values
+                | {"offline_fps": offline["effective"][name]}
+                | {"offline_psnr_db": quality["systems"][name]["all"]["psnr_db"]}
+            )
+
+
+# In the order in which they are shown: that of the paper.
+TABLES = (
+    TableSpec(
+        "render_time",
+        "Rendering a frame against making one",
+        "Seconds that the renderer left in the headers of the key frames, beside those of a "
+        "generated frame on the processor named above, files apart. Saved: of the time that "
+        "rendering all frames would take; repeated frames save nothing.",
+        (
+            *SEQUENCE,
+            SYSTEM,
+            Column("key", "rendered s", ",.2f"),
+            Column("made", "generated s", ",.3f"),
+            Column("saved", "saved", ".1%"),
+            Column("faster", "times faster", ",.1f"),
+        ),
+        _saving_rows,
+    ),
+    TableSpec(
+        "runtime",
+        "Run time of each step, ms a generated frame (Table III)",
+        "Medians of three key intervals, on the processor named above; the paper's are those of an "
+        "RTX A4000. G-buffers: from the renderer's headers, where slots were rendered without "
+        "colour; else unknown. Warping has the motion field, sampling and filling in it; with "
+        "G-buffers of the key frames only, holes come out of it as well.",
+        (
+            *SEQUENCE,
+            SOURCE,
+            *(Column(f"{k}_ms", title, ",.2f") for k, title in (*STEP_COLUMNS, *OTHER_STEPS)),
+        ),
+        _runtime_rows,
+    ),
+    TableSpec(
+        "holes",
+        "Share of holes in warped frames (Figure 2)",
+        _hole_note,
+        (
+            *SEQUENCE,
+            Column("mean", "mean", ".1%"),
+            Column("p95", "95th percentile", ".1%"),
+            *(
+                Column(f"from_{low:g}", f"{100 * low:g}-{100 * high:g} %", ".0%", optional=True)
+                for low, high in pairwise(HOLE_EDGES)
+            ),
+            Column("below_10", "below 10 %", ".0%"),
+            Column("above_20", "above 20 %", ".0%"),
+        ),
+        _hole_rows,
+    ),
+    TableSpec(
+        "correlation",
+        "Features against the PSNR of W (Figure 4)",
+        "Correlation of ranks (Spearman) and of values (Pearson), slot by slot; the paper: "
+        f"{paper.CORRELATION}.",
+        (
+            *SEQUENCE,
+            *(Column(name, name, "+.2f") for name in VARYING_FEATURES),
+            *(Column(f"{name}_pearson", f"{name} (Pearson)", "+.2f") for name in VARYING_FEATURES),
+            Column("points", "points", "d"),
+        ),
+        _correlation_rows,
+    ),
+    TableSpec(
+        "paths_psnr",
+        "Quality of every decision path, PSNR dB (Table VI)",
+        PATHS_NOTE,
+        (
+            *SEQUENCE,
+            SOURCE,
+            *(Column(system, title, ".2f") for system, title in PATH_COLUMNS),
+            Column("best", "best path"),
+        ),
+        _path_rows("psnr_db"),
+    ),
+    TableSpec(
+        "paths_ssim",
+        "The same, SSIM (Table VI)",
+        PATHS_NOTE,
+        (
+            *SEQUENCE,
+            SOURCE,
+            *(Column(system, title, ".3f") for system, title in PATH_COLUMNS),
+            Column("best", "best path"),
+        ),
+        _path_rows("ssim"),
+    ),
+    TableSpec(
+        "comparison",
+        "Comparison with interpolation (Table VII)",
+        "Look-ahead systems wait for the next key frame, so that a live viewer sees "
+        "everything a key interval late. Time is that of one generated frame, files apart. s1 to "
+        "s5 and exwarp run our E; s1 is what ExtraNet does. PSNR, SSIM and VMAF: more is better; "
+        "FLIP, HDR-FLIP and flicker: less; pulse: 0. (holes): the pixels that W cannot see.",
+        (
+            *SEQUENCE,
+            SOURCE,
+            SYSTEM,
+            Column("kind", "kind"),
+            Column("waits_ms", "waits ms", ".1f"),
+            Column("frame_ms", "time ms", ".1f"),
+            *(Column(m.field, m.title, m.style) for m in METRICS),
+            *(
+                Column(f"{m.field}_holes", f"{m.title} (holes)", m.style)
+                for m in METRICS
+                if m.in_holes
+            ),
+        ),
+        _comparison_rows,
+    ),
+    TableSpec(
+        "fps",
+        "Effective frames per second (Figure 8)",
+        "Base rate x (1 + new frames a key interval); repeats are no new frames. The paper: "
+        f"{paper.EFFECTIVE_FPS}.",
+        (
+            *SEQUENCE,
+            Column("base", "base", "g"),
+            *(Column(name, name, ".1f", optional=True) for name in CLOCKED_SYSTEMS),
+        ),
+        _rate_rows,
+    ),
+    TableSpec(
+        "decisions",
+        "Breakdown of the decisions (Figure 9)",
+        "Shares of warping among all decisions and at each node, and key intervals by path. The "
+        f"paper's mean share of warps is {paper.WARP_SHARE:.2%}.",
+        (*SEQUENCE, SYSTEM, *CHOICE_COLUMNS),
+        _choice_rows,
+    ),
+    TableSpec(
+        "predictor",
+        "Cost of the predictor (synthesis table)",
+        "Counted on the paper's machine: 4 cores with ten 8-bit MACs. What is marked as measured "
+        "is the Verilog of 'exwarp policy export --verilog', with 20 KB a core, in other "
+        "technologies; power is the paper's alone.",
+        (
+            Column("parameter", ""),
+            Column("ours", "counted, or measured"),
+            Column("paper", "paper"),
+        ),
+        _predictor_rows,
+    ),
+    TableSpec(
+        "extranet",
+        "By ExtraNet's procedure: one frame midway between two rendered ones",
+        "8-bit sRGB, rounded; SSIM with a uniform 7x7 window. What a system shows at slot 2.",
+        (
+            *SEQUENCE,
+            SYSTEM,
+            Column("psnr_db", "PSNR dB", ".2f"),
+            Column("ssim", "SSIM", ".4f"),
+            Column("frames", "frames", "d"),
+        ),
+        _extranet_rows,
+    ),
+)
+
+# Those of a benchmark with a clock come last.
+CLOCKED_TABLES = (
+    TableSpec(
+        "real_time_fps",
+        lambda document: (
+            "Effective frames per second in real time (Figure 8, clock "
+            f"{document['real_time']['clock']})"
+        ),
+        lambda document: CLOCK_NOTE + LATENCY_NOTES[document["real_time"]["clock"]],
+        (
+            *SEQUENCE,
+            Column("warp_ms", "W ms", ".2f"),
+            Column("extrapolate_ms", "E ms", ".2f"),
+            Column("extrapolate_slots", "E slots", "d"),
+            Column("base", "base", "g"),
+            *(Column(name, name, ".1f") for name in CLOCKED_SYSTEMS),
+        ),
+        _clocked_rate_rows,
+    ),
+    TableSpec(
+        "real_time_paths",
+        "What every decision path shows in real time",
+        "In a key interval that begins with a free engine, by the size of the frames. By path: the "
+        "path itself repeats the frame before. Late: the frame is not ready at its slot. Engine "
+        "busy: an earlier E still runs when this one is requested. A W after a late E warps the "
+        "key frame.",
+        (
+            Column("size", "size"),
+            Column("path", "path"),
+            *(Column(f"slot_{slot}", f"slot {slot}") for slot in SLOTS),
+            Column("new", "new frames", "d"),
+            Column("fps", "effective fps", "g"),
+        ),
+        _clocked_path_rows,
+    ),
+    TableSpec(
+        "real_time_decisions",
+        lambda document: (
+            "Breakdown of the decisions in real time (Figure 9, clock "
+            f"{document['real_time']['clock']})"
+        ),
+        "As in the table of all decisions. The policy does not know the clock: it decides as it "
+        "does offline. The oracles take the path that is best in PSNR or return of what the clock "
+        "lets them show.",
+        (*SEQUENCE, SYSTEM, *CHOICE_COLUMNS),
+        _clocked_choice_rows,
+    ),
+    TableSpec(
+        "real_time_slots",
+        "Slots and quality of every system in real time",
+        "Shares of slots 1 to 3 by what they show, and why they repeat the frame before: by path, "
+        "late, or engine busy. PSNR and SSIM are means over these slots, repeats included. Return "
+        "is the mean sum of the paper's rewards in a key interval; alpha counts for every repeat, "
+        "late ones too. Offline every frame comes in time, and the oracles know of no clock.",
+        (
+            *SEQUENCE,
+            SYSTEM,
+            *(Column(kind, title, ".1%") for kind, title in SLOT_KINDS.items()),
+            Column("effective", "fps", ".1f"),
+            Column("offline_fps", "offline fps", ".1f"),
+            Column("psnr_db", "PSNR dB", ".2f"),
+            Column("offline_psnr_db", "offline PSNR dB", ".2f"),
+            Column("ssim", "SSIM", ".3f"),
+            Column("return", "return", "+.2f"),
+        ),
+        _clocked_slot_rows,
+    ),
+)
+
+
+def make_tables(document: Document) -> tuple[BenchTable, ...]:
+    """Return every table of a benchmark, in the paper's order; then those of a clock."""
+    specs = (*TABLES, *CLOCKED_TABLES) if "real_time" in document else TABLES
+    return tuple(spec.make(document) for spec in specs)

@@ -1,0 +1,353 @@
+"""What is measured of one key interval: scores as a part, which JSON holds, and run times."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import time
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, astuple, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli import __version__
+from exwarp_cli.domain.decision import CHOICES, NODES, PATHS
+from exwarp_cli.domain.decision import SLOTS as SLOT_OF
+from exwarp_cli.domain.frame import Bool, Float32
+from exwarp_cli.domain.results import Score
+from exwarp_cli.metrics import extranet, flicker
+from exwarp_cli.metrics.registry import score
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs
+from exwarp_cli.pipeline.scoring import Steps, flicker_of, steps_of, vmaf_of
+from exwarp_cli.policy.outcomes import METRICS as JUDGED
+from exwarp_cli.policy.outcomes import best_psnr, best_return, returns
+from exwarp_cli.research.bench.subjects import OpenedSubject
+from exwarp_cli.research.bench.system_frames import SystemFrames
+from exwarp_cli.research.bench.systems import (
+    BEST_PSNR,
+    BEST_RETURN,
+    CHOOSERS,
+    FIRST_SLOTS,
+    FIXED_PATHS,
+    POLICY,
+    SLOTS,
+    makers_of,
+    picture_at,
+    pictures_of,
+)
+from exwarp_cli.runtime.stop import check_stop
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.methods import METHODS
+from exwarp_cli.synthesis.motion_fields import find_holes
+from exwarp_cli.synthesis.warp import Mover
+
+FrameScores = tuple[Score, Score | None]
+
+# Raised whenever the same input would give other numbers.
+PART_VERSION = 1
+
+# The key of a part that only a clock needs: see `_score_slots`.
+SLOT_SCORES = "slot_scores"
+
+# The slot that ExtraNet makes: it doubles the frame rate.
+MIDDLE = 2
+
+# Key intervals of a sequence on which run times are measured; the medians count.
+TIMED_INTERVALS = 3
+
+# Slots that E is there for.
+EXTRAPOLATED = (2, 3)
+
+# Systems outside the decision tree among these need geometry, too.
+MOVING = tuple(name for name, method in METHODS.items() if method.needs_motion)
+
+Result = TypeVar("Result")
+
+
+@dataclass
+class IntervalScores:
+    """Scores of pictures at the slots where they are shown; each is computed once."""
+
+    frames: SystemFrames  # on the display window
+    # Of slots 0 to 3, and 4 where there is one: float32 [H, W, 3 or more], scene-linear.
+    truth: Mapping[int, Float32]
+    masks: Mapping[int, Bool]  # bool [H, W], holes of W at slots 1 to 3
+    steps: Steps | None  # how surfaces move; None where flicker is not measured
+    metrics: frozenset[str]  # names as in `Score`
+    _scores: dict[tuple[str, int], FrameScores] = field(default_factory=dict, init=False)
+    _errors: dict[tuple[str, int], Float32] = field(default_factory=dict, init=False)
+
+    def score(self, name: str, slot: int) -> FrameScores:
+        """Score a picture shown at a slot, over all pixels and in holes; one by one frame."""
+        if (name, slot) not in self._scores:
+            self._scores[name, slot] = score(
+                self.truth[slot], self.frames[name], self.masks.get(slot), self.metrics
+            )
+        return self._scores[name, slot]
+
+    def add_vmaf(self, systems: Sequence[tuple[str, ...]]) -> None:
+        """Add VMAF to the pictures of some systems, all in one run.
+
+        VMAF looks at a frame and at how the ground truth changes around it, so every picture is
+        scored once, in whatever order pictures are strung together.
+        """
+        columns = [sorted({names[slot - 1] for names in systems}) for slot in SLOTS]
+        most = max(map(len, columns))
+        filled = [column + column[-1:] * (most - len(column)) for column in columns]
+        rows = list(zip(*filled, strict=True))
+        values = vmaf_of(self.truth, [[self.frames[name] for name in row] for row in rows])
+        for row, row_values in zip(rows, values, strict=True):
+            for slot, name, vmaf in zip(SLOTS, row, row_values, strict=True):
+                frame, holes = self.score(name, slot)
+                self._scores[name, slot] = replace(frame, vmaf=vmaf), holes
+
+    def score_system(self, names: tuple[str, ...]) -> list[FrameScores]:
+        """Return the scores of slots 1 to 3 of a system that shows these pictures."""
+        scores = [self.score(name, slot) for slot, name in zip(SLOTS, names, strict=True)]
+        if self.steps is None:
+            return scores
+        for slot, name in zip(SLOTS, names, strict=True):
+            if (name, slot) not in self._errors:
+                self._errors[name, slot] = flicker.error(self.truth[slot], self.frames[name])
+        errors = {slot: self._errors[name, slot] for slot, name in zip(SLOTS, names, strict=True)}
+        flickers = flicker_of(errors, self.masks, self.steps)
+        return [
+            (replace(frame, flicker=over), holes and replace(holes, flicker=inside))
+            for (frame, holes), (over, inside) in zip(scores, flickers, strict=True)
+        ]
+
+    def outcomes(self) -> npt.NDArray[np.float64]:
+        """Return what each choice of the decision tree leads to: see `policy.outcomes`."""
+
+        def judge(node: str, choice: str) -> list[float]:
+            slot = SLOT_OF[node]
+            path = next(path for path in PATHS.values() if path.choices.get(node) == choice)
+            frame, _ = self.score(picture_at(path.made_by, slot), slot)
+            return [getattr(frame, name) for name in JUDGED]
+
+        return np.array([[judge(node, choice) for choice in CHOICES] for node in NODES], np.float64)
+
+
+def part_identity(opened: OpenedSubject, key: int, recipes: Mapping[int, str]) -> str:
+    """Return what a part depends on, digested: files, networks, systems and metrics."""
+    settings = opened.settings
+    dependencies = {
+        "version": [PART_VERSION, __version__],
+        "recipes": sorted(recipes.items()),
+        "truth": opened.truth_digests(key),
+        "networks": sorted(opened.networks.checksums.items()),
+        "policy": opened.policy.checksum,
+        "systems": opened.systems,
+        "metrics": sorted(settings.metrics),
+        "device": settings.device,
+    }
+    return hashlib.sha256(json.dumps(dependencies).encode()).hexdigest()
+
+
+def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
+    """Make and score the frames of slots 1 to 3 by every system.
+
+    Returns
+    -------
+    dict
+        ``key``, the key frame's number; ``holes``, the share of slots 1 to 3 that W cannot see;
+        ``features`` of the three instants of decision; ``paths`` of the choosing systems;
+        ``returns`` of S1 to S6; ``warp_psnr_db`` of W at slots 1 to 3; ``systems``, for each the
+        scores of its three frames; ``extranet``, scores of pictures by ExtraNet's procedure. With
+        a clock ``slot_scores`` as well.
+    """
+    interval = opened.builder.build(inputs)
+    surroundings = opened.observer.of(inputs, interval)
+    metrics = frozenset((*opened.settings.metrics, *JUDGED))
+    masks, display = opened.masks(interval), opened.source.keys.display
+    frames, truth = opened.frames(inputs, interval), opened.truth(inputs.key)
+    steps = steps_of(interval, display, inputs.followed) if "flicker" in metrics else None
+    scores = IntervalScores(frames, truth, masks, steps, metrics)
+
+    paths = {name: path for name, path in FIXED_PATHS.items() if name in opened.systems}
+    paths[POLICY] = opened.chooser.plan(surroundings).path
+    gains = None
+    if opened.networks.own is not None:
+        outcomes = scores.outcomes()
+        names = tuple(PATHS)
+        paths[BEST_PSNR] = names[int(best_psnr(outcomes))]
+        paths[BEST_RETURN] = names[int(best_return(outcomes))]
+        gains = [float(value) for value in returns(outcomes)]
+
+    shown = {name: pictures_of(name, paths.get(name)) for name in opened.systems}
+    if "vmaf" in metrics:
+        scores.add_vmaf(list(shown.values()))
+    # A path that has E's frame at slot 2 stands for ExtraNet.
+    middles = {names[MIDDLE - 1] for names in shown.values()}
+    by_extranet = {name: extranet.score(truth[MIDDLE], frames[name]) for name in middles}
+    part = {
+        "key": opened.number(inputs.key),
+        "holes": [float(masks[slot].mean()) if slot in masks else None for slot in SLOTS],
+        "features": [[float(v) for v in astuple(features)] for features in surroundings.now],
+        "paths": {name: paths[name] for name in CHOOSERS if name in paths},
+        "returns": gains,
+        "warp_psnr_db": [scores.score(f"W{slot}", slot)[0].psnr_db for slot in SLOTS],
+        "systems": {
+            system: [
+                {"made_by": maker, "all": asdict(frame), "holes": holes and asdict(holes)}
+                for (frame, holes), maker in zip(
+                    scores.score_system(names), makers_of(system, paths.get(system)), strict=True
+                )
+            ]
+            for system, names in shown.items()
+        },
+        "extranet": {
+            system: {name: getattr(by_extranet[names[MIDDLE - 1]], name) for name in JUDGED}
+            for system, names in shown.items()
+        },
+    }
+    if opened.settings.clock is not None:
+        part[SLOT_SCORES] = _score_slots(opened, frames, truth)
+    return part
+
+
+def measure_slots(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
+    """Return what a part lacks for the real-time clock if it was measured without one."""
+    frames = opened.frames(inputs, opened.builder.build(inputs))
+    return {SLOT_SCORES: _score_slots(opened, frames, opened.truth(inputs.key))}
+
+
+def _score_slots(
+    opened: OpenedSubject, frames: SystemFrames, truth: Mapping[int, Float32]
+) -> dict[str, list[list[float] | None]]:
+    """Return PSNR and SSIM of each picture of the tree at slots 1 to 3, as if repeated there.
+
+    None stands before a picture's first slot. Without our network nothing is extrapolated.
+    """
+
+    def judge(name: str, slot: int) -> list[float]:
+        frame, _ = score(truth[slot], frames[name], None, frozenset(JUDGED))
+        return [getattr(frame, metric) for metric in JUDGED]
+
+    return {
+        name: [judge(name, slot) if slot >= first else None for slot in SLOTS]
+        for name, first in FIRST_SLOTS.items()
+        if opened.networks.own is not None or "E" not in name
+    }
+
+
+def time_subject(opened: OpenedSubject) -> dict[str, Any]:
+    """Measure run times on a few key intervals, alone on the machine, with all threads.
+
+    Returns
+    -------
+    dict
+        ``steps_ms`` and ``systems_ms``: medians, milliseconds a generated frame; ``machine``.
+    """
+    steps: dict[str, list[float]] = defaultdict(list)
+    systems: dict[str, list[float]] = defaultdict(list)
+    opened.restart()
+    # A few neighbours from the middle.
+    start = max(len(opened.keys) // 2 - 1, 0)
+    keys = opened.keys[start : start + TIMED_INTERVALS + 1]
+    if len(keys) == 1:
+        keys *= 2
+    for count, key in enumerate(keys):
+        check_stop()
+        if count and key == keys[count - 1]:  # a lone interval is read again, with its features
+            opened.restart()
+        inputs = opened.load(key, lambda recipes: True)
+        interval_steps, interval_systems = _time_interval(opened, inputs)
+        if count == 0:  # compiled the kernels, and read what the next intervals share with it
+            continue
+        for name, ms in interval_steps.items():
+            steps[name].append(ms)
+        for name, ms in interval_systems.items():
+            systems[name].append(ms)
+    return {
+        "steps_ms": {name: median(values) for name, values in steps.items()},
+        "systems_ms": {name: median(values) for name, values in systems.items()},
+        "machine": {"processor": processor_name(), "cores": os.cpu_count()},
+    }
+
+
+def processor_name() -> str:
+    """Return the name of the processor, as far as the system has it."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def _time_interval(
+    opened: OpenedSubject, inputs: IntervalInputs
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Time the steps of one interval, and its systems; milliseconds a frame."""
+    count = len(SLOTS)
+    geometry_ms, interval = _timed(lambda: opened.builder.build(inputs))
+    features_ms, surroundings = _timed(lambda: opened.observer.of(inputs, interval))
+    decide_ms, decided = _timed(lambda: opened.chooser.plan(surroundings).path)
+    steps = {
+        "read": inputs.read_ms / (count + 1),
+        "geometry": geometry_ms / count,
+        "features": features_ms / count,
+        "decide": decide_ms / count,
+    }
+    steps |= _time_frames(interval)
+    paths = FIXED_PATHS | {POLICY: decided}
+    systems = {}
+    for name in opened.systems:
+        path = paths.get(name)
+        if path is None and name in CHOOSERS:
+            continue
+        # A copy has none of the motion fields that were computed before.
+        frames = opened.frames(inputs, replace(interval))
+        pictures = dict.fromkeys(pictures_of(name, path))
+        spent_ms, _ = _timed(partial(_make_all, frames, pictures))
+        systems[name] = spent_ms / count
+        if name == POLICY:
+            systems[name] += steps["features"] + steps["decide"]
+        if path is not None or name in MOVING:
+            systems[name] += steps["geometry"]
+    return steps, systems
+
+
+def _make_all(frames: SystemFrames, names: Mapping[str, None]) -> None:
+    for name in names:
+        frames[name]
+
+
+def _time_frames(interval: Interval) -> dict[str, float]:
+    """Time what a warped and an extrapolated frame are made of."""
+    fresh, count, gbuffer = replace(interval), len(SLOTS), interval.key.gbuffer
+    fields_ms, backs = _timed(lambda: {slot: fresh.back(slot) for slot in SLOTS})
+    holes_ms = None
+    if fresh.slots and gbuffer is not None:
+        holes_ms, _ = _timed(
+            lambda: [find_holes(fresh.slots[s - 1], gbuffer, backs[s].field, s) for s in SLOTS]
+        )
+    pixels = interval.key.image.pixels
+    warp_ms, _ = _timed(lambda: [Mover(backs[s]).warp_alone(pixels) for s in SLOTS])
+    # Holes come with the motion fields, and are stated by themselves.
+    steps = {"warp": (fields_ms + warp_ms - (holes_ms or 0.0)) / count}
+    if holes_ms is not None:
+        steps["holes"] = holes_ms / count
+    network = fresh.extrapolator
+    if network is not None:
+        inputs_ms, prepared = _timed(lambda: [fresh.prepared(slot) for slot in EXTRAPOLATED])
+        network_ms, _ = _timed(lambda: [network(p.inputs) for p in prepared])
+        steps["inputs"] = inputs_ms / len(EXTRAPOLATED)
+        steps["network"] = network_ms / len(EXTRAPOLATED)
+    return steps
+
+
+def _timed(work: Callable[[], Result]) -> tuple[float, Result]:
+    """Return how many milliseconds some work took, and its result."""
+    begin = time.perf_counter()
+    result = work()
+    return 1e3 * (time.perf_counter() - begin), result

@@ -1,0 +1,258 @@
+"""The real-time clock: what a display at 120 Hz shows of each decision path, and what it drops.
+
+Slots follow each other every 1000/120 ms. A slot's frame is requested when its node decides, one
+slot earlier; E(F) of a path that extrapolates at d1 is requested with the key frame, two slots
+earlier. One engine runs E, a frame at a time; W does not need it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass
+from math import ceil, inf
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.domain.decision import EXTRAPOLATE, FIRST, HOLD, PATHS, WARP
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.policy.clocked_returns import clocked_returns
+from exwarp_cli.report.schema import count_decisions, mean
+from exwarp_cli.research.bench import paper
+from exwarp_cli.research.bench.systems import (
+    BEST_PSNR,
+    BEST_RETURN,
+    FIXED,
+    POLICY,
+    SLOTS,
+    picture_at,
+)
+
+REFRESH_HZ = 120  # slots a second: the paper's display
+BASE_FPS = REFRESH_HZ / FACTOR  # key frames a second
+SLOT_MS = 1000 / REFRESH_HZ
+
+# Sizes of frames in the paper's Table III, in pixels.
+TABLE_PIXELS = {"480p": 854 * 480, "720p": 1280 * 720, "1080p": 1920 * 1080}
+
+# Where latencies come from: Table III by the size of the frames, or as if they had one of its
+# sizes; or this machine's run times.
+TABLE, MEASURED = "table3", "measured"
+TABLE_AS = {f"{TABLE}-{size}": size for size in TABLE_PIXELS}
+CLOCKS = (TABLE, *TABLE_AS, MEASURED)
+
+# Why a slot repeats the frame before: the path makes no frame for it; its frame is not ready at the
+# slot; or the engine still runs an earlier E when its own is requested. A request that meets a busy
+# engine is refused: where the engine is still busy, E takes so long that it would be late.
+BY_PATH, LATE, BUSY = "by path", "late", "busy"
+REASONS = (BY_PATH, LATE, BUSY)
+
+# Systems that the clock runs, where they were measured: all with our W and E.
+CLOCKED_SYSTEMS = (POLICY, *FIXED, BEST_PSNR, BEST_RETURN)
+
+F64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Latencies:
+    """Milliseconds from the request of a frame until it can be shown; infinite for never."""
+
+    warp_ms: float
+    extrapolate_ms: float
+
+    @property
+    def extrapolate_slots(self) -> int | None:
+        """Slots until E's frame can be shown; None if it never comes."""
+        slots = self.extrapolate_ms / SLOT_MS
+        return ceil(slots) if slots < inf else None
+
+
+@dataclass(frozen=True)
+class ClockedInterval:
+    """What a key interval shows under the clock."""
+
+    # What makes the frame of slots 1, 2 and 3: warp, extrapolate or hold. A W of slot 3 samples
+    # E(F) only where slot 2 shows it, else the key frame.
+    made_by: tuple[str, ...]
+    dropped: tuple[str | None, ...]  # for each slot out of `REASONS`; None for a new frame
+    busy_slots: float  # how long E's engine works on after the next key frame
+
+    @property
+    def generated(self) -> int:
+        """How many of the three frames are new."""
+        return self.dropped.count(None)
+
+
+# What each decision path shows in an interval that begins with a free engine.
+Schedules = Mapping[str, ClockedInterval]
+
+
+def play_interval(path: str, latencies: Latencies, busy_slots: float = 0.0) -> ClockedInterval:
+    """Run a decision path, S1 to S6, against the clock.
+
+    `busy_slots` is how long the engine still works on an E of the key interval before.
+    """
+    made_by: list[str] = []
+    dropped: list[str | None] = []
+    engine_free = busy_slots
+    for slot, maker in enumerate(PATHS[path].made_by, start=1):
+        starts_with_key = slot == 2 and PATHS[path].choices[FIRST] == EXTRAPOLATE
+        requested = 0 if starts_with_key else slot - 1
+        reason: str | None
+        if maker == HOLD:
+            reason = BY_PATH
+        elif maker == EXTRAPOLATE and engine_free > requested:
+            reason = BUSY
+        else:
+            ms = latencies.extrapolate_ms if maker == EXTRAPOLATE else latencies.warp_ms
+            ready = requested + ms / SLOT_MS
+            reason = LATE if ready > slot else None
+            if maker == EXTRAPOLATE:
+                engine_free = ready  # an E that is late runs to its end, too
+        made_by.append(maker if reason is None else HOLD)
+        dropped.append(reason)
+    return ClockedInterval(tuple(made_by), tuple(dropped), max(engine_free - FACTOR, 0.0))
+
+
+def play(paths: Iterable[str], latencies: Latencies) -> tuple[ClockedInterval, ...]:
+    """Run the paths of key intervals that follow each other; the engine goes on between them."""
+    played: list[ClockedInterval] = []
+    for path in paths:
+        busy = played[-1].busy_slots if played else 0.0
+        played.append(play_interval(path, latencies, busy))
+    return tuple(played)
+
+
+def effective_fps(played: Iterable[ClockedInterval]) -> float:
+    """Return key frames and new frames a second; repeats are no new frames."""
+    new = [interval.generated for interval in played]
+    return BASE_FPS * (1 + sum(new) / len(new))
+
+
+def table_latencies(pixels: int) -> Latencies:
+    """Return the latencies of the paper's Table III for frames of so many pixels.
+
+    W is G-buffer generation and warping, E all four steps. Means over the applications of each size
+    are interpolated by pixels; smaller frames count as 480p, larger ones in proportion to 1080p.
+    """
+    sizes = [TABLE_PIXELS[size] for size in paper.RUNTIME_APPS]
+    steps = [
+        np.mean([astuple(paper.RUNTIME[app]) for app in apps], axis=0)
+        for apps in paper.RUNTIME_APPS.values()
+    ]
+    larger = max(pixels / sizes[-1], 1.0)
+    warp, extrapolate = (
+        float(np.interp(pixels, sizes, [each[:count].sum() for each in steps])) * larger
+        for count in (2, 4)
+    )
+    return Latencies(warp, extrapolate)
+
+
+def measured_latencies(steps_ms: Mapping[str, float]) -> Latencies:
+    """Return the latencies of this machine; `steps_ms` is from `measurement.time_subject`.
+
+    W is geometry, warping and hole marking, E these, the network's inputs and the network.
+    """
+    warp = sum(steps_ms.get(step, 0.0) for step in ("geometry", "warp", "holes"))
+    if "network" not in steps_ms:
+        return Latencies(warp, np.inf)
+    return Latencies(warp, warp + steps_ms["inputs"] + steps_ms["network"])
+
+
+def clocked_row(
+    about: Mapping[str, Any],
+    steps_ms: Mapping[str, float],
+    parts: Sequence[dict[str, Any]],
+    clock: str,
+) -> dict[str, Any]:
+    """Return what a sequence shows under a clock; arguments as in `benchmark.Measured`."""
+    if clock == MEASURED:
+        latencies = measured_latencies(steps_ms)
+    else:
+        pixels = about["width"] * about["height"]
+        latencies = table_latencies(TABLE_PIXELS[TABLE_AS[clock]] if clock in TABLE_AS else pixels)
+    schedules = {path: play_interval(path, latencies) for path in PATHS}
+    taken = _taken_paths(parts, schedules)
+    return {
+        "latency_ms": {WARP: latencies.warp_ms, EXTRAPOLATE: latencies.extrapolate_ms},
+        "extrapolate_slots": latencies.extrapolate_slots,
+        "paths": {
+            path: {"made_by": each.made_by, "dropped": each.dropped, "new": each.generated}
+            for path, each in schedules.items()
+        },
+        "systems": {
+            name: _clocked_system(parts, taken[name], latencies, schedules)
+            for name in CLOCKED_SYSTEMS
+            if name in parts[0]["systems"]
+        },
+    }
+
+
+def _taken_paths(parts: Sequence[dict[str, Any]], schedules: Schedules) -> dict[str, list[str]]:
+    """Return the path of every interval by system; oracles know the clock and the truth."""
+    taken = {name: [name.upper()] * len(parts) for name in FIXED}
+    taken[POLICY] = [part["paths"][POLICY] for part in parts]
+    if BEST_PSNR in parts[0]["paths"]:
+        psnr = [_path_quality(part, schedules)[..., 0].mean(axis=-1) for part in parts]
+        taken[BEST_PSNR] = [_best_path(values) for values in psnr]
+        taken[BEST_RETURN] = [_best_path(_path_returns(part, schedules)) for part in parts]
+    return taken
+
+
+def _best_path(values: F64) -> str:
+    """Return the best path; of equal ones the last, which warps more."""
+    return list(PATHS)[len(PATHS) - 1 - int(np.argmax(values[::-1]))]
+
+
+def _shown_quality(part: Mapping[str, Any], interval: ClockedInterval) -> list[list[float]]:
+    """Return PSNR and SSIM of what slots 1 to 3 of a key interval show."""
+    scores = part["slot_scores"]
+    return [scores[picture_at(interval.made_by, slot)][slot - 1] for slot in SLOTS]
+
+
+def _path_quality(part: Mapping[str, Any], schedules: Schedules) -> F64:
+    """Return PSNR and SSIM of what slots 1 to 3 of each path show, float64 [6, 3, 2]."""
+    return np.array([_shown_quality(part, schedules[path]) for path in PATHS], np.float64)
+
+
+def _path_returns(part: Mapping[str, Any], schedules: Schedules) -> F64:
+    """Return the sum of rewards of each path, float64 [6]."""
+    dropped = [len(SLOTS) - each.generated for each in schedules.values()]
+    return clocked_returns(_path_quality(part, schedules), dropped)
+
+
+def _clocked_system(
+    parts: Sequence[dict[str, Any]],
+    paths: Sequence[str],
+    latencies: Latencies,
+    schedules: Schedules,
+) -> dict[str, Any]:
+    """Return what a system that takes these paths shows."""
+    played = play(paths, latencies)
+    slots = Counter(
+        reason or maker
+        for interval in played
+        for maker, reason in zip(interval.made_by, interval.dropped, strict=True)
+    )
+    quality = [
+        score
+        for part, interval in zip(parts, played, strict=True)
+        for score in _shown_quality(part, interval)
+    ]
+    mean_return = None
+    if parts[0]["returns"] is not None:  # else nothing was extrapolated
+        names = list(PATHS)
+        mean_return = mean(
+            float(_path_returns(part, schedules)[names.index(path)])
+            for part, path in zip(parts, paths, strict=True)
+        )
+    return {
+        "effective": effective_fps(played),
+        "slots": {kind: slots[kind] for kind in (WARP, EXTRAPOLATE, *REASONS)},
+        "psnr_db": mean(psnr for psnr, _ in quality),
+        "ssim": mean(ssim for _, ssim in quality),
+        "return": mean_return,
+        "decisions": count_decisions(paths),
+    }
