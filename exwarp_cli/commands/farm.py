@@ -177,10 +177,10 @@ def _open(options: Mapping[str, Any], chunk_size: int, title: str | None) -> Far
 def _refuse_report(folder: Path, go_on: bool) -> None:
     """Refuse a folder whose report, or chunks' reports, the job would mix with its own."""
     from exwarp_cli.errors import OutputExistsError
-    from exwarp_cli.io.atomic import is_there
+    from exwarp_cli.io.files import path_exists
     from exwarp_cli.report.folder import REPORT_FILE, chunk_reports
 
-    if not go_on and (is_there(folder / REPORT_FILE) or chunk_reports(folder)):
+    if not go_on and (path_exists(folder / REPORT_FILE) or chunk_reports(folder)):
         raise OutputExistsError(
             f"{folder} holds a report already, or those of chunks; give --skip-existing to go on "
             "with it, --overwrite to replace it, or another --report"

@@ -392,7 +392,7 @@ def _print_summary(
     document: dict[str, Any], summary: RunSummary, settings: UpsampleSettings, place: Path | None
 ) -> None:
     from exwarp_cli.commands.summary_lines import summary_lines
-    from exwarp_cli.io.clip import is_clip
+    from exwarp_cli.io.video_reader import is_clip
 
     if not document["frames"]["written"]:
         if summary.left_out:

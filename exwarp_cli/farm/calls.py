@@ -16,7 +16,7 @@ from exwarp_cli.errors import UsageError
 from exwarp_cli.farm.places import Place, locate, names_files
 from exwarp_cli.io.aov_files import parse_aovs
 from exwarp_cli.io.channel_map import read_channel_map
-from exwarp_cli.io.clip import is_clip
+from exwarp_cli.io.video_reader import is_clip
 
 ALONE = ("--isolated",)
 """What keeps a worker's environment, and files of settings there, from changing the job."""

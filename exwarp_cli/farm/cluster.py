@@ -28,8 +28,8 @@ from exwarp_cli.errors import UsageError
 from exwarp_cli.farm.calls import DEFAULT_SIZE, split
 from exwarp_cli.farm.cluster_client import connected, require_cluster, threads_each
 from exwarp_cli.farm.places import absolute, inputs_of
-from exwarp_cli.io.atomic import Held, await_file, marked, remove_leftovers
-from exwarp_cli.io.footage import picture
+from exwarp_cli.io.files import ResourceOwner, await_file, marker_file, remove_leftovers
+from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.pipeline.announcing import tell_left_out
 from exwarp_cli.pipeline.dry_run import DryRun
 from exwarp_cli.pipeline.job import Job
@@ -43,7 +43,7 @@ if TYPE_CHECKING:  # they import Dask, which may not be there
     from exwarp_cli.farm.cluster_work import Chunk, Done, SharedWatcher
 
 
-class Film(Held):
+class Film(ResourceOwner):
     """Appends key intervals to a job's video, in order, behind the caller; a context manager.
 
     The video is whole, or not there, as `VideoWriter` has it. It equals the one of a single run
@@ -85,7 +85,7 @@ class Film(Held):
         source, frames = self._job.source, self._job.targets.frames
         if not slot.index:
             number = source.timeline.numbers[slot.key]
-            return picture(source.keys.sequence, number, source.keys.view)
+            return read_sequence_picture(source.keys.sequence, number, source.keys.view)
         assert frames is not None
         number = source.timeline.number(slot)
         await_file(frames.path(number))  # another machine wrote it just now
@@ -208,7 +208,7 @@ class _Coordinator:
         job.targets.make_folders()
         with ExitStack() as stack:
             stack.callback(job.close)  # of which the video shows the rendered frames
-            marks = tuple(stack.enter_context(marked(f)) for f in job.targets.folders)
+            marks = tuple(stack.enter_context(marker_file(f)) for f in job.targets.folders)
             dispatch = self.dispatch(client, marks)
             workers = dispatch.muster()
             self._chunks = self._cut(workers)

@@ -26,7 +26,7 @@ from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.farm.calls import Blank, FarmJob, Word, frames_text, is_dense, split
 from exwarp_cli.farm.job_parameters import BRACES, LONGEST, JobParameters
 from exwarp_cli.farm.places import Place
-from exwarp_cli.io.atomic import atomic_write_text, is_there, make_folder
+from exwarp_cli.io.files import atomic_write_text, make_folder, path_exists
 
 SPECIFICATION = "jobtemplate-2023-09"
 CHUNKING = "TASK_CHUNKING"
@@ -289,7 +289,7 @@ def write_bundle(folder: Path, template: JobTemplate) -> None:
         When it cannot be written.
     """
     for name in (TEMPLATE_FILE, VALUES_FILE):
-        if is_there(folder / name):
+        if path_exists(folder / name):
             raise OutputExistsError(
                 f"{folder} has a {name} already; remove it, or name another folder with --bundle"
             )

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.aov_files import parse_aovs
-from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.frame_names import NamePattern
 from exwarp_cli.io.model_weights import files_of
 from exwarp_cli.io.policy_files import PAPER
+from exwarp_cli.io.video_reader import is_clip
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.job import Job

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect
-from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.header import Channel
 
 COUNTS: Mapping[Role, tuple[int, int]] = {
     Role.COLOUR: (3, 4),

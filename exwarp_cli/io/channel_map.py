@@ -21,10 +21,10 @@ from exwarp_cli.errors import (
     UsageError,
 )
 from exwarp_cli.io.aov_files import AovFile, check_count, parse_aovs, role_of
-from exwarp_cli.io.atomic import atomic_write_text
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.config_file import read_toml
 from exwarp_cli.io.depth import DepthKind
+from exwarp_cli.io.files import atomic_write_text
 
 SCHEMA = "exwarp.channel-map/1"
 

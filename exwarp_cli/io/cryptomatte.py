@@ -19,7 +19,7 @@ from enum import IntEnum
 
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.channels import ChannelRef
-from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.header import Channel
 
 HASH, CONVERSION = "MurmurHash3_32", "uint32_to_float32"
 """The only hash and the only way of keeping it in a float that the specification knows."""

@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain import cores
 from exwarp_cli.domain.extrapolator import Curve
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.timeline import MOST
 from exwarp_cli.errors import InputError, LayoutError, OutputExistsError
-from exwarp_cli.io.atomic import atomic_write_text
+from exwarp_cli.io.files import atomic_write_text
 from exwarp_cli.io.interpolator_card import (
     FIRST,
     MODES,
@@ -30,6 +29,7 @@ from exwarp_cli.io.interpolator_card import (
 )
 from exwarp_cli.io.model_files import written_shape
 from exwarp_cli.io.models import OnnxNetwork, read_model
+from exwarp_cli.runtime import cores
 
 MOST_SHOWN = 4.0
 """Largest answer that is taken for colour, as a multiple of white."""

@@ -19,12 +19,12 @@ from typing import BinaryIO
 
 from exwarp_cli.domain.timeline import parsed_rate
 from exwarp_cli.errors import InputError
-from exwarp_cli.io import checksum
-from exwarp_cli.io.atomic import PIECE, atomic_copy, atomic_path
+from exwarp_cli.io import files
 from exwarp_cli.io.exr.header import RawHeader
-from exwarp_cli.io.exr.reader import HeaderCache, damaged, parse_header
-from exwarp_cli.io.output import CHECKSUM, PREFIX, is_intact, seal
-from exwarp_cli.io.reading_retry import with_retries
+from exwarp_cli.io.exr.reader import HeaderCache, damaged_error, parse_header
+from exwarp_cli.io.exr.template import PREFIX
+from exwarp_cli.io.files import COPY_BYTES, atomic_copy, atomic_path, with_retries
+from exwarp_cli.io.generated_frames import CHECKSUM, is_intact, seal
 from exwarp_cli.io.sequence import EXR
 
 RATE = b"framesPerSecond"
@@ -77,7 +77,7 @@ class KeyFile:
                     file = stack.enter_context(self.source.open("rb", buffering=0))
                 try:
                     file.seek(at)
-                    return file.read(PIECE)
+                    return file.read(COPY_BYTES)
                 except OSError:
                     file = None  # a stale handle stays stale
                     raise
@@ -130,8 +130,8 @@ class KeyFile:
         return at >= len(data)
 
     def digest(self) -> str:
-        """Return the checksum of the file, hexadecimal; see `exwarp_cli.io.checksum`."""
-        return checksum.digits_of(self.pieces())
+        """Return the checksum of the file, hexadecimal; see `exwarp_cli.io.files`."""
+        return files.compute_checksum(self.pieces())
 
 
 def written_forms(source: Path, target: Path) -> tuple[KeyFile, ...]:
@@ -232,7 +232,7 @@ def _sound(source: Path, read: Callable[[], KeyFile]) -> KeyFile:
     except OSError as error:
         raise _missing(source, error) from error
     except (ValueError, struct.error) as error:
-        raise damaged(source, str(error)) from error
+        raise damaged_error(source, str(error)) from error
 
 
 def digests(
@@ -266,7 +266,7 @@ def digests(
 
     def read() -> tuple[str, str | None]:
         with path.open("rb", buffering=0) as file:
-            digest = hashlib.file_digest(file, checksum.new).hexdigest()
+            digest = hashlib.file_digest(file, files.new_checksum).hexdigest()
             is_exr = path.suffix.lower() in EXR
             if headers is not None and is_exr:
                 headers.keep(path, parse_header(path, file))
@@ -281,7 +281,7 @@ def digests(
     try:
         return with_retries(path, read)
     except OSError as error:
-        raise damaged(path, str(error.strerror)) from error
+        raise damaged_error(path, str(error.strerror)) from error
 
 
 def _with_rate(file: BinaryIO, rate: Fraction) -> tuple[bytes, int]:
@@ -330,7 +330,7 @@ def _rate_changes(header: RawHeader, rate: Fraction) -> list[Change]:
 def _mark_changes(header: RawHeader, marks: Mapping[str, str | int]) -> list[Change]:
     """Return what gives the first part attributes of ExWarp's own in place of any earlier ones."""
     named: dict[str, str | int] = {f"{PREFIX}{name}": value for name, value in marks.items()}
-    named[CHECKSUM] = checksum.ZEROS
+    named[CHECKSUM] = files.CHECKSUM_ZEROS
     text = b"".join(_attribute(name, value) for name, value in named.items())
     own = [one for one in header.attributes if one.name.startswith(PREFIX.encode())]
     end = next(one.end for one in reversed(header.attributes) if one.part == 0)
@@ -387,7 +387,7 @@ def _sealed(file: BinaryIO, head: bytes, rest: int) -> bytes:
     if not is_intact(data):
         return head
     begin = head.index(CHECKSUM.encode() + b"\0string\0") + len(CHECKSUM) + 12
-    blank = head[:begin] + checksum.ZEROS.encode() + head[begin + checksum.DIGITS :]
+    blank = head[:begin] + files.CHECKSUM_ZEROS.encode() + head[begin + files.CHECKSUM_DIGITS :]
     return bytes(seal(blank, data[rest:])[0])
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from exwarp_cli.domain import cores
 from exwarp_cli.domain.extrapolator import Tile
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.lookahead import LOOKAHEAD, LOOKS_AHEAD
 from exwarp_cli.domain.network import NetworkGiven
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.models import PictureNetwork, read_model
+from exwarp_cli.runtime import cores
 
 SHIPPED = "lookahead.onnx"
 """Name of the network that comes with ExWarp."""

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.model_files import MOST_BYTES, read_whole
-from exwarp_cli.runtime.read_registry import being_read
+from exwarp_cli.runtime.read_registry import report_reading
 
 INSIDE: Mapping[str, Mapping[int, str]] = {
     "ModelProto": {7: "GraphProto", 20: "TrainingInfoProto", 25: "FunctionProto"},
@@ -107,7 +107,7 @@ class _Weights:
     def of_model(self, data: bytes) -> Chunks | None:
         """Return a model with its weights; None where they are in it already."""
         try:
-            with being_read(self._path, required=True):
+            with report_reading(self._path, required=True):
                 return self.put_in(memoryview(data), "ModelProto", 0)
         except _MalformedError as error:
             raise DamagedFileError(

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain import cores
 from exwarp_cli.domain.extrapolator import EXTRAPOLATES, Inputs, Span, Tile, cut
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.network import (
@@ -34,9 +33,10 @@ from exwarp_cli.io.model_files import (
 from exwarp_cli.io.model_files import read_model as read_model
 from exwarp_cli.io.model_files import shipped_folder as shipped_folder
 from exwarp_cli.io.model_weights import with_weights
-from exwarp_cli.io.standard_streams import quiet_libraries
+from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.frame_pool import pool
-from exwarp_cli.runtime.read_registry import being_read
+from exwarp_cli.runtime.read_registry import report_reading
+from exwarp_cli.standard_streams import silence_libraries
 
 SHIPPED = "extrapolator.onnx"
 """Name of the network that comes with ExWarp."""
@@ -152,7 +152,7 @@ class OnnxNetwork:
         most = height * width // (stride**2 * PIXELS_PER_THREAD)
         session = self._session(max(1, min(self._threads, most)) if self.device == "cpu" else 1)
         try:
-            with being_read(self.path, required=True):
+            with report_reading(self.path, required=True):
                 (out,) = session.run([output], feeds, self._giving_back if last else None)
         except _failures() as error:
             if isinstance(error, MemoryError) or "alloc" in str(error):
@@ -348,7 +348,7 @@ def open_session(path: Path, data: bytes, threads: int, device: str) -> Any:
     cuda = (CUDA, {"cudnn_conv_algo_search": "HEURISTIC", "use_tf32": "0"})
     providers = [cuda] if device == "cuda" else []
     try:
-        with being_read(path, required=True), quiet_libraries():
+        with report_reading(path, required=True), silence_libraries():
             session = runtime.InferenceSession(
                 data, options, providers=[*providers, "CPUExecutionProvider"], enable_fallback=False
             )
@@ -382,7 +382,7 @@ def _runtime() -> Any:
     """Import onnxruntime, which takes 0.3 s, and keep it from writing to stderr."""
     try:
         # As it is imported it looks for devices, and writes to the terminal what it misses.
-        with quiet_libraries():
+        with silence_libraries():
             import onnxruntime
     except ImportError as error:
         raise MissingExtraError(

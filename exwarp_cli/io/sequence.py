@@ -12,7 +12,7 @@ from pathlib import Path
 
 from exwarp_cli.domain.timeline import ranges, without_gaps
 from exwarp_cli.errors import InputError, MissingFrameError, OutputError, UsageError
-from exwarp_cli.io.atomic import is_there
+from exwarp_cli.io.files import path_exists
 from exwarp_cli.io.frame_names import (
     NamePattern,
     file_type,
@@ -294,7 +294,7 @@ def output_pattern(spec: str, source: Sequence, suffixes: tuple[str, ...] = EXR)
             "the output path is empty; name a folder or a pattern such as out.####.exr"
         )
     path = Path(spec)
-    if spec.endswith(("/", os.sep)) or (is_there(path) and path.is_dir()):
+    if spec.endswith(("/", os.sep)) or (path_exists(path) and path.is_dir()):
         return _apart(OutputPattern(path, source.base, source.padding, source.suffix), source)
     pattern = NamePattern.parse(path.name)
     suffix = path.suffix.lower()

@@ -20,7 +20,7 @@ from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes
 from exwarp_cli.io.cryptomatte_ids import IdReading
 from exwarp_cli.io.depth import DepthReading
 from exwarp_cli.io.depth import named as depth_named
-from exwarp_cli.io.exr.parts import Channel, Part
+from exwarp_cli.io.exr.header import Channel, Part
 from exwarp_cli.io.exr.reader import HeaderCache
 from exwarp_cli.io.sequence import Sequence, find_sequence
 from exwarp_cli.io.shot_files import Looks, ShotFiles, find_files, look

@@ -9,8 +9,8 @@ from pathlib import Path
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import Role, detect
 from exwarp_cli.io.cryptomatte import Headers
-from exwarp_cli.io.exr.parts import Part
-from exwarp_cli.io.exr.reader import FileHeader, HeaderCache, deep_only
+from exwarp_cli.io.exr.header import Part
+from exwarp_cli.io.exr.reader import FileHeader, HeaderCache, deep_image_error
 from exwarp_cli.io.pass_sets import pass_role
 from exwarp_cli.io.producers import direction_named
 from exwarp_cli.io.sequence import AovSet, Sequence, find_aov_set, find_sequence
@@ -140,5 +140,5 @@ def look(path: Path, headers: HeaderCache) -> FileHeader:
     """Return the header of a file of which one part at least is flat."""
     header = headers.read(path)
     if all(part.deep for part in header.parts):
-        raise deep_only(path)
+        raise deep_image_error(path)
     return header

@@ -23,7 +23,7 @@ from exwarp_cli.accel.quantised_mlp import (
     infer_reference,
 )
 from exwarp_cli.errors import OutputExistsError, UsageError
-from exwarp_cli.io.atomic import atomic_write_text, make_folder
+from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.io.policy_files import StateRow, load_policy, read_states
 from exwarp_cli.pipeline.hardware import design
 

@@ -23,11 +23,11 @@ from exwarp_cli.domain.timeline import NEAR, Slot, Timeline, ranges
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import IncompleteError
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
-from exwarp_cli.io.footage import is_plain, lost_alpha, unevenness_of
+from exwarp_cli.io.footage import is_plain, lost_alpha_message, uneven_rate_message
 from exwarp_cli.io.model_files import shipped_folder
 from exwarp_cli.io.shot import alpha_left_out
+from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.pipeline.contents import Content, files_apart
 from exwarp_cli.pipeline.finding import OtherRate
 from exwarp_cli.pipeline.frame_writer import frame_suffix
@@ -200,7 +200,7 @@ def announce(
         sequence.version_note,
         step_note(source.timeline.numbers, source.fps, source.fps_source),
         _compatible_note(settings, source),
-        unevenness_of(sequence),
+        uneven_rate_message(sequence),
         _lost_alpha(settings, source),
         alpha_left_out(source.keys.layout),
     ):
@@ -273,7 +273,7 @@ def _lost_alpha(settings: UpsampleSettings, source: Source) -> str | None:
     """Say that frames lose alpha; a video says so itself."""
     if is_clip(settings.output):
         return None
-    return lost_alpha(source.keys, frame_suffix(settings.output, source.keys.sequence))
+    return lost_alpha_message(source.keys, frame_suffix(settings.output, source.keys.sequence))
 
 
 def announce_contents(progress: Progress, contents: tuple[Content, ...]) -> None:

@@ -25,7 +25,7 @@ from exwarp_cli.domain.frame import Float32, Window, place
 from exwarp_cli.domain.risk import ROWS
 from exwarp_cli.domain.tiles import TilePlan
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.io.output import quantised
+from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.synthesis.interval import Interval
@@ -117,7 +117,7 @@ def by_truth(judge: Judge, display: Window) -> Chooser:
         timing_ms: dict[str, float] = {}
         with record_time(timing_ms, "decide"):
             truth = {slot: image.on(display).pixels for slot, image in inputs.truth.frames.items()}
-            as_written = partial(quantised, template=inputs.metadata.template)
+            as_written = partial(quantise_picture, template=inputs.metadata.template)
             scores = outcomes_of(interval, truth, display, as_written)
             path = tuple(PATHS)[int(best(scores))]
             outputs = scores[..., 0] if by_psnr else outcomes.rewards(scores)

@@ -17,13 +17,13 @@ from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.errors import InputError, MotionError, UsageError
-from exwarp_cli.io.atomic import Held
-from exwarp_cli.io.clip import is_clip
+from exwarp_cli.io.display_colour import to_display
+from exwarp_cli.io.ffmpeg_filters import EncodedVmafStream, VmafStream
+from exwarp_cli.io.files import ResourceOwner
 from exwarp_cli.io.frames import GEOMETRY, Shot, open_shot, read_raw
-from exwarp_cli.io.output import facts_in
+from exwarp_cli.io.generated_frames import read_facts
 from exwarp_cli.io.sequence import Sequence
-from exwarp_cli.io.video import to_display
-from exwarp_cli.io.vmaf import EncodedVmaf, Vmaf
+from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.metrics import extranet
 from exwarp_cli.metrics.display import rounded
 from exwarp_cli.metrics.flicker import error, of_frames, transition
@@ -144,7 +144,7 @@ class Scorer(Protocol):
         """What is known at the end that a reader of the numbers should know, a sentence each."""
 
 
-class SequenceScores(Held):
+class SequenceScores(ResourceOwner):
     """Scores by the metrics of this tool; memory holds one frame.
 
     Parameters
@@ -158,7 +158,7 @@ class SequenceScores(Held):
     def __init__(self, names: tuple[str, ...], flow: Flow | None) -> None:
         self._names = names
         self._flow = flow
-        self._vmaf = Vmaf() if "vmaf" in names else None
+        self._vmaf = VmafStream() if "vmaf" in names else None
         self._scores: list[Scores] = []
         self._error: Float32 | None = None
         self._into: list[float | None] = []
@@ -205,7 +205,7 @@ class SequenceScores(Held):
         return found.mean(), None if pair.mask is None else found.within(pair.mask)
 
 
-class ExtranetScores(Held):
+class ExtranetScores(ResourceOwner):
     """Scores as ExtraNet's release takes them: see `exwarp_cli.metrics.extranet`.
 
     VMAF is of H.264 videos of both sequences, rendered frames and all.
@@ -226,7 +226,7 @@ class ExtranetScores(Held):
         cut = ENDS_LEFT_OUT if count > SHORTEST_CUT else 0
         self._video = range(cut, count - cut)
         self._generated = generated
-        self._vmaf = EncodedVmaf() if "vmaf" in names else None
+        self._vmaf = EncodedVmafStream() if "vmaf" in names else None
         self._scores: list[Score] = []
         self._counted = 0
 
@@ -310,7 +310,7 @@ def origins_of(files: Listed[Path]) -> list[Origin]:
     DamagedFileError
         When a header cannot be read.
     """
-    return [_origin({} if is_clip(str(path)) else facts_in(path)) for path in files]
+    return [_origin({} if is_clip(str(path)) else read_facts(path)) for path in files]
 
 
 def _origin(known: dict[str, Any]) -> Origin:

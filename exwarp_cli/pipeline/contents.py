@@ -12,10 +12,10 @@ from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.io.channels import ChannelRef, Role
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr.template import Plane, ViewLayers, read_template
-from exwarp_cli.io.footage import is_plain, plain_template
+from exwarp_cli.io.footage import is_plain, make_frame_template
 from exwarp_cli.io.frames import read_planes
+from exwarp_cli.io.generated_frames import FrameTemplate
 from exwarp_cli.io.layers import ALL, BEAUTY, Kind, Layer, chosen, layers_of
-from exwarp_cli.io.output import FrameTemplate
 from exwarp_cli.io.shot import Shot, renamed
 from exwarp_cli.io.soundness import count_broken
 from exwarp_cli.pipeline.frame_writer import frame_suffix
@@ -226,7 +226,7 @@ def template_of(contents: tuple[Content, ...], output: str, number: int) -> Fram
     """
     keys = contents[0].source.keys
     if is_plain(keys.sequence):
-        return plain_template(keys, number, frame_suffix(output, keys.sequence))
+        return make_frame_template(keys, number, frame_suffix(output, keys.sequence))
     wanted = tuple(content.wanted for content in contents)
     return read_template(keys.sequence.files[number], wanted, keys.headers)
 

@@ -15,7 +15,7 @@ from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.domain.timeline import parse_frames, ranges
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
-from exwarp_cli.io.footage import close, find_frames, picture
+from exwarp_cli.io.footage import close_sequences, find_frames, read_sequence_picture
 from exwarp_cli.io.frames import read_plane
 from exwarp_cli.io.sequence import Sequence, find_sequence
 from exwarp_cli.io.views import expand
@@ -160,7 +160,7 @@ def evaluate(
     try:
         compared, shape = _score(files, scoring, progress or NoProgress(), watcher)
     finally:
-        close(truth, judged)
+        close_sequences(truth, judged)
     if measuring.preset is None:  # which has its own rule for rendered frames
         notes = (*rendered_note(origins), *notes)
     notes = (*pairing_notes, *notes)
@@ -284,8 +284,8 @@ def _rate(reference: Sequence, test: Sequence, kinds: list[str | None], view: st
         rendered,
         len(b),
         len(a),
-        lambda place: picture(test, b[place], view),
-        lambda place: picture(reference, a[place], view),
+        lambda place: read_sequence_picture(test, b[place], view),
+        lambda place: read_sequence_picture(reference, a[place], view),
     )
 
 
@@ -351,7 +351,7 @@ def _require_scores(found: Comparison) -> None:
 
 def _shown(sequence: Sequence, number: int, view: str) -> Image:
     """Read what is meant to be seen of a frame."""
-    image = picture(sequence, number, view)
+    image = read_sequence_picture(sequence, number, view)
     return image.on(image.display_window)
 
 

@@ -18,10 +18,10 @@ from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.tiles import TILE_STATE
 from exwarp_cli.domain.timeline import FACTOR, Slot, Timeline
 from exwarp_cli.errors import InputError, LayoutError, UsageError
-from exwarp_cli.io.footage import find_frames, picture, picture_size
+from exwarp_cli.io.display_colour import to_display
+from exwarp_cli.io.footage import find_frames, read_display_window, read_sequence_picture
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.io.soundness import first_of
-from exwarp_cli.io.video import to_display
 from exwarp_cli.io.views import expand
 from exwarp_cli.pipeline.source import FrameOf, Source, align
 from exwarp_cli.synthesis.methods import CAUSAL, EXWARP, FRAMEWISE, METHODS, Judge, Method
@@ -251,7 +251,7 @@ def find_truth(
     display = source.keys.display
 
     def require_alike(number: int) -> None:
-        window = picture_size(sequence, number)
+        window = read_display_window(sequence, number)
         if window.shape != display.shape:
             raise LayoutError(
                 f"--ground-truth {sequence.pattern} is {window.width}x{window.height} and the "
@@ -311,8 +311,10 @@ def _at_its_rate(source: Source, sequence: Sequence, frame_of: FrameOf) -> Frame
         sorted(shown),
         math.ceil(len(timeline.numbers) * timeline.factor),
         len(numbers),
-        lambda place: picture(keys.sequence, timeline.numbers[shown[place]], keys.view),
-        lambda place: picture(sequence, numbers[place], keys.view),
+        lambda place: read_sequence_picture(
+            keys.sequence, timeline.numbers[shown[place]], keys.view
+        ),
+        lambda place: read_sequence_picture(sequence, numbers[place], keys.view),
     )
     if rate == 1:
         return frame_of

@@ -12,31 +12,37 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Bool, Float32, Image, Window
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import OutputRate, Slot, Timeline, ranges
 from exwarp_cli.errors import OutputError, OutputExistsError, UsageError
-from exwarp_cli.io.atomic import Held, is_there, make_folder, output_error, remove_leftovers
-from exwarp_cli.io.clip import is_clip
-from exwarp_cli.io.exr.template import Plane, PlaneKey
+from exwarp_cli.io.display_colour import to_display
+from exwarp_cli.io.exr.template import PREFIX, Plane, PlaneKey
 from exwarp_cli.io.exr.writer import Buffer
+from exwarp_cli.io.files import (
+    ResourceOwner,
+    make_folder,
+    output_error,
+    path_exists,
+    remove_leftovers,
+)
 from exwarp_cli.io.footage import is_plain
-from exwarp_cli.io.key_file import KeyFile, key_file, marked_file, opened_key
-from exwarp_cli.io.output import (
-    PREFIX,
+from exwarp_cli.io.generated_frames import (
     FrameTemplate,
-    facts_in,
+    read_facts,
+    read_fingerprint,
     read_picture,
-    recipe_in,
     write_mask,
     write_picture,
 )
+from exwarp_cli.io.key_file import KeyFile, key_file, marked_file, opened_key
 from exwarp_cli.io.sequence import EXR, OutputPattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
-from exwarp_cli.io.video import VideoLook, VideoWriter, require_container, to_display
+from exwarp_cli.io.video_reader import is_clip
+from exwarp_cli.io.video_writer import VideoLook, VideoWriter, require_container
 from exwarp_cli.pipeline.scheduling import AsyncWriter, record_time
 from exwarp_cli.pipeline.verifying import FRAME, HOLES, Sums, sum_of
+from exwarp_cli.runtime import cores
 
 FRAMES_BEHIND = 4
 
@@ -122,21 +128,21 @@ class OutputPlan:
         """
         if settings.overwrite and settings.skip_existing:
             raise UsageError("--overwrite and --skip-existing contradict each other; give one")
-        if self.video is not None and is_there(self.video) and self.video.is_dir():
+        if self.video is not None and path_exists(self.video) and self.video.is_dir():
             raise output_error(self.video, IsADirectoryError(errno.EISDIR, ""))
         if not (settings.overwrite or settings.skip_existing):
             for pattern in (self.frames, self.holes):
                 if pattern is None:
                     continue
                 numbers = [timeline.number(slot) for slot in slots]
-                there = [n for n in numbers if is_there(pattern.path(n))]
+                there = [n for n in numbers if path_exists(pattern.path(n))]
                 if there:
                     raise OutputExistsError(
                         f"{pattern.folder} has frame {ranges(there)} of {pattern.name} already; "
                         "give --skip-existing to keep good ones, --overwrite to replace them, or "
                         "another -o"
                     )
-            if self.video is not None and is_there(self.video):
+            if self.video is not None and path_exists(self.video):
                 option = "--video" if self.frames is not None else "-o"
                 raise OutputExistsError(
                     f"{self.video} exists already; give --overwrite to replace it, or another "
@@ -175,10 +181,10 @@ def key_is_there(target: Path, source: KeyFile) -> bool:
 
 def slot_is_there(target: Path, recipe: str) -> bool:
     """Whether a generated frame is there, undamaged, and as this run would make it."""
-    return target.exists() and recipe_in(target) == recipe
+    return target.exists() and read_fingerprint(target) == recipe
 
 
-class FrameWriter(Held):
+class FrameWriter(ResourceOwner):
     """Writes the frames of a run, in order; a context manager.
 
     Parameters
@@ -291,7 +297,9 @@ class FrameWriter(Held):
         """
         may_replace = self._settings.overwrite or self._settings.skip_existing
         return (
-            may_replace and self._output.frames is not None and is_there(self._frame_path(number))
+            may_replace
+            and self._output.frames is not None
+            and path_exists(self._frame_path(number))
         )
 
     def replace_key(self, number: int, source: Path) -> None:
@@ -406,7 +414,7 @@ class FrameWriter(Held):
 
     def written(self, number: int) -> dict[str, Any]:
         """Return the attributes of a generated frame that an earlier run wrote."""
-        return facts_in(self._frame_path(number))
+        return read_facts(self._frame_path(number))
 
     def _frame_path(self, number: int) -> Path:
         assert self._output.frames is not None

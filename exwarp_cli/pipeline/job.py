@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary, RunSummary
-from exwarp_cli.io.footage import close
-from exwarp_cli.io.output import compression_of
+from exwarp_cli.io.footage import close_sequences
+from exwarp_cli.io.generated_frames import parse_compression
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.announcing import (
     Models,
@@ -186,9 +186,9 @@ class Job:
 
     def close(self) -> None:
         """Close what reading left open; a later read opens it again."""
-        close(self.source.keys.sequence, *(() if self.truth is None else self.truth[:1]))
+        close_sequences(self.source.keys.sequence, *(() if self.truth is None else self.truth[:1]))
         if self.rendered is not None:
-            close(self.rendered.sequence)
+            close_sequences(self.rendered.sequence)
 
     def summary(self, outcome: Outcome, seconds: float) -> RunSummary:
         """Put together what a run of this job found out.
@@ -234,7 +234,7 @@ def open_job(settings: UpsampleSettings) -> Job:
     ExwarpError
         For anything that a user can cause, but for what is in the way of the output.
     """
-    compression_of(settings.compression)
+    parse_compression(settings.compression)
     use_threads(settings.threads)
     method = find_method(settings.method, settings.causal)
     sources = open_sources(settings.source, method.needs_motion, pictures=True)

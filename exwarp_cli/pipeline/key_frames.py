@@ -11,7 +11,7 @@ from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, Image, KeyFrame, Win
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.footage import ClipSequence, is_plain, key_picture, picture
+from exwarp_cli.io.footage import ClipSequence, is_plain, read_key_picture, read_sequence_picture
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, colour_window, read_raw
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.io.soundness import NonFinite, count_broken
@@ -296,7 +296,7 @@ class KeyFrameStore:
         keys, number = self.source.keys, self.source.timeline.numbers[key]
         with self.reading(Slot(key, 0)):
             if is_plain(keys.sequence):
-                return KeyFrame(number, key_picture(keys, number), None)
+                return KeyFrame(number, read_key_picture(keys, number), None)
             return read_raw(keys, number, (Role.COLOUR,)).key(None)
 
     @property
@@ -469,7 +469,10 @@ class TruthReader:
         number = frame_of(slot)
         if number is None:
             return None
-        image, display = picture(sequence, number, self.source.keys.view), self.source.keys.display
+        image, display = (
+            read_sequence_picture(sequence, number, self.source.keys.view),
+            self.source.keys.display,
+        )
         output = self.source.timeline.number(slot)
         if image.display_window.shape != display.shape:
             raise truth_of_another_size(output, image.display_window, display)

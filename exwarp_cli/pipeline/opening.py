@@ -15,14 +15,14 @@ from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageEr
 from exwarp_cli.io.aov_files import AovFile, parse_aovs
 from exwarp_cli.io.channel_map import ChannelMap, read_channel_map
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes
 from exwarp_cli.io.cryptomatte_ids import IdReading
 from exwarp_cli.io.cryptomatte_manifest import Manifest, dynamic_objects, read_manifest
-from exwarp_cli.io.footage import find_plain, is_plain, own_rate, shot_of
+from exwarp_cli.io.footage import clip_rate, find_footage, is_plain, make_shot
 from exwarp_cli.io.frames import read_raw, require_seen
-from exwarp_cli.io.output import frame_rate
+from exwarp_cli.io.generated_frames import frame_rate
 from exwarp_cli.io.shot import Shot, open_shot, open_views, renamed
+from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.views import ALL
 from exwarp_cli.pipeline.depth_kind import with_depth_measured, with_world_positions
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
@@ -77,7 +77,7 @@ def open_plain(settings: SourceSettings) -> Shot | None:
         When options are given that say how EXR is read.
     """
     allow(settings.max_pixels)
-    sequence = find_plain(settings.sequence, settings.keep_going, settings.scan)
+    sequence = find_footage(settings.sequence, settings.keep_going, settings.scan)
     if sequence is None:
         return None
     options = {
@@ -94,7 +94,7 @@ def open_plain(settings: SourceSettings) -> Shot | None:
                 f"{option} is for rendered EXR frames, and {sequence.pattern} has nothing but "
                 "colour; leave it out"
             )
-    return shot_of(sequence, settings.keep_going)
+    return make_shot(sequence, settings.keep_going)
 
 
 def each_view(settings: SourceSettings) -> tuple[SourceSettings, ...]:
@@ -142,7 +142,7 @@ def rate_of(keys: Shot, given: Fraction | None) -> tuple[Fraction, str]:
     """
     if given is not None:
         return standard_rate(given), "option"
-    own = own_rate(keys.sequence)
+    own = clip_rate(keys.sequence)
     if own is not None:
         return own, "file"
     rate = None if is_plain(keys.sequence) else _rate_in(keys)

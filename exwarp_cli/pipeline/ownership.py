@@ -13,26 +13,26 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from exwarp_cli.domain import cores
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import OutputExistsError
-from exwarp_cli.io.atomic import is_there
-from exwarp_cli.io.key_file import written_forms
-from exwarp_cli.io.output import (
+from exwarp_cli.io.files import path_exists
+from exwarp_cli.io.generated_frames import (
     KEY_FRAMES,
     REQUESTED_METHOD,
     Authorship,
-    State,
-    authorship_of,
+    FileState,
     file_digest,
+    find_authorship,
 )
+from exwarp_cli.io.key_file import written_forms
 from exwarp_cli.io.sequence import Sequence
-from exwarp_cli.io.video import video_note
+from exwarp_cli.io.video_writer import read_video_note
 from exwarp_cli.pipeline.frame_writer import OutputPlan, key_is_there
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.pipeline.without_vectors import BY_EXWARP
+from exwarp_cli.runtime import cores
 from exwarp_cli.synthesis.methods import Method
 
 NAMED = 4
@@ -143,14 +143,14 @@ class _Examination:
 
     def _authorship(self, path: Path) -> Authorship | None:
         if path not in self._known:
-            self._known[path] = authorship_of(path)
+            self._known[path] = find_authorship(path)
         return self._known[path]
 
     def _reason(self, authorship: Authorship) -> Reason | None:
         """Return why a file is not the run's own, by what it says of itself; None if it is."""
-        if authorship.state is State.FOREIGN:
+        if authorship.state is FileState.FOREIGN:
             return "not written by ExWarp"
-        if authorship.state is State.EDITED:
+        if authorship.state is FileState.EDITED:
             return "changed since ExWarp wrote it"
         by = _other_method(authorship, self.method)
         return None if by is None else f"made by {by} and not by {self.method.name}"
@@ -220,15 +220,15 @@ class _Examination:
             for slot in timeline.made_of(index) if index >= 0 else ():
                 path = frames.path(timeline.number(slot))
                 authorship = self._authorship(path)
-                if authorship is not None and authorship.state is State.INTACT:
+                if authorship is not None and authorship.state is FileState.INTACT:
                     yield path, authorship
 
 
 def _is_foreign_video(path: Path) -> bool:
     """Whether something is where a video goes that does not name ExWarp in its comment."""
-    if not is_there(path) or not path.stat().st_size:
+    if not path_exists(path) or not path.stat().st_size:
         return False
-    return not (video_note(path) or "").startswith(BY_EXWARP)
+    return not (read_video_note(path) or "").startswith(BY_EXWARP)
 
 
 def _other_method(authorship: Authorship, method: Method) -> str | None:

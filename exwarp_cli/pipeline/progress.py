@@ -24,7 +24,7 @@ from exwarp_cli.errors import (
     OutOfMemoryError,
     OutputError,
     UsageError,
-    known_error,
+    to_exwarp_error,
 )
 from exwarp_cli.runtime.compilation import compilation
 
@@ -488,7 +488,7 @@ def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterato
 
 def _reason(error: Exception) -> tuple[str, int]:
     """Return a sentence and the exit code; stderr shows those of defects in full."""
-    known = known_error(error)
+    known = to_exwarp_error(error)
     if known is not None:
         return str(known), known.exit_code
     if isinstance(error, MemoryError):

@@ -16,10 +16,10 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.footage import ClipSequence, digest_of, is_plain
+from exwarp_cli.io.footage import ClipSequence, digest_frame, is_plain
 from exwarp_cli.io.frames import Shot
+from exwarp_cli.io.generated_frames import file_digest
 from exwarp_cli.io.key_file import digests, key_file
-from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.source import FrameOf, Source
 from exwarp_cli.synthesis.methods import Method
@@ -199,7 +199,7 @@ class Recipes:
     def _digest_of(self, shot: Shot, number: int) -> str:
         """Digest all files of one frame, and a key frame's file as it is written."""
         if is_plain(shot.sequence):
-            return digest_of(shot.sequence, number)
+            return digest_frame(shot.sequence, number)
         found = {}
         for aov, path in shot.files(number).items():
             is_key = not aov and shot is self.source.keys
@@ -215,7 +215,7 @@ def key_recipe(keys: Shot, number: int, rate: Fraction | None = None) -> str:
 
     The rate is what its header says; None where it says none.
     """
-    found = {"version": __version__, "key": digest_of(keys.sequence, number), "fps": str(rate)}
+    found = {"version": __version__, "key": digest_frame(keys.sequence, number), "fps": str(rate)}
     return hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()
 
 

@@ -8,7 +8,6 @@ from functools import partial
 from time import perf_counter
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.cores import working
 from exwarp_cli.domain.decision import ONLY_WARPS, Plan
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.domain.gate import Trial
@@ -18,8 +17,8 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.tiles import TilePlan
 from exwarp_cli.domain.timeline import Slot, ranges
 from exwarp_cli.errors import InputError
-from exwarp_cli.io.footage import picture
-from exwarp_cli.io.output import PREFIX
+from exwarp_cli.io.exr.template import PREFIX
+from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.announcing import left_out, tell_left_out, unscored, unusable
@@ -53,6 +52,7 @@ from exwarp_cli.pipeline.sharpness import KeyedPulses
 from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_attribute, rounded
 from exwarp_cli.pipeline.verifying import Sums, files_of, verify, verify_video
 from exwarp_cli.pipeline.without_vectors import BY_EXWARP, is_kept, note_of, video_look
+from exwarp_cli.runtime.cores import hold_cores
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval
@@ -118,7 +118,7 @@ def write_intervals(job: Job, progress: Progress, listener: FrameListener | None
         if listener is None and is_kept(job.targets, settings, note):
             return Outcome(cuts=reader.cuts)
         run = Run(job, reader, note, progress, listener)
-        with working():
+        with hold_cores():
             frames = run.render_all()
         outcome = Outcome(
             frames,
@@ -445,7 +445,7 @@ class Run:
             return inputs.frame.image
         source = self._job.source
         number = source.timeline.numbers[inputs.key]
-        return picture(source.keys.sequence, number, source.keys.view)
+        return read_sequence_picture(source.keys.sequence, number, source.keys.view)
 
     def _take_gradient(self, inputs: IntervalInputs) -> None:
         """Keep how sharp the key frame is, where new frames are compared with it."""

@@ -15,8 +15,8 @@ from exwarp_cli.domain.results import BrokenPixels, Score
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import UsageError
-from exwarp_cli.io.video import to_display
-from exwarp_cli.io.vmaf import require_size, vmaf
+from exwarp_cli.io.display_colour import to_display
+from exwarp_cli.io.ffmpeg_filters import compute_vmaf, require_vmaf_size
 from exwarp_cli.metrics.flicker import Transition, error, flicker, landing, transition
 from exwarp_cli.synthesis.interval import Interval
 
@@ -110,9 +110,9 @@ def vmaf_of(truth: Mapping[int, Float32], rows: Sequence[Sequence[Float32]]) -> 
     ends = reference[made + 1 :]
     videos = [[reference[0], *map(to_display, row), *ends] for row in rows]
     if ends:  # a closed interval hides what comes after it, so all go through one ffmpeg
-        found = vmaf(reference * len(rows), [frame for video in videos for frame in video])
+        found = compute_vmaf(reference * len(rows), [frame for video in videos for frame in video])
     else:
-        found = [value for video in videos for value in vmaf(reference, video)]
+        found = [value for video in videos for value in compute_vmaf(reference, video)]
     count = len(reference)
     return [found[i * count + 1 : i * count + 1 + made] for i in range(len(rows))]
 
@@ -150,7 +150,7 @@ def require_measurable(settings: UpsampleSettings, display: Window, whole: bool 
             "--factor"
         )
     if settings.ground_truth is not None and "vmaf" in settings.measured:
-        require_size(display.height, display.width, "the input")
+        require_vmaf_size(display.height, display.width, "the input")
 
 
 class IntervalScores:
@@ -236,7 +236,9 @@ class IntervalScores:
             pairs[slot] = (to_display(pixels),) * 2
         # From the key frame on, up to the first instant without truth.
         video = list(takewhile(pairs.__contains__, range(self._count + 2)))
-        values = vmaf((pairs[slot][0] for slot in video), (pairs[slot][1] for slot in video))
+        values = compute_vmaf(
+            (pairs[slot][0] for slot in video), (pairs[slot][1] for slot in video)
+        )
         return {slot: v for slot, v in zip(video, values, strict=True) if slot in self._shown}
 
 

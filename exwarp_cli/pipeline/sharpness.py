@@ -10,7 +10,7 @@ from exwarp_cli.domain.frame import Image
 from exwarp_cli.domain.results import FrameRecord
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
-from exwarp_cli.io.footage import picture
+from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.metrics.pulse import between, mean_gradient, pulse
 from exwarp_cli.pipeline.source import Source
 
@@ -72,6 +72,8 @@ class KeyedPulses:
             keys = self._source.keys
             # A causal method makes its frames without it, so a damaged one is no error.
             with suppress(InputError):
-                image = picture(keys.sequence, self._source.timeline.numbers[key], keys.view)
+                image = read_sequence_picture(
+                    keys.sequence, self._source.timeline.numbers[key], keys.view
+                )
                 self._keys[key] = mean_gradient(image.on(keys.display).pixels)
         return self._keys.get(key)

@@ -22,14 +22,13 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.tiles import TileMakers, TilePlan
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import OutputError
-from exwarp_cli.io.exr.template import Plane, PlaneKey, Template
-from exwarp_cli.io.output import (
+from exwarp_cli.io.exr.template import PREFIX, Plane, PlaneKey, Template
+from exwarp_cli.io.generated_frames import (
     KEY_FRAMES,
-    PREFIX,
     REQUESTED_METHOD,
     FrameTemplate,
-    compression_of,
-    quantised,
+    parse_compression,
+    quantise_picture,
 )
 from exwarp_cli.metrics.pulse import mean_gradient
 from exwarp_cli.pipeline.frame_writer import FrameWriter
@@ -317,7 +316,7 @@ class SlotRenderer:
         if self._layers.moves_vectors:
             # Those of a key frame, too, lead over a key interval, which is so many output frames.
             out[f"{PREFIX}vectorSpan"] = float(self._source.timeline.factor)
-        compression = compression_of(self._settings.compression)
+        compression = parse_compression(self._settings.compression)
         if compression is not None:
             out["compression"] = compression
         return out
@@ -357,7 +356,7 @@ def rate_attribute(source: Source) -> dict[str, Any]:
 
 def rounded(image: Image, template: FrameTemplate) -> Image:
     """Return a frame as its file has it."""
-    return replace(image, pixels=quantised(image.pixels, template))
+    return replace(image, pixels=quantise_picture(image.pixels, template))
 
 
 def parse_risk(header: Mapping[str, Any]) -> Risk | None:

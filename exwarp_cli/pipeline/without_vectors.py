@@ -13,9 +13,9 @@ from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window, place, require_ca
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import LayoutError, UsageError
-from exwarp_cli.io.footage import digest_of, is_plain, look_of, own_rate
+from exwarp_cli.io.footage import clip_rate, digest_frame, is_plain, make_video_look
 from exwarp_cli.io.layers import BEAUTY
-from exwarp_cli.io.video import VideoLook, video_note
+from exwarp_cli.io.video_writer import VideoLook, read_video_note
 from exwarp_cli.pipeline.recipes import Recipes, key_recipe
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.holds import stands_one_way
@@ -75,12 +75,12 @@ def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> VideoLo
     end: Fraction | None = Fraction(last + 1)
     if last == len(timeline.numbers) - 1:
         end = None
-    own, apart = own_rate(source.keys.sequence), None
+    own, apart = clip_rate(source.keys.sequence), None
     if last - first + 1 != len(keys):
         apart = "the key frames that are written do not follow each other"
     elif own is not None and source.fps != own:
         apart = f"--fps {float(source.fps):g} is not its own rate of {float(own):g}"
-    return look_of(source.keys, begin, end, note, apart)
+    return make_video_look(source.keys, begin, end, note, apart)
 
 
 def note_of(
@@ -111,7 +111,7 @@ def note_of(
     }
     if rendered is not None:
         sequence = rendered.sequence
-        found["rendered"] = [[n, digest_of(sequence, n)] for n in sequence.numbers]
+        found["rendered"] = [[n, digest_frame(sequence, n)] for n in sequence.numbers]
     look = video_look(source, keys)
     if look.pixel_aspect != 1 or look.primaries is not None:
         found["look"] = [str(look.pixel_aspect), repr(look.primaries)]
@@ -124,7 +124,7 @@ def is_kept(targets: OutputPlan, settings: UpsampleSettings, note: str) -> bool:
     wanted = settings.skip_existing and settings.ground_truth is None
     if not (wanted and note) or targets.frames is not None or targets.video is None:
         return False
-    return video_note(targets.video) == note
+    return read_video_note(targets.video) == note
 
 
 class Estimates:

@@ -16,7 +16,7 @@ from exwarp_cli.errors import (
     OutputExistsError,
     UsageError,
 )
-from exwarp_cli.io.atomic import make_folder
+from exwarp_cli.io.files import make_folder
 from exwarp_cli.io.model_files import read_whole
 from exwarp_cli.training.export import export_extrapolator
 from exwarp_cli.training.extranet import STRIDE, ExtraNet, ExtraNetAdapter

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from exwarp_cli import __version__
 from exwarp_cli.domain.extrapolator import EXTRAPOLATES
 from exwarp_cli.domain.network import TIME, NetworkInterface
-from exwarp_cli.io.atomic import atomic_write_bytes
+from exwarp_cli.io.files import atomic_write_bytes
 from exwarp_cli.io.model_files import INTERFACE_KEY, STRIDE_KEY
 
 OPSET = 18

@@ -15,11 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from exwarp_cli.domain import cores
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.scheduling import prefetch
+from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.training.crops import Batch, Crops
 from exwarp_cli.training.export import export_extrapolator

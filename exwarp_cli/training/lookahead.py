@@ -12,12 +12,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from exwarp_cli.domain import cores
 from exwarp_cli.domain.lookahead import LOOKS_AHEAD
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.scheduling import prefetch
+from exwarp_cli.runtime import cores
 from exwarp_cli.training.export import export_network
 from exwarp_cli.training.lookahead_samples import (
     Sample,

@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.io.atomic import atomic_write_bytes, make_folder
 from exwarp_cli.io.dataset import RenderedScene
+from exwarp_cli.io.files import atomic_write_bytes, make_folder
 from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.choosing import outcomes_of

@@ -28,7 +28,7 @@ from exwarp_cli.accel.kernel import MlpKernel
 from exwarp_cli.accel.quantised_mlp import QuantisedLayer, QuantisedMlp, Requantisation
 from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.errors import DamagedFileError, InputError
-from exwarp_cli.io.atomic import atomic_write_text, make_folder
+from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.io.models import CHECKSUMS
 from exwarp_cli.io.policy_files import SHIPPED_POLICY, left_out, save_network
 from exwarp_cli.policy.outcomes import rewards

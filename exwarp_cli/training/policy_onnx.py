@@ -13,7 +13,7 @@ from onnx import NodeProto, TensorProto, helper, numpy_helper
 from exwarp_cli import __version__
 from exwarp_cli.accel.fixed_point import MOST_ACTIVATION
 from exwarp_cli.accel.quantised_mlp import OUTPUTS, QuantisedMlp, Requantisation
-from exwarp_cli.io.atomic import atomic_write_bytes
+from exwarp_cli.io.files import atomic_write_bytes
 from exwarp_cli.training.export import ABOUT, IR_VERSION, OPSET
 
 F32 = npt.NDArray[np.float32]

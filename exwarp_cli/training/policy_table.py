@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from exwarp_cli.domain.decision import NODES, Features
 from exwarp_cli.errors import DamagedFileError, InputError
-from exwarp_cli.io.atomic import atomic_write_bytes
+from exwarp_cli.io.files import atomic_write_bytes
 from exwarp_cli.io.policy_files import Array, pack, unpack
 from exwarp_cli.policy.state import INPUTS, KEYS_BACK, Surroundings
 from exwarp_cli.training.measuring import Measured, View

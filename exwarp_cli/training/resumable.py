@@ -17,9 +17,9 @@ import torch
 from torch import Tensor, nn
 
 from exwarp_cli.errors import DamagedFileError, UsageError
-from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
 from exwarp_cli.io.dataset import RenderedScene, split
-from exwarp_cli.io.output import file_digest
+from exwarp_cli.io.files import atomic_path, atomic_write_text, make_folder
+from exwarp_cli.io.generated_frames import file_digest
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.training.checkpoint import read_tensors
 from exwarp_cli.training.samples import is_whole

@@ -17,8 +17,8 @@ from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.domain.frame import Float32, Window
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError
-from exwarp_cli.io.atomic import make_folder, output_error
 from exwarp_cli.io.dataset import RenderedScene, SceneManifest
+from exwarp_cli.io.files import make_folder, output_error
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.extrapolate import Prepared
 from exwarp_cli.synthesis.interval import Interval

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from exwarp_cli.errors import UsageError
-from exwarp_cli.io.atomic import atomic_path
+from exwarp_cli.io.files import atomic_path
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TypeVar
 
 from exwarp_cli.errors import InputError, UsageError
-from exwarp_cli.io.atomic import make_folder
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
-from exwarp_cli.io.machine import processors
+from exwarp_cli.io.files import make_folder
 from exwarp_cli.io.models import shipped_folder
 from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side
+from exwarp_cli.runtime.machine import processors
 from exwarp_cli.training.measuring import VIEWS, Measured, View, fits, measure, network
 from exwarp_cli.training.policy_table import PolicyTable, joined, load_table, save_table
 from exwarp_cli.training.tile_table import (

@@ -17,8 +17,8 @@ import numpy.typing as npt
 from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.tiles import REWARP, TILE_FEATURES
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.io.dataset import RenderedScene
+from exwarp_cli.io.files import atomic_write_bytes
 from exwarp_cli.io.models import OnnxExtrapolator
 from exwarp_cli.io.policy_files import Array, pack, unpack
 from exwarp_cli.metrics.display import encode

@@ -128,9 +128,9 @@ def test_libraries_are_quiet_and_messages_are_kept():
     """Inside the block only what Python prints arrives, after it everything does."""
     script = (
         "import os, sys\n"
-        "from exwarp_cli.io import standard_streams\n"
+        "from exwarp_cli import standard_streams\n"
         "standard_streams.prepare_streams()\n"
-        "with standard_streams.quiet_libraries():\n"
+        "with standard_streams.silence_libraries():\n"
         "    os.write(2, b'[W:onnxruntime] no device\\n')\n"
         "    print('message', file=sys.stderr, flush=True)\n"
         "os.write(2, b'later\\n')\n"

@@ -14,7 +14,7 @@ import OpenImageIO as oiio
 
 from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes
 from exwarp_cli.io.cryptomatte_manifest import id_of
-from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.header import Channel
 from exwarp_cli.io.exr.reader import ExrFile
 from tests.unit.exr_files import Planes, write_parts, write_single
 

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import OpenImageIO as oiio
 import pytest
 
-from exwarp_cli.domain import cores
 from exwarp_cli.io import ffmpeg, models, threads
-from exwarp_cli.io.machine import Processors
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.scheduling import AsyncWriter, prefetch
+from exwarp_cli.runtime import cores
+from exwarp_cli.runtime.machine import Processors
 
 
 @pytest.fixture(autouse=True)

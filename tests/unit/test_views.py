@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import InputError, LayoutError
-from exwarp_cli.io.exr.parts import Channel, Part
+from exwarp_cli.io.exr.header import Channel, Part
 from exwarp_cli.io.views import channels_of, choose, expand, views_of
 
 WINDOW = Window(0, 0, 4, 3)

@@ -12,12 +12,12 @@ from exwarp_cli.domain.frame import Bool, Float32, place
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import MissingFrameError, UsageError
-from exwarp_cli.io.footage import digest_of, picture
+from exwarp_cli.io.ffmpeg_filters import require_vmaf_size
+from exwarp_cli.io.footage import digest_frame, read_sequence_picture
+from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.io.interpolator import OnnxInterpolator, load_interpolator
 from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
-from exwarp_cli.io.output import quantised
 from exwarp_cli.io.policy_files import load_policy
-from exwarp_cli.io.vmaf import require_size
 from exwarp_cli.pipeline.bench.pictures import Pictures
 from exwarp_cli.pipeline.bench.plan import Subject
 from exwarp_cli.pipeline.finding import find_truth, require_state
@@ -119,7 +119,7 @@ class Opened:
         self.source = open_source(subject.source)
         keys = self.source.keys
         if "vmaf" in settings.metrics:
-            require_size(keys.display.height, keys.display.width, keys.sequence.pattern)
+            require_vmaf_size(keys.display.height, keys.display.width, keys.sequence.pattern)
         self._truth = find_truth(subject.truth, self.source)
         self.policy = require_state(load_policy(subject.policy))
         self.restart()
@@ -167,7 +167,7 @@ class Opened:
         canvas, display = interval.key.image.data_window, self.source.keys.display
 
         def finish(pixels: Float32) -> Float32:
-            return place(quantised(pixels, inputs.metadata.template), canvas, display)
+            return place(quantise_picture(pixels, inputs.metadata.template), canvas, display)
 
         return Pictures(
             interval,
@@ -182,14 +182,14 @@ class Opened:
         for index in range(FACTOR + 1):
             number = self._truth_number(key, index)
             if number is not None:
-                image = picture(self._truth[0], number, self.source.keys.view)
+                image = read_sequence_picture(self._truth[0], number, self.source.keys.view)
                 found[index] = image.on(image.display_window).pixels
         return found
 
     def truth_digests(self, key: int) -> list[str]:
         """What the ground truth's frames depend on."""
         numbers = [self._truth_number(key, index) for index in range(FACTOR + 1)]
-        return [digest_of(self._truth[0], n) for n in numbers if n is not None]
+        return [digest_frame(self._truth[0], n) for n in numbers if n is not None]
 
     def masks(self, interval: Interval) -> dict[int, Bool]:
         """Holes of W at slots 1 to 3, on the display window."""

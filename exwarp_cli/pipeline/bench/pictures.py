@@ -18,7 +18,7 @@ from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, PATHS, WARP
 from exwarp_cli.domain.extrapolator import INTERPOLATE, Extrapolator, Interpolator
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.io.minterpolate import minterpolate
+from exwarp_cli.io.ffmpeg_filters import minterpolate
 from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS, take

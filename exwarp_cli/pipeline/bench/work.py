@@ -15,11 +15,10 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.bench import BenchSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import UsageError
-from exwarp_cli.io.atomic import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.exr.reader import read_headers
 from exwarp_cli.io.exr.template import render_seconds
-from exwarp_cli.io.machine import processors
+from exwarp_cli.io.files import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.announcing import other_extrapolator
 from exwarp_cli.pipeline.bench.measure import SLOT_SCORES, identity, measure, measure_slots
@@ -29,6 +28,7 @@ from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side, 
 from exwarp_cli.pipeline.bench.timing import time_subject
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.scoring import SLOTS
+from exwarp_cli.runtime.machine import processors
 from exwarp_cli.runtime.stop import check_stop
 
 PARTS = "parts"

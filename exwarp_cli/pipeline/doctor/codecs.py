@@ -17,7 +17,7 @@ from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.wording import counted, first_line
 from exwarp_cli.errors import ExwarpError, UsageError
 from exwarp_cli.io.exr.reader import ExrFile
-from exwarp_cli.io.exr.writer import COMPRESSIONS, encode_by_openexr, scanline_structure
+from exwarp_cli.io.exr.writer import COMPRESSIONS, encode_by_openexr, scanline_attributes
 from exwarp_cli.io.ffmpeg import FfmpegError, run_ffmpeg
 from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.pipeline.doctor.examine import Check, failure, warning
@@ -130,7 +130,7 @@ def write_exr(path: Path, channels: Mapping[str, np.ndarray], compression: str) 
     height, width = next(iter(planes.values())).shape
     window = Window(0, 0, width, height)
     header: dict[str, Any] = {
-        **scanline_structure(window, window),
+        **scanline_attributes(window, window),
         "compression": COMPRESSIONS[compression],
         "framesPerSecond": Fraction(24),
     }

@@ -13,12 +13,12 @@ import numba
 import numpy as np
 
 from exwarp_cli.domain.wording import counted, size_text
-from exwarp_cli.io.machine import Folder, cached_files, look_at
 from exwarp_cli.kernels import _compile, _row_bands
 from exwarp_cli.kernels._compile import SUFFIX
 from exwarp_cli.kernels.gather import gather_bilinear
 from exwarp_cli.pipeline.doctor.examine import Check, Remark, failure, warning
 from exwarp_cli.runtime.compilation import compilation
+from exwarp_cli.runtime.machine import Folder, cached_files, look_at
 
 FOLDER_VARIABLE = "NUMBA_CACHE_DIR"
 """Names where compiled kernels go, before numba looks for a folder itself."""

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import exwarp_cli
 from exwarp_cli.domain.wording import size_text
-from exwarp_cli.io.machine import look_at, memory, processors, temporary_folder
 from exwarp_cli.pipeline.doctor.examine import Check, failure, warning
+from exwarp_cli.runtime.machine import look_at, memory, processors, temporary_folder
 
 LEAST_MEMORY = 4 << 30
 """Bytes that frames of 1920x1080 take with the network that extrapolates; 3.7 GiB were measured."""

@@ -11,8 +11,8 @@ import pytest
 
 from exwarp_cli.errors import MissingExtraError, UsageError
 from exwarp_cli.io import model_files, models
-from exwarp_cli.io.machine import Folder, Memory, Processors
 from exwarp_cli.pipeline.doctor import codecs, machine, networks
+from exwarp_cli.runtime.machine import Folder, Memory, Processors
 from tests.cli.doctor.judging import failed, healthy, warned
 
 

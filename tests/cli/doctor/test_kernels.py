@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import UsageError
-from exwarp_cli.io.machine import Folder
 from exwarp_cli.pipeline.doctor import kernels, self_test
+from exwarp_cli.runtime.machine import Folder
 from exwarp_cli.synthesis import warp
 from tests.cli.doctor.judging import failed, healthy, warned
 

@@ -1,7 +1,7 @@
 """What this machine has, and what of it this process may use.
 
-Containers and batch systems limit processes without telling them: by affinity, and by control
-groups of either version.
+Containers and batch systems limit a process by its affinity, and by control groups of version 1
+or 2.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ GROUPS = Path("/sys/fs/cgroup")
 MEMBERSHIP = Path("/proc/self/cgroup")
 MEMORY = Path("/proc/meminfo")
 
+# Version 1 of control groups writes a huge number of bytes where there is no limit.
 _UNLIMITED = 1 << 60
-"""Version 1 writes a huge number of bytes where there is no limit."""
 
+# Files with limit and use, in version 2 of control groups and in version 1.
 _MEMORY_FILES = (
     ("memory.max", "memory.current"),
     ("memory.limit_in_bytes", "memory.usage_in_bytes"),
 )
-"""Limit and use, in the second version of control groups and in the first."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +38,9 @@ class Processors:
     there
         In the machine.
     allowed
-        That the affinity of this process names.
+        By the affinity of this process.
     quota
-        How many of them at a time its control group grants, which may be a fraction; None without
-        a limit.
+        CPUs at a time by the control group, maybe a fraction; None without a limit.
     """
 
     there: int
@@ -56,16 +55,16 @@ class Processors:
 
 @dataclass(frozen=True)
 class Memory:
-    """Bytes of memory; each None where the system does not tell.
+    """Bytes of memory; each None where it is unknown.
 
     Attributes
     ----------
     there
         In the machine.
     available
-        That programs can have without swapping, the limit taken into account.
+        For programs without swapping, within the limit.
     limit
-        Of the control group; None without one.
+        Of the control group.
     """
 
     there: int | None
@@ -75,16 +74,14 @@ class Memory:
 
 @dataclass(frozen=True)
 class Folder:
-    """A folder that files are to be written to.
+    """A folder for files to be written.
 
     Attributes
     ----------
-    path
-        Of the folder.
     problem
-        Why nothing can be written there; None where it can.
+        Why nothing can be written there; None if it can.
     free
-        Bytes on its disk; None where the system does not tell.
+        Bytes on its disk; None if unknown.
     """
 
     path: Path
@@ -96,25 +93,26 @@ def processors() -> Processors:
     """Count the CPUs."""
     there = os.cpu_count() or 1
     affinity = getattr(os, "sched_getaffinity", None)  # Linux has it
-    return Processors(there, there if affinity is None else len(affinity(0)), _quota())
+    return Processors(there, there if affinity is None else len(affinity(0)), _cpu_quota())
 
 
 def memory() -> Memory:
     """Measure the memory."""
-    meminfo = dict(_meminfo())
+    meminfo = dict(_read_meminfo())
     there, available = meminfo.get("MemTotal"), meminfo.get("MemAvailable")
     limits = list(_memory_limits(there))
     rooms = [room for _, room in limits] + ([] if available is None else [available])
-    return Memory(there, min(rooms, default=None), min((most for most, _ in limits), default=None))
+    limit = min((limit for limit, _ in limits), default=None)
+    return Memory(there, min(rooms, default=None), limit)
 
 
 def look_at(path: Path) -> Folder:
-    """Try to write to a folder; what is tried with has no name, or is gone at once."""
+    """Try to write to a folder, by a file that has no name or is removed at once."""
+    problem = None
     try:
         with tempfile.TemporaryFile(dir=path) as file:
             file.write(b"exwarp")
             file.flush()
-        problem = None
     except OSError as error:
         problem = error.strerror or str(error)
     try:
@@ -125,7 +123,7 @@ def look_at(path: Path) -> Folder:
 
 
 def temporary_folder() -> Path | None:
-    """Return where temporary files go; None where no folder for them can be written."""
+    """Return the folder of temporary files; None where none can be written."""
     try:
         return Path(tempfile.gettempdir())
     except OSError:
@@ -133,7 +131,7 @@ def temporary_folder() -> Path | None:
 
 
 def cached_files(folder: Path, suffix: str) -> tuple[int, int]:
-    """Count the files of a folder that end so, and their bytes; none where there is no folder."""
+    """Return number and bytes of the files in a folder with this suffix."""
     sizes = []
     for path in folder.glob(f"*{suffix}"):
         try:
@@ -143,54 +141,49 @@ def cached_files(folder: Path, suffix: str) -> tuple[int, int]:
     return len(sizes), sum(sizes)
 
 
-def _quota() -> float | None:
-    """Return how many CPUs the control groups grant; the least of all that hold this process."""
-    found = []
-    for folder in _own_groups():
-        quota, _, period = _text(folder / "cpu.max").partition(" ")
-        if quota.isdecimal() and period.isdecimal():
-            found.append(int(quota) / int(period))
-        quota, period = (_text(folder / f"cpu.cfs_{name}_us") for name in ("quota", "period"))
-        if quota.isdecimal() and period.isdecimal():
-            found.append(int(quota) / int(period))
-    return min((share for share in found if share > 0), default=None)
+def _cpu_quota() -> float | None:
+    """Return the smallest number of CPUs that a control group of this process grants."""
+    quotas = []
+    for folder in _control_groups():
+        version_2 = _read_text(folder / "cpu.max").partition(" ")[::2]
+        version_1 = [_read_text(folder / f"cpu.cfs_{name}_us") for name in ("quota", "period")]
+        for quota, period in (version_2, version_1):
+            if quota.isdecimal() and period.isdecimal():
+                quotas.append(int(quota) / int(period))
+    return min((quota for quota in quotas if quota > 0), default=None)
 
 
 def _memory_limits(there: int | None) -> Iterator[tuple[int, int]]:
-    """Yield the limits of the control groups that matter, and how much of each is left.
-
-    Files that the kernel merely keeps at hand are counted as used there, but give way.
-    """
-    for folder in _own_groups():
+    """Yield limit and remaining bytes of the control groups that limit memory."""
+    for folder in _control_groups():
         for names in _MEMORY_FILES:
-            limit, used = (_text(folder / name) for name in names)
+            limit, used = (_read_text(folder / name) for name in names)
             if limit.isdecimal() and used.isdecimal() and int(limit) < (there or _UNLIMITED):
-                stat = _text(folder / "memory.stat")
-                spare = re.search(r"^(?:total_)?inactive_file (\d+)$", stat, re.MULTILINE)
-                taken = int(used) - (int(spare[1]) if spare else 0)
-                yield int(limit), max(int(limit) - max(taken, 0), 0)
+                # The kernel counts cached files as used, but drops them when memory is needed.
+                stat = _read_text(folder / "memory.stat")
+                cached = re.search(r"^(?:total_)?inactive_file (\d+)$", stat, re.MULTILINE)
+                taken = max(int(used) - (int(cached[1]) if cached else 0), 0)
+                yield int(limit), max(int(limit) - taken, 0)
 
 
-def _own_groups() -> Iterator[Path]:
-    """Yield the folders of the groups that this process is in, and of those around them.
-
-    In a container the group's own path is often not to be seen, and its files lie at the top.
-    """
+def _control_groups() -> Iterator[Path]:
+    """Yield the folders of this process's control groups, and of those that contain them."""
     tops = {"": GROUPS}
     tops |= {name: GROUPS / name for name in ("cpu", "cpu,cpuacct", "memory")}
+    # In a container the group's own path is often invisible, and its files lie at the top.
     inside = {name: Path("/") for name in tops}
-    for line in _text(MEMBERSHIP).splitlines():
-        _, _, rest = line.partition(":")
-        names, _, own = rest.partition(":")
+    for line in _read_text(MEMBERSHIP).splitlines():
+        _, _, group = line.partition(":")
+        names, _, own = group.partition(":")
         inside |= {name: Path(own) for name in (names, *names.split(",")) if name in tops}
     for name, top in tops.items():
         for path in (inside[name], *inside[name].parents):
             yield top / path.relative_to("/")
 
 
-def _meminfo() -> Iterator[tuple[str, int]]:
-    """Yield what Linux tells of its memory, in bytes; elsewhere the size alone."""
-    lines = _text(MEMORY).splitlines()
+def _read_meminfo() -> Iterator[tuple[str, int]]:
+    """Yield names and bytes of Linux's memory statistics; elsewhere the total alone."""
+    lines = _read_text(MEMORY).splitlines()
     for line in lines:
         name, _, value = line.partition(":")
         number = value.split()[:1]
@@ -200,8 +193,7 @@ def _meminfo() -> Iterator[tuple[str, int]]:
         yield "MemTotal", os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
-def _text(path: Path) -> str:
-    """Return what a file of the system says; nothing where it is missing."""
+def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="ascii", errors="replace").strip()
     except OSError:
