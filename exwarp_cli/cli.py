@@ -241,10 +241,7 @@ def run(args: list[str], is_last: bool = False) -> int:
             _print_message(text)
 
     try:
-        with (
-            graceful_stop(partial(_last_words, args), is_last),
-            compilation.messages_to(announce),
-        ):
+        with graceful_stop(partial(_last_words, args), is_last), compilation.messages_to(announce):
             result = exwarp.main(args, prog_name="exwarp", standalone_mode=False, obj=origins)
         return result if isinstance(result, int) else 0
     except (Exception, KeyboardInterrupt, StopRequested) as error:

@@ -34,12 +34,8 @@ class StandardOutput(io.FileIO):
     def write(self, data: Any, /) -> Any:
         """Write bytes.
 
-        Raises
-        ------
-        ReaderGoneError
-            When the reader has ended; its user knows that.
-        OutputError
-            When they cannot be written for another reason.
+        Raises ReaderGoneError when the reader has ended; its user knows that. Raises OutputError
+        when they cannot be written for another reason.
         """
         if self._has_failed:
             return memoryview(data).nbytes

@@ -45,27 +45,14 @@ FORWARDED_SIGNALS = tuple(
 
 @dataclass(frozen=True)
 class ChildExit:
-    """How the child ended.
+    """How the child ended."""
 
-    Attributes
-    ----------
-    code
-        Its exit code; below 0 the signal that ended it, as in `subprocess`.
-    reading
-        Files that libraries were reading then; if some took too long, only these.
-    overdue
-        Whether it was ended because a file took too long.
-    stopped
-        The signal that asked it to end; 0 without one.
-    skippable
-        Those of the files without which the command can start again.
-    """
-
-    code: int
+    code: int  # its exit code; below 0 the signal that ended it, as in `subprocess`
+    # Files that libraries were reading then; if some took too long, only these
     reading: tuple[Path, ...] = ()
-    overdue: bool = False
-    stopped: int = 0
-    skippable: tuple[Path, ...] = ()
+    overdue: bool = False  # whether it was ended because a file took too long
+    stopped: int = 0  # the signal that asked it to end; 0 without one
+    skippable: tuple[Path, ...] = ()  # those of the files without which the command can start again
 
     @property
     def is_failure(self) -> bool:
@@ -95,15 +82,8 @@ def is_supervised() -> bool:
 def fork_command(warn: Callable[[str], None]) -> ChildExit | None:
     """Fork into a child that runs the command, and a parent that waits for it.
 
-    Parameters
-    ----------
-    warn
-        Prints a sentence to the user.
-
-    Returns
-    -------
-    ChildExit or None
-        None in the process that runs the command. In the parent, how the last child ended.
+    `warn` prints a sentence to the user. Returns None in the process that runs the command, and in
+    the parent how the last child ended.
     """
     if not is_supervised():
         return None
@@ -201,10 +181,7 @@ def _is_grace_over(signals: list[tuple[int, float]]) -> bool:
 def _forward_signals(child: int, handlers: Mapping[int, Any]) -> list[tuple[int, float]]:
     """Forward the signals that end a command, unless this process ignores them.
 
-    Returns
-    -------
-    list of (int, float)
-        Grows by number and time of each signal.
+    Returns a list that grows by number and time of each signal.
     """
     signals: list[tuple[int, float]] = []
 

@@ -52,22 +52,13 @@ MATRICES = {
 
 @dataclass(frozen=True)
 class VideoColour:
-    """How a video's numbers mean colour: ffmpeg's names, as the encoder is to label them.
+    """How a video's numbers mean colour: ffmpeg's names, as the encoder is to label them."""
 
-    Attributes
-    ----------
-    matrix
-        Of Y'CbCr, one of `MATRICES`.
-    primaries, transfer
-        By ffmpeg's names, "unknown" among them.
-    full_range
-        Whether 0 to 255 are used, else 16 to 235.
-    """
-
-    matrix: str = "bt709"
+    matrix: str = "bt709"  # of Y'CbCr, one of `MATRICES`
+    # By ffmpeg's names, "unknown" among them
     primaries: str = "bt709"
     transfer: str = "iec61966-2-1"
-    full_range: bool = False
+    full_range: bool = False  # whether 0 to 255 are used, else 16 to 235
 
     @property
     def range(self) -> str:
@@ -77,17 +68,10 @@ class VideoColour:
 
 @dataclass(frozen=True)
 class Primaries:
-    """The colours of a file's red, green and blue.
+    """The colours of a file's red, green and blue."""
 
-    Attributes
-    ----------
-    name
-        Of the colour space, for a message.
-    to_rec709
-        Matrix by rows, from the file's R, G, B to those of Rec. 709.
-    """
-
-    name: str
+    name: str  # of the colour space, for a message
+    # Matrix by rows, from the file's R, G, B to those of Rec. 709.
     to_rec709: tuple[tuple[float, ...], ...]
 
     def converted(self, pixels: Float32) -> Float32:
@@ -101,16 +85,11 @@ class Primaries:
 
 
 def primaries_of(header: Mapping[str, Any]) -> Primaries | None:
-    """Read the primaries of an EXR header.
+    """Read the primaries of an EXR header; None for Rec. 709.
 
     Neutral is what ``adoptedNeutral`` says, else the white of the chromaticities; by Bradford's
-    adaptation it becomes neutral in Rec. 709.
-
-    Returns
-    -------
-    Primaries or None
-        None for Rec. 709, for a header without chromaticities, where OpenEXR assumes Rec. 709, and
-        for chromaticities that no colours can have.
+    adaptation it becomes neutral in Rec. 709. None also for a header without chromaticities, where
+    OpenEXR assumes Rec. 709, and for chromaticities that no colours can have.
     """
     chromaticities = _finite_numbers(header.get("chromaticities"), 8)
     if chromaticities is None:
@@ -172,20 +151,11 @@ def parse_pixel_aspect(ratio: object) -> Fraction:
 
 
 def to_display(pixels: Float32, exposure_stops: float = 0.0) -> UInt8:
-    """Turn scene-linear colour into 8-bit sRGB.
+    """Turn scene-linear colour into 8-bit sRGB [H, W, 3], rounded half up (IEC 61966-2-1).
 
-    Parameters
-    ----------
-    pixels
-        float32 [H, W, 3 or more], scene-linear with Rec. 709 primaries; channels past the third
-        are dropped. NaN and negative infinity become 0, positive infinity 255.
-    exposure_stops
-        Factors of two to brighten by before the curve.
-
-    Returns
-    -------
-    numpy.ndarray
-        uint8 [H, W, 3], rounded half up (IEC 61966-2-1).
+    `pixels` are float32 [H, W, 3 or more] with Rec. 709 primaries; channels past the third are
+    dropped. NaN and negative infinity become 0, positive infinity 255. `exposure_stops` are factors
+    of two to brighten by before the curve.
     """
     with np.errstate(over="ignore"):  # brightened beyond float32 is white all the same
         linear = pixels[..., :3] * np.float32(2.0**exposure_stops)
@@ -196,17 +166,9 @@ def to_display(pixels: Float32, exposure_stops: float = 0.0) -> UInt8:
 
 
 def from_display(codes: UInt8 | UInt16) -> Float32:
-    """Turn sRGB codes into scene-linear colour: the inverse of `to_display` for 8 bits.
+    """Turn sRGB codes, uint8 or uint16, into scene-linear float32, 0 to 1 (IEC 61966-2-1).
 
-    Parameters
-    ----------
-    codes
-        uint8 or uint16 of any shape; the type's largest value is white.
-
-    Returns
-    -------
-    numpy.ndarray
-        float32 of the same shape, 0 to 1 (IEC 61966-2-1).
+    For 8 bits it is the inverse of `to_display`. The type's largest value is white.
     """
     linear: Float32 = _linear_table(codes.dtype.itemsize)[codes]
     return linear

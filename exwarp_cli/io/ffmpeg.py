@@ -41,19 +41,10 @@ class FfmpegError(Exception):
 
 
 def run_ffmpeg(options: Sequence[str], data: bytes | None = None) -> tuple[bytes, str]:
-    """Run ffmpeg, and return what it writes and what it prints.
+    """Run ffmpeg with options, which write to ``-``; return what it writes and what it prints.
 
-    Parameters
-    ----------
-    options
-        Without the program's name; they write to ``-``.
-    data
-        What it reads from ``-``; None to close its input.
-
-    Raises
-    ------
-    FfmpegError
-        When ffmpeg does not start, or fails.
+    It reads `data` from ``-``; without, its input is closed. Raises FfmpegError when ffmpeg does
+    not start, or fails.
     """
     if data is None:
         options = ("-nostdin", *options)
@@ -101,19 +92,9 @@ class _FfmpegStream(ResourceOwner):
 
 
 class FfmpegReader(_FfmpegStream):
-    """One run of ffmpeg whose output is read here; a context manager.
+    """One run of ffmpeg whose output, written to ``-``, is read here; a context manager.
 
-    Left before the end, it ends ffmpeg.
-
-    Parameters
-    ----------
-    options
-        Without the program's name; they write to ``-``.
-
-    Raises
-    ------
-    FfmpegError
-        When ffmpeg does not start.
+    Left before the end, it ends ffmpeg. Raises FfmpegError when ffmpeg does not start.
     """
 
     def __init__(self, options: Sequence[str]) -> None:
@@ -129,12 +110,8 @@ class FfmpegReader(_FfmpegStream):
     def read(self, size: int) -> bytes | None:
         """Return the next `size` bytes; None at the end, or where fewer are left.
 
-        Raises
-        ------
-        FfmpegError
-            When ffmpeg failed.
-        StopRequested
-            When this process was asked to stop.
+        Raises FfmpegError when ffmpeg failed. Raises StopRequested when this process was asked to
+        stop.
         """
         check_stop()
         assert self._process.stdout is not None
@@ -157,21 +134,10 @@ class FfmpegReader(_FfmpegStream):
 
 
 class FfmpegWriter(_FfmpegStream):
-    """One run of ffmpeg that reads frames from here; a context manager.
+    """One run of ffmpeg, in a folder, that reads frames from here; a context manager.
 
-    Left without `close`, by an error for example, it ends ffmpeg.
-
-    Parameters
-    ----------
-    options
-        Without the program's name.
-    folder
-        Where it runs; None for the current folder.
-
-    Raises
-    ------
-    FfmpegError
-        When ffmpeg does not start.
+    Left without `close`, by an error for example, it ends ffmpeg. Raises FfmpegError when ffmpeg
+    does not start.
     """
 
     def __init__(self, options: Sequence[str], folder: Path | None = None) -> None:

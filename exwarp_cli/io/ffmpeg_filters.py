@@ -78,23 +78,14 @@ def require_vmaf_size(height: int, width: int, what: str) -> None:
 
 
 def compute_vmaf(reference: Iterable[UInt8], test: Iterable[UInt8]) -> list[float]:
-    """Score a sequence of frames.
+    """Score successive frames by VMAF, 0 to 100 each.
 
-    Parameters
-    ----------
-    reference, test
-        uint8 [H, W, 3], display-encoded (`exwarp_cli.io.display_colour.to_display`), successive
-        frames of one size, equally many of both; at least one. They are taken one pair at a time.
+    Frames are uint8 [H, W, 3], display-encoded (`to_display`), of one size, equally many of both
+    sequences, at least one. They are taken one pair at a time. Equal frames have less than 100
+    where the reference hardly moves.
 
-    Returns
-    -------
-    list of float
-        One a frame, 0 to 100. Equal frames have less than 100 where the reference hardly moves.
-
-    Raises
-    ------
-    InputError
-        When ffmpeg is missing or fails; LayoutError for frames below `MIN_VMAF_SIZE` pixels.
+    Raises InputError when ffmpeg is missing or fails. Raises LayoutError for frames below
+    `MIN_VMAF_SIZE` pixels.
     """
     with VmafStream() as stream:
         for pair in zip(reference, test, strict=True):
@@ -202,24 +193,12 @@ def _vmaf_error(error: FfmpegError) -> InputError:
 def minterpolate(older: Float32 | None, before: Float32, after: Float32) -> tuple[Float32, ...]:
     """Interpolate the frames of slots 1 to 3 of one key interval by ffmpeg's minterpolate.
 
-    It sees colour only, in display encoding and 8 bits: values below 0 and above 1 are lost, and so
-    is alpha.
+    It takes F_k-1 (None at the start of a sequence), F_k and F_k+1: float32 [H, W, 3 or more],
+    scene-linear with Rec. 709 primaries; channels past the third are dropped. It sees them in
+    display encoding and 8 bits, so values below 0 and above 1 are lost. Returns float32 [H, W, 3],
+    scene-linear, 0 to 1, in steps of 8-bit sRGB.
 
-    Parameters
-    ----------
-    older, before, after
-        F_k-1 (None at the start of a sequence), F_k and F_k+1: float32 [H, W, 3 or more],
-        scene-linear with Rec. 709 primaries; channels past the third are dropped.
-
-    Returns
-    -------
-    tuple of float32 [H, W, 3]
-        Scene-linear, 0 to 1, in steps of 8-bit sRGB.
-
-    Raises
-    ------
-    OutputError
-        When ffmpeg is missing, fails, or returns other frames than it should.
+    Raises OutputError when ffmpeg is missing, fails, or returns other frames than it should.
     """
     # The search for motion starts from the vectors of the frame before, and so goes back to the
     # first frame. It gets one key frame of the past, so that a frame does not depend on where a run

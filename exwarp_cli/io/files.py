@@ -150,22 +150,9 @@ def path_exists(path: Path) -> bool:
 def atomic_path(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it into place when the block succeeds.
 
-    The temporary is removed when the block fails in any way, interruption included.
-
-    Parameters
-    ----------
-    path
-        The file to write; its folder must exist. An existing file is replaced.
-
-    Yields
-    ------
-    Path
-        Where to write, in the same folder, with a name that has no image or video suffix.
-
-    Raises
-    ------
-    OutputError
-        When writing, or the rename, fails with an OSError.
+    The folder must exist, and an existing file is replaced. The temporary's name has no image or
+    video suffix. It is removed when the block fails in any way, interruption included. Raises
+    OutputError when writing, or the rename, fails with an OSError.
     """
     temporary = path.with_name(_temporary_name(path.name))
     with clean_up_after(partial(_remove, temporary)):
@@ -191,14 +178,8 @@ def atomic_write_text(path: Path, text: str) -> None:
 def atomic_copy(source: Path, target: Path) -> None:
     """Copy a file byte for byte, all or nothing.
 
-    Raises
-    ------
-    InputError
-        When there is no such source.
-    UnreadableError
-        When the system does not let the source through.
-    OutputError
-        When the copy cannot be written.
+    Raises InputError when there is no such source. Raises UnreadableError when the system does not
+    let the source through. Raises OutputError when the copy cannot be written.
     """
 
     def copy() -> None:
@@ -246,10 +227,7 @@ def _copy_by_system(source: BinaryIO, target: BinaryIO) -> bool:
 def make_folder(path: Path) -> None:
     """Make a folder with its parents, and prove that files can be written in it.
 
-    Raises
-    ------
-    OutputError
-        When it cannot be made, or nothing can be written there.
+    Raises OutputError when it cannot be made, or nothing can be written there.
     """
     probe = path / _temporary_name("probe")
     try:
@@ -265,10 +243,7 @@ def make_folder(path: Path) -> None:
 def marker_file(folder: Path) -> Iterator[Path]:
     """Yield an empty temporary file by which other machines recognise a folder.
 
-    Raises
-    ------
-    OutputError
-        When it cannot be written.
+    Raises OutputError when it cannot be written.
     """
     mark = folder / _temporary_name("mark")
     with clean_up_after(partial(_remove, mark)):
@@ -385,19 +360,9 @@ def is_visible(path: Path) -> bool:
 def with_retries(path: Path, read: Callable[[], T]) -> T:
     """Call a reader of a file, again after a pause while the system makes it fail.
 
-    Parameters
-    ----------
-    path
-        The file.
-    read
-        Opens the file anew at each call, as a stale handle stays stale.
-
-    Raises
-    ------
-    UnreadableError
-        When the system makes the last try fail, too.
-    OSError, DamagedFileError
-        What `read` raises when the file or its path is the cause.
+    `read` opens the file anew at each call, as a stale handle stays stale. Raises UnreadableError
+    when the system makes the last try fail, too, and OSError or DamagedFileError as `read` does
+    when the file or its path is the cause.
     """
     pauses = iter(PAUSES)
     is_repeated = False

@@ -99,10 +99,7 @@ def find_frames(spec: str, gaps: bool = False, scan: str = SourceSettings.scan) 
 
     With `gaps` missing frames in between are listed, too.
 
-    Raises
-    ------
-    InputError
-        When there is none, or several.
+    Raises InputError when there is none, or several.
     """
     return find_footage(spec, gaps, scan) or find_sequence(spec, gaps=gaps)
 
@@ -112,10 +109,7 @@ def find_footage(spec: str, gaps: bool = False, scan: str = SourceSettings.scan)
 
     With `gaps` missing frames in between are listed, too. `scan` is as in `open_clip`.
 
-    Raises
-    ------
-    InputError
-        When there are several, or a video cannot be read.
+    Raises InputError when there are several, or a video cannot be read.
     """
     if is_clip(spec):
         return ClipSequence.from_clip(open_clip(Path(spec), scan))
@@ -152,17 +146,8 @@ def is_plain(sequence: Sequence) -> bool:
 def make_shot(sequence: Sequence, keep_going: bool = False) -> Shot:
     """Return a video or a sequence of stills as a shot that has colour alone.
 
-    Parameters
-    ----------
-    sequence
-        The pictures.
-    keep_going
-        Whether to take the first still that is sound.
-
-    Raises
-    ------
-    InputError
-        When the first still cannot be read.
+    With `keep_going` the first still that is sound is taken. Raises InputError when the first still
+    cannot be read.
     """
 
     def make_from(number: int) -> Shot:
@@ -184,23 +169,9 @@ def make_shot(sequence: Sequence, keep_going: bool = False) -> Shot:
 
 
 def read_sequence_picture(sequence: Sequence, number: int, view: str = "") -> Image:
-    """Read the colour of a frame of any kind of sequence.
+    """Read the colour of a frame of any kind of sequence; of EXR, of one view, "" for the hero.
 
-    Parameters
-    ----------
-    sequence
-        A video, stills or EXR.
-    number
-        Of the frame.
-    view
-        Which view of an EXR file; "" for the hero.
-
-    Raises
-    ------
-    InputError
-        When it is missing or damaged.
-    LayoutError
-        When no colour is recognised.
+    Raises InputError when it is missing or damaged, LayoutError when no colour is recognised.
     """
     if isinstance(sequence, ClipSequence):
         return sequence.frames.image(number)
@@ -210,10 +181,8 @@ def read_sequence_picture(sequence: Sequence, number: int, view: str = "") -> Im
 def read_key_picture(shot: Shot, number: int) -> Image:
     """Read a key frame of a video or of stills.
 
-    Raises
-    ------
-    LayoutError
-        When it has another size than the first, or has alpha where the first has none.
+    Raises LayoutError when it has another size than the first, or has alpha where the first has
+    none.
     """
     image = read_sequence_picture(shot.sequence, number)
     window, channels = image.display_window, len(shot.layout.roles[Role.COLOUR])
@@ -244,17 +213,10 @@ def digest_frame(sequence: Sequence, number: int) -> str:
 
 
 def make_frame_template(shot: Shot, number: int, suffix: str) -> FrameTemplate:
-    """Return the template for frames that are made of a video or of stills.
+    """Return the template for frames that are made of footage, by the suffix of the files to write.
 
-    Parameters
-    ----------
-    shot
-        The input.
-    number
-        Of the key frame.
-    suffix
-        Of the files to write. EXR is half and scene-linear, stills are as their key frame, and
-        frames of a video have sRGB codes of 8 bits, or of 16 if it has more than 8.
+    EXR is half and scene-linear, stills are as their key frame, and frames of a video have sRGB
+    codes of 8 bits, or of 16 if it has more than 8.
     """
     if file_type(suffix) in EXR:
         planes = tuple(
@@ -278,19 +240,11 @@ def clip_rate(sequence: Sequence) -> Fraction | None:
 def make_video_look(
     shot: Shot, begin: Fraction, end: Fraction | None, note: str, apart: str | None = None
 ) -> VideoLook:
-    """Return the properties of a video made of a sequence.
+    """Return the properties of a video made of a sequence, with a note as in `VideoLook`.
 
-    Parameters
-    ----------
-    shot
-        The input. Of EXR, the header of the first frame has colour and pixel aspect.
-    begin, end
-        The part of its sound that goes along, in frames of the input from the first; to the end of
-        all for None.
-    note
-        See `VideoLook`.
-    apart
-        Why neither sound, subtitles nor timecode go along; None if they do.
+    Of EXR, the header of the first frame has colour and pixel aspect. The sound goes along from
+    `begin` to `end`, in frames of the input from the first; None is the end of all. `apart` is why
+    neither sound, subtitles nor timecode go along; None if they do.
     """
     sequence = shot.sequence
     if not is_plain(sequence):

@@ -92,10 +92,7 @@ def frame_rate(header: Mapping[str, Any]) -> Fraction | None:
 def parse_compression(name: str | None) -> Any:
     """Return OpenEXR's constant for a compression, maybe an `OpenExrCompression`; None for None.
 
-    Raises
-    ------
-    UsageError
-        When the name is not known.
+    Raises UsageError when the name is not known.
     """
     if name is None:
         return None
@@ -114,23 +111,9 @@ def write_picture(
 ) -> list[Buffer]:
     """Write a generated frame, whole or not at all; return its bytes, piece by piece.
 
-    Parameters
-    ----------
-    path
-        Target; its folder exists.
-    image
-        Scene-linear colour.
-    template
-        Of the format that the suffix names.
-    attributes
-        As for `write_frame`; stills keep those with `PREFIX` alone.
-    extra_planes
-        Further channels; only for EXR.
-
-    Raises
-    ------
-    OutputError
-        When it cannot be written.
+    The suffix names the format of the template, the colour is scene-linear, and the folder exists.
+    Attributes are as for `write_frame`; stills keep those with `PREFIX` alone, and have no extra
+    planes. Raises OutputError when it cannot be written.
     """
     if isinstance(template, StillTemplate):
         own = {k[len(PREFIX) :]: v for k, v in attributes.items() if k.startswith(PREFIX)}
@@ -147,6 +130,9 @@ def write_frame(
 ) -> list[Buffer]:
     """Write a generated EXR, whole or not at all; return its bytes, piece by piece.
 
+    Each part covers what its source's did; see `filled_window`. Raises OutputError when it cannot
+    be written.
+
     Parameters
     ----------
     path
@@ -160,15 +146,6 @@ def write_frame(
         first part.
     extra_planes
         Every other channel that the template has.
-
-    Raises
-    ------
-    OutputError
-        When it cannot be written.
-
-    Notes
-    -----
-    Each part covers what its source's did; see `filled_window`.
     """
     planes = dict(extra_planes or {})
     for i, plane in enumerate(template.colour):
@@ -219,13 +196,9 @@ def _write_exr(path: Path, parts: list[OutputPart], own: Mapping[str, Any]) -> l
 
 
 def seal(head: Buffer, *rest: Buffer) -> list[Buffer]:
-    """Put the checksum of an encoded file into its header.
+    """Put the checksum of an encoded file into its header; the file is in pieces.
 
-    Parameters
-    ----------
-    head, rest
-        The file's bytes in pieces; the header is in the first, which is changed in place if it can
-        be.
+    The header is in the first piece, which is changed in place if it can be.
     """
     start = _find_checksum(head)
     if start is None:
@@ -291,12 +264,8 @@ def read_facts(path: Path) -> dict[str, Any]:
 def file_digest(path: Path) -> str:
     """Digest a file's bytes, hexadecimal, by the algorithm of generated files' checksums.
 
-    Raises
-    ------
-    DamagedFileError
-        When there is no such file.
-    UnreadableError
-        When the system does not let it through.
+    Raises DamagedFileError when there is no such file. Raises UnreadableError when the system does
+    not let it through.
     """
 
     def digest() -> str:
@@ -312,14 +281,8 @@ def file_digest(path: Path) -> str:
 def filled_window(planes: Iterable[Plane], source: Window) -> Window:
     """Return the window of nonzero pixels, or the whole one if their source filled its own.
 
-    A key frame that holds only an object's bounding box stays that small when it is moved.
-
-    Parameters
-    ----------
-    planes
-        Of one part, on the windows that they were made on.
-    source
-        The data window of that part in the key frame.
+    A key frame that holds only an object's bounding box stays that small when it is moved. The
+    planes are those of one part; `source` is that part's data window in the key frame.
     """
     planes = tuple(planes)
     window = reduce(Window.union, (plane.window for plane in planes))
@@ -379,10 +342,7 @@ class Authorship:
 def find_authorship(path: Path) -> Authorship | None:
     """Find out who wrote a file; None if there is no file.
 
-    Raises
-    ------
-    UnreadableError
-        When the system does not let the file through.
+    Raises UnreadableError when the system does not let the file through.
     """
     try:
         data = with_retries(path, path.read_bytes)

@@ -69,30 +69,14 @@ _ORIENTATION_TAG, _SHORT = 0x0112, 3
 
 @dataclass(frozen=True)
 class StillTemplate:
-    """What a generated frame takes over from its key frame's file.
+    """What a generated frame takes over from its key frame's file."""
 
-    Attributes
-    ----------
-    metadata
-        Name, type and value of each attribute.
-    dtype
-        Of the code values in memory: uint8, uint16, float16 or float32.
-    bits
-        Of each value in the file, which may be fewer: 10 or 12 of 16.
-    channels
-        Of the file, 1 to 4: grey, grey and alpha, RGB, RGBA.
-    curve
-        Between code values and light.
-    premultiplied
-        Whether the file's codes are multiplied by alpha.
-    """
-
-    metadata: tuple[tuple[str, Any, Any], ...]
-    dtype: np.dtype[Any]
-    bits: int
-    channels: int
-    curve: Curve
-    premultiplied: bool
+    metadata: tuple[tuple[str, Any, Any], ...]  # Name, type and value of each attribute
+    dtype: np.dtype[Any]  # of the code values in memory: uint8, uint16, float16 or float32
+    bits: int  # of each value in the file, which may be fewer: 10 or 12 of 16
+    channels: int  # of the file, 1 to 4: grey, grey and alpha, RGB, RGBA
+    curve: Curve  # between code values and light
+    premultiplied: bool  # whether the file's codes are multiplied by alpha
 
     @property
     def has_alpha(self) -> bool:
@@ -106,26 +90,14 @@ class StillTemplate:
 
 
 def read_still(path: Path) -> tuple[Image, StillTemplate]:
-    """Read an image.
+    """Read an image, and the template for frames that are made from it.
 
-    Returns
-    -------
-    image
-        Scene-linear RGB, grey as three equal channels, with premultiplied alpha where there is
-        alpha.
-    template
-        For frames made from it.
+    The image is scene-linear RGB, grey as three equal channels, with premultiplied alpha where
+    there is alpha.
 
-    Raises
-    ------
-    InputError
-        When the file is missing.
-    DamagedFileError
-        When it cannot be read whole.
-    LayoutError
-        When it has other channels than grey or RGB, with or without alpha.
-    UnreadableError
-        When the system does not let it through.
+    Raises InputError when the file is missing, DamagedFileError when it cannot be read whole, and
+    LayoutError when it has other channels than grey or RGB, with or without alpha. Raises
+    UnreadableError when the system does not let it through.
     """
     return with_retries(path, partial(_read_still, path))
 
@@ -191,23 +163,10 @@ def write_still(
 ) -> list[Buffer]:
     """Write a generated frame, whole or not at all; return its bytes.
 
-    Parameters
-    ----------
-    path
-        Target; its folder exists. The suffix names the format.
-    image
-        Scene-linear [H, W, 3 or 4].
-    template
-        From the key frame's file.
-    attributes
-        What the frame was made of, its fingerprint among it; kept with the checksum.
-
-    Raises
-    ------
-    OutputError
-        When it cannot be written.
-    UsageError
-        When OpenImageIO cannot write the format.
+    The suffix names the format, the image is scene-linear [H, W, 3 or 4], and the folder exists.
+    `attributes` say what the frame was made of, its fingerprint among it; they are kept with the
+    checksum. Raises OutputError when it cannot be written. Raises UsageError when OpenImageIO
+    cannot write the format.
     """
     writer = require_writer(path)
     suffix = path.suffix.lower()
@@ -457,12 +416,8 @@ def seal_still(data: bytes) -> bytes:
 def still_facts(path: Path) -> dict[str, Any] | None:
     """Return what an undamaged generated image was made of; None for anything else.
 
-    Raises
-    ------
-    UnreadableError
-        When the system does not let the file through.
-    InputError
-        When the file is there and cannot be read.
+    Raises UnreadableError when the system does not let the file through. Raises InputError when the
+    file is there and cannot be read.
     """
     try:
         data = with_retries(path, path.read_bytes)

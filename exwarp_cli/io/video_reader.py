@@ -64,31 +64,16 @@ _DEEP = re.compile(r"(9|10|12|14|16|32|48|64)(le|be)")
 
 @dataclass(frozen=True)
 class Clip:
-    """A video that was looked into.
-
-    Attributes
-    ----------
-    path
-        The file.
-    width, height
-        Of its frames as players show them, turned upright, in pixels.
-    pacing
-        Frame rate, and which of the file's frames is shown at each instant of it.
-    look
-        Its colour, pixel aspect and sound, for a video made of it.
-    has_alpha
-        Whether it has an alpha channel.
-    deep
-        Whether it has more than 8 bits a channel; then 16 are decoded.
-    """
+    """A video that was looked into."""
 
     path: Path
+    # Of its frames as players show them, turned upright, in pixels
     width: int
     height: int
-    pacing: Pacing
-    look: VideoLook
-    has_alpha: bool
-    deep: bool
+    pacing: Pacing  # frame rate, and which of the file's frames is shown at each instant of it
+    look: VideoLook  # its colour, pixel aspect and sound, for a video made of it
+    has_alpha: bool  # whether it has an alpha channel
+    deep: bool  # whether it has more than 8 bits a channel; then 16 are decoded
     _packets: Packets
     _is_indexed: bool
     _decoder: tuple[str, ...] = ()
@@ -122,18 +107,11 @@ class Clip:
         return replace(sound, start=sound.start + start / self.rate, length=length)
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Float32]:
-        """Decode the frames [start, stop), one at a time.
+        """Decode the frames [start, stop), one at a time: float32 [H, W, 3 or 4], 0 to 1.
 
-        Yields
-        ------
-        float32 [H, W, 3 or 4]
-            Scene-linear, 0 to 1, by the sRGB curve: the inverse of `to_display`. With alpha, it is
-            premultiplied. The same pixels wherever decoding starts.
-
-        Raises
-        ------
-        DamagedFileError
-            When the video cannot be decoded, or ends early.
+        They are scene-linear by the sRGB curve, the inverse of `to_display`. With alpha, they are
+        premultiplied. Pixels are the same wherever decoding starts. Raises DamagedFileError when
+        the video cannot be decoded, or ends early.
         """
         shown = self.pacing.shown[start : self.count if stop is None else stop]
         if not shown:
@@ -169,13 +147,10 @@ class Clip:
         return (self._packets.cut(source) or 0) - self._is_deinterlaced
 
     def intact_frames(self, start: int = 0) -> Iterator[Float32 | None]:
-        """Decode the frames from `start` on, over damage.
+        """Decode the frames from `start` on as `frames` does, over damage.
 
-        Yields
-        ------
-        float32 [H, W, 3 or 4] or None
-            As `frames` does; None for a frame that damage affects: for one that cannot be decoded,
-            and for those after it up to the next key frame.
+        Yields None for a frame that damage affects: for one that cannot be decoded, and for those
+        after it up to the next key frame.
         """
         shown = self.pacing.shown[start:]
         begin = self._key_before(self._first_needed(shown[0])) or 0
@@ -270,12 +245,8 @@ class ClipReader(ResourceOwner):
     def read(self, index: int) -> Float32:
         """Return a frame as `Clip.frames` yields it.
 
-        Raises
-        ------
-        DamagedFileError
-            When the video ends early, or cannot be decoded there.
-        UnreadableError
-            When the system does not let it through.
+        Raises DamagedFileError when the video ends early, or cannot be decoded there. Raises
+        UnreadableError when the system does not let it through.
         """
         return with_retries(self._clip.path, partial(self._read, index))
 
@@ -339,21 +310,11 @@ def is_clip(spec: str) -> bool:
 def open_clip(path: Path, scan: str = SourceSettings.scan) -> Clip:
     """Look into a video.
 
-    Parameters
-    ----------
-    path
-        The file.
-    scan
-        Out of `SCANS`: how it is read if it is interlaced, at its first frame or later.
+    `scan`, out of `SCANS`, is how it is read if it is interlaced, at its first frame or later.
 
-    Raises
-    ------
-    InputError
-        When there is no such file, or it is HDR, sound alone, or interlaced with `scan` "auto".
-    DamagedFileError
-        When it cannot be read as video.
-    UnreadableError
-        When the system does not let it through.
+    Raises InputError when there is no such file, or it is HDR, sound alone, or interlaced with
+    `scan` "auto". Raises DamagedFileError when it cannot be read as video, and UnreadableError when
+    the system does not let it through.
     """
     return with_retries(path, partial(_open_clip, path, scan))
 

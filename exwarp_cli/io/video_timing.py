@@ -70,34 +70,19 @@ _DECODED = re.compile(
 
 @dataclass(frozen=True)
 class Packets:
-    """The packets of a video stream, one a frame, in the order in which they are shown.
+    """The packets of a video stream, one a frame, in the order in which they are shown."""
 
-    Attributes
-    ----------
-    times
-        Of each, in ticks; empty where the file has none, as a raw stream. A time that is missing or
-        there twice is mended by its neighbours.
-    tick
-        Seconds.
-    keys
-        Indices of those that decoding can start at, ascending.
-    count
-        Number of frames.
-    stamps
-        The times as ffmpeg sees them, not mended; a missing one is as in `times`.
-    mended
-        Index of the first frame whose time is mended or ambiguous; None if there is none.
-    positions
-        Places in the file, which is the order of decoding; () where it is that of showing, or
-        unknown.
-    """
-
+    # Of each, in ticks; empty where the file has none, as a raw stream. A time that is missing or
+    # there twice is mended by its neighbours.
     times: tuple[int, ...]
-    tick: Fraction
-    keys: tuple[int, ...]
+    tick: Fraction  # seconds
+    keys: tuple[int, ...]  # indices of those that decoding can start at, ascending
     count: int
+    # The times as ffmpeg sees them, not mended; a missing one is as in `times`
     stamps: tuple[int, ...] = ()
+    # Index of the first frame whose time is mended or ambiguous; None if there is none
     mended: int | None = None
+    # Places in the file, which is the order of decoding; () where it is that of showing, or unknown
     positions: tuple[int, ...] = ()
 
     def time(self, index: int) -> Fraction:
@@ -139,21 +124,11 @@ class Packets:
 
 @dataclass(frozen=True)
 class Pacing:
-    """A video at a constant frame rate.
+    """A video at a constant frame rate."""
 
-    Attributes
-    ----------
-    rate
-        Frames per second, exactly.
-    shown
-        For each instant, the index of the file's frame that is shown.
-    varies
-        Whether the file's own rate varies by more than its times are rounded.
-    """
-
-    rate: Fraction
-    shown: tuple[int, ...]
-    varies: bool = False
+    rate: Fraction  # frames per second, exactly
+    shown: tuple[int, ...]  # for each instant, the index of the file's frame that is shown
+    varies: bool = False  # whether the file's own rate varies by more than its times are rounded
 
     @property
     def repeated(self) -> int:
@@ -180,10 +155,7 @@ class _Packet:
 def read_packets(path: Path) -> Packets:
     """List the packets of a file's first video stream, without decoding.
 
-    Raises
-    ------
-    FfmpegError
-        When there is none, or the file cannot be read.
+    Raises FfmpegError when there is none, or the file cannot be read.
     """
     listed, _ = run_ffmpeg(
         ["-i", f"file:{path}", "-map", "0:V:0", "-c", "copy", "-f", "framecrc", "-"]
@@ -287,21 +259,11 @@ def _usual_step(times: Sequence[int]) -> int:
 
 
 def find_pacing(packets: Packets, header_rate: Fraction | None) -> Pacing:
-    """Find the constant rate of a video.
+    """Find the constant rate of a video, also by the rate in its header, if it has one.
 
-    Parameters
-    ----------
-    packets
-        Its packets.
-    header_rate
-        The rate in its header; None where it has none.
-
-    Returns
-    -------
-    Pacing
-        Where every frame lies nearest to an instant of its own at some rate, frames are taken one
-        by one. Else, as phones drop frames in the dark, the rate is that of most frames, and each
-        instant shows the frame that is there by then.
+    Where every frame lies nearest to an instant of its own at some rate, frames are taken one by
+    one. Else, as phones drop frames in the dark, the rate is that of most frames, and each instant
+    shows the frame that is there by then.
     """
     usual = header_rate if header_rate is not None and header_rate > 0 else Fraction(30)
     if packets.count < 2 or not packets.times:

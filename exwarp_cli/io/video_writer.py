@@ -58,20 +58,12 @@ _DAY_S = 24 * 3600
 
 @dataclass(frozen=True)
 class Timecode:
-    """The timecode of a frame.
+    """The timecode of a frame."""
 
-    Attributes
-    ----------
-    text
-        ``HH:MM:SS:FF``; with a semicolon or a point before the frames where numbers are dropped.
-    rate
-        Frames per second that it counts.
-    later
-        Frames, or parts of one, from the one that has this timecode to the one that is meant.
-    """
-
+    # ``HH:MM:SS:FF``; with a semicolon or a point before the frames where numbers are dropped
     text: str
-    rate: Fraction
+    rate: Fraction  # frames per second that it counts
+    # Frames, or parts of one, from the one that has this timecode to the one that is meant
     later: Fraction = Fraction(0)
 
     def at(self, rate: Fraction) -> str | None:
@@ -110,21 +102,11 @@ def _format_timecode(count: int, base: int, drops: bool) -> str:
 
 @dataclass(frozen=True)
 class Track:
-    """A track of a video.
+    """A track of a video."""
 
-    Attributes
-    ----------
-    kind
-        `SOUND` or `SUBTITLES`.
-    index
-        Among the tracks of its kind, from 0.
-    codec
-        By ffmpeg's name.
-    """
-
-    kind: str
-    index: int
-    codec: str
+    kind: str  # `SOUND` or `SUBTITLES`
+    index: int  # among the tracks of its kind, from 0
+    codec: str  # by ffmpeg's name
 
     @property
     def name(self) -> str:
@@ -139,30 +121,15 @@ EncodedTracks = Sequence[tuple[Track, tuple[str, ...]]]
 
 @dataclass(frozen=True)
 class Soundtrack:
-    """The sound and the subtitles that a video takes over from another.
-
-    Attributes
-    ----------
-    path
-        The other video.
-    codecs
-        Of its audio streams, by ffmpeg's names; empty where it is silent.
-    start
-        Seconds from its beginning to the first frame that is written.
-    length
-        Seconds to take; None for all.
-    begins
-        Seconds from its beginning to its sound, where ffmpeg drops that time; else 0.
-    subtitles
-        Codecs of its subtitles, by ffmpeg's names.
-    """
+    """The sound and the subtitles that a video takes over from another."""
 
     path: Path
-    codecs: tuple[str, ...]
-    start: Fraction = Fraction(0)
-    length: Fraction | None = None
+    codecs: tuple[str, ...]  # of its audio streams, by ffmpeg's names; empty where it is silent
+    start: Fraction = Fraction(0)  # seconds from its beginning to the first frame that is written
+    length: Fraction | None = None  # seconds to take; None for all
+    # Seconds from its beginning to its sound, where ffmpeg drops that time; else 0
     begins: Fraction = Fraction(0)
-    subtitles: tuple[str, ...] = ()
+    subtitles: tuple[str, ...] = ()  # codecs of its subtitles, by ffmpeg's names
 
     @property
     def delay(self) -> Fraction:
@@ -192,33 +159,16 @@ class Soundtrack:
 
 @dataclass(frozen=True)
 class VideoLook:
-    """The properties of a video beside its size and rate.
+    """The properties of a video beside its size and rate."""
 
-    Attributes
-    ----------
-    colour
-        The default suits rendered frames on a display.
-    pixel_aspect
-        Width of a pixel by its height.
-    sound
-        None for a silent video.
-    note
-        What the video was made of, kept as its comment; see `read_video_note`.
-    primaries
-        Those of the frames that it shows; None for Rec. 709.
-    timecode
-        Of the first frame; None without.
-    remarks
-        Messages to the user about what the video lacks.
-    """
-
+    # The default suits rendered frames on a display
     colour: VideoColour = field(default_factory=VideoColour)
-    pixel_aspect: Fraction = Fraction(1)
-    sound: Soundtrack | None = None
-    note: str = ""
-    primaries: Primaries | None = None
-    timecode: Timecode | None = None
-    remarks: tuple[str, ...] = ()
+    pixel_aspect: Fraction = Fraction(1)  # width of a pixel by its height
+    sound: Soundtrack | None = None  # none for a silent video
+    note: str = ""  # what the video was made of, kept as its comment; see `read_video_note`
+    primaries: Primaries | None = None  # those of the frames that it shows; None for Rec. 709.
+    timecode: Timecode | None = None  # of the first frame; None without
+    remarks: tuple[str, ...] = ()  # messages to the user about what the video lacks
 
     def display(self, pixels: Float32) -> Float32:
         """Return scene-linear colour [H, W, 3 or more] with the primaries of a display."""
@@ -249,29 +199,15 @@ def read_video_note(path: Path) -> str | None:
 
 
 class VideoWriter:
-    """Write frames to a video that appears when it is complete.
+    """Writes frames to a video, ``.mp4`` or ``.mov``, that appears when it is complete.
 
     A context manager: leaving it without an error puts the video in place, with one discards it.
+    The folder must exist. Frames of odd size are padded by repeating the last column or row, since
+    4:2:0 video has even sizes only. The frame rate is kept exactly as a `Fraction`; of a float, the
+    nearest fraction.
 
-    Parameters
-    ----------
-    path
-        The video, ``.mp4`` or ``.mov``; its folder must exist.
-    width, height
-        Size of the frames, pixels. Odd sizes are padded by repeating the last column or row,
-        since 4:2:0 video has even ones only.
-    fps
-        Frames per second, kept exactly: `Fraction` (120000, 1001), or the nearest fraction of
-        a float.
-    look
-        Colour, pixels and sound.
-
-    Raises
-    ------
-    UsageError
-        For another suffix, or a frame rate that is not positive.
-    OutputError
-        When ffmpeg is missing or fails, or the video cannot be written.
+    Raises UsageError for another suffix, or a frame rate that is not positive. Raises OutputError
+    when ffmpeg is missing or fails, or the video cannot be written.
     """
 
     def __init__(
@@ -394,19 +330,9 @@ class VideoWriter:
 
 
 def plan_tracks(sound: Soundtrack, container: str) -> tuple[EncodedTracks, tuple[str, ...]]:
-    """Find out how each track can go into a container, by trying.
+    """Find out how each track can go into a container, "mp4" or "mov", by trying.
 
-    Parameters
-    ----------
-    sound
-        Of the other video.
-    container
-        "mp4" or "mov".
-
-    Returns
-    -------
-    tuple
-        The tracks that go along, and a sentence for each one that is not copied.
+    Returns the tracks that go along, and a sentence for each one that is not copied.
     """
     first = [(track, _encoders(track, container)[0]) for track in sound.tracks]
     if not first or _can_encode(sound, first, container):  # nearly always: it is read once

@@ -18,18 +18,12 @@ INTERVAL = 3.0
 
 
 class Compilation:
-    """The kernels that a process compiles, and the messages about them.
-
-    Attributes
-    ----------
-    loaded, compiled
-        Kernels taken from the disk cache, and compiled, since the process began.
-    """
+    """The kernels that a process compiles, and the messages about them."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._channels: list[Callable[[str], None]] = []
-        self.loaded = self.compiled = 0
+        self.loaded = self.compiled = 0  # kernels since the process began
         self._is_announced = False
         self._count, self._seconds = 0, 0.0  # of the kernels compiled since the last report
         self._start = self._newest = 0.0  # times of the last kernel's start and the last message

@@ -18,13 +18,7 @@ from threading import Condition, get_ident, local
 
 
 class Cores:
-    """A limited number of cores, which threads hold while they work.
-
-    Parameters
-    ----------
-    count
-        None for no limit but the machine's own.
-    """
+    """A number of cores, None for no limit, which threads hold while they work."""
 
     def __init__(self, count: int | None) -> None:
         self.count, self._free = count, count or 0

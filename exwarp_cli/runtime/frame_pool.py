@@ -58,10 +58,7 @@ class _FreeBuffer(NamedTuple):
 class FramePool:
     """A free list of buffers. Every method may be called in any thread.
 
-    Parameters
-    ----------
-    max_free
-        Bytes of free buffers; beyond, those that are free for longest are dropped.
+    Above `max_free` bytes of free buffers, those that are free for longest are dropped.
     """
 
     def __init__(self, max_free: int = MAX_FREE_BYTES) -> None:
@@ -84,10 +81,7 @@ class FramePool:
 
         Its buffer is free again when the array and all its views are gone.
 
-        Raises
-        ------
-        MemoryError
-            If the system has too little memory.
+        Raises MemoryError if the system has too little memory.
         """
         dtype = np.dtype(dtype)
         size = prod(shape) * dtype.itemsize
@@ -152,13 +146,9 @@ pool = FramePool()
 class ScratchFrames:
     """Copies of large arrays in files without a name, which leave memory until they are used.
 
-    The system removes a file when its last array is gone, or the process ends. The files lie in
-    the system's folder for temporary files.
-
-    Parameters
-    ----------
-    min_pixels
-        Arrays [H, W, ...] with more pixels are stored; the default stores none.
+    The system removes a file when its last array is gone, or the process ends. The files lie in the
+    system's folder for temporary files. Arrays [H, W, ...] with more than `min_pixels` are stored;
+    the default stores none.
     """
 
     def __init__(self, min_pixels: float = inf) -> None:

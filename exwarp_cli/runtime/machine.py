@@ -31,20 +31,11 @@ _MEMORY_FILES = (
 
 @dataclass(frozen=True)
 class Processors:
-    """CPUs, hyperthreads counted.
+    """CPUs, hyperthreads counted."""
 
-    Attributes
-    ----------
-    there
-        In the machine.
-    allowed
-        By the affinity of this process.
-    quota
-        CPUs at a time by the control group, maybe a fraction; None without a limit.
-    """
-
-    there: int
-    allowed: int
+    there: int  # in the machine
+    allowed: int  # by the affinity of this process
+    # CPUs at a time by the control group, maybe a fraction; None without a limit
     quota: float | None
 
     @property
@@ -55,38 +46,20 @@ class Processors:
 
 @dataclass(frozen=True)
 class Memory:
-    """Bytes of memory; each None where it is unknown.
+    """Bytes of memory; each None where it is unknown."""
 
-    Attributes
-    ----------
-    there
-        In the machine.
-    available
-        For programs without swapping, within the limit.
-    limit
-        Of the control group.
-    """
-
-    there: int | None
-    available: int | None
-    limit: int | None
+    there: int | None  # in the machine
+    available: int | None  # for programs without swapping, within the limit
+    limit: int | None  # of the control group
 
 
 @dataclass(frozen=True)
 class Folder:
-    """A folder for files to be written.
-
-    Attributes
-    ----------
-    problem
-        Why nothing can be written there; None if it can.
-    free
-        Bytes on its disk; None if unknown.
-    """
+    """A folder for files to be written."""
 
     path: Path
-    problem: str | None
-    free: int | None
+    problem: str | None  # why nothing can be written there; None if it can
+    free: int | None  # bytes on its disk; None if unknown
 
 
 def processors() -> Processors:

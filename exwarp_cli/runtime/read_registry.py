@@ -24,22 +24,12 @@ _skipped: Mapping[Path, str] = {}
 
 
 class ReadRegistry:
-    """The files that another process reads.
-
-    Attributes
-    ----------
-    files
-        By the number of the reading.
-    required
-        Numbers of the readings that nothing can go on without.
-    restarts
-        Whether the command can restart without files that crash a library.
-    """
+    """The files that another process reads."""
 
     def __init__(self) -> None:
-        self.files: dict[int, Path] = {}
-        self.required: set[int] = set()
-        self.restarts = False
+        self.files: dict[int, Path] = {}  # by the number of the reading
+        self.required: set[int] = set()  # readings that nothing can go on without
+        self.restarts = False  # whether the command can restart without files that crash a library
         self._incomplete = b""
 
     def receive(self, data: bytes) -> None:
@@ -60,14 +50,9 @@ class ReadRegistry:
 
 
 def attach(pipe: int, skipped: Mapping[Path, str]) -> None:
-    """Report this process's readings to a pipe, and refuse files that failed an earlier process.
+    """Report this process's readings to a pipe's descriptor.
 
-    Parameters
-    ----------
-    pipe
-        Descriptor that is written to.
-    skipped
-        Message that refuses each file.
+    The files that failed an earlier process are refused from now on, each with its message.
     """
     global _pipe, _skipped
     _pipe, _skipped = pipe, dict(skipped)
@@ -89,12 +74,8 @@ def report_reading(path: Path, required: bool = False) -> Iterator[None]:
 
     Nothing can go on without a file that is `required`, such as a model.
 
-    Raises
-    ------
-    DamagedFileError
-        When an earlier process failed at it.
-    StopRequested
-        When this process was asked to stop.
+    Raises DamagedFileError when an earlier process failed at it. Raises StopRequested when this
+    process was asked to stop.
     """
     check_stop()
     if path in _skipped:

@@ -84,18 +84,11 @@ def graceful_stop(last_words: Callable[[int], str], is_last: bool = False) -> It
     """Let SIGINT and SIGTERM set the flag within the block, unless SIGINT is ignored.
 
     Outside the main thread signals belong to the program that embeds this one: nothing changes.
+    `last_words` returns what to print when a signal, whose number it takes, ends the process at
+    once. With `is_last` the process ends after the block, and signals are ignored from there on.
 
-    Parameters
-    ----------
-    last_words
-        Returns what to print when a signal, whose number it takes, ends the process at once.
-    is_last
-        Whether the process ends after the block; signals are ignored from there on.
-
-    Raises
-    ------
-    StopRequested
-        When something failed after a signal: programs that got it too may have ended.
+    Raises StopRequested when something failed after a signal: programs that got it too may have
+    ended.
     """
     global _number
     if threading.current_thread() is not threading.main_thread():

@@ -99,38 +99,22 @@ def file_format(data: bytes) -> str:
 
 @dataclass(frozen=True)
 class Attribute:
-    """One attribute of a header, as it stands in a file.
+    """One attribute of a header, as it stands in a file."""
 
-    Attributes
-    ----------
-    part
-        Index of the header.
-    name, kind
-        Its name and type.
-    at, begin, end
-        Where the name begins, and where the value begins and ends.
-    """
-
-    part: int
+    part: int  # index of the header
+    # Its name and type
     name: bytes
     kind: bytes
+    # Where the name begins, and where the value begins and ends
     at: int
     begin: int
     end: int
 
 
 def attributes_in(data: bytes | memoryview) -> Iterator[Attribute]:
-    """Yield the attributes of every header.
+    """Yield the attributes of every header in a file, or in as much of it as holds all headers.
 
-    Parameters
-    ----------
-    data
-        A file, or as much of it as holds all headers.
-
-    Raises
-    ------
-    ValueError
-        When it is no OpenEXR file, or a header has no end.
+    Raises ValueError when it is no OpenEXR file, or a header has no end.
     """
     data = bytes(data)
     if data[:4] != MAGIC or len(data) < BODY:
@@ -155,29 +139,17 @@ def attributes_in(data: bytes | memoryview) -> Iterator[Attribute]:
 
 @dataclass(frozen=True)
 class RawHeader:
-    """The headers of a file, one for each part.
+    """The headers of a file, one for each part."""
 
-    Attributes
-    ----------
-    data
-        The file's bytes up to the chunk offset tables.
-    attributes
-        Of all parts, in the order of the file; at least one.
-    """
-
-    data: bytes
-    attributes: tuple[Attribute, ...]
+    data: bytes  # the file's bytes up to the chunk offset tables
+    attributes: tuple[Attribute, ...]  # of all parts, in the order of the file; at least one
 
     @classmethod
     def read(cls, file: BinaryIO, size: int) -> RawHeader:
         """Read the headers of an unbuffered file of `size` bytes, from its beginning.
 
-        Raises
-        ------
-        ValueError
-            When it is no OpenEXR file, or a header has no end.
-        OSError
-            When the system does not let the file through.
+        Raises ValueError when it is no OpenEXR file, or a header has no end. Raises OSError when
+        the system does not let the file through.
         """
         length = FIRST_READ
         while True:
@@ -219,10 +191,7 @@ class RawHeader:
     def by_part(self) -> list[dict[bytes, tuple[bytes, bytes]]]:
         """Return type and value of each part's attributes by name.
 
-        Raises
-        ------
-        ValueError
-            When a part has two attributes of a name.
+        Raises ValueError when a part has two attributes of a name.
         """
         headers: list[dict[bytes, tuple[bytes, bytes]]] = [{} for _ in range(self.part_count)]
         for attribute in self.attributes:
@@ -253,10 +222,7 @@ class RawHeader:
         Text that is no UTF-8 keeps its bytes as lone surrogates. Attributes with such names, and
         lists of such texts, are left out.
 
-        Raises
-        ------
-        RuntimeError, ValueError, ArithmeticError
-            When OpenEXR refuses the header.
+        Raises RuntimeError, ValueError or ArithmeticError when OpenEXR refuses the header.
         """
         try:
             return _parse_by_openexr(self.data)
@@ -284,21 +250,9 @@ def _parse_by_openexr(data: bytes) -> tuple[dict[str, Any], ...]:
 def in_utf8(data: bytes) -> tuple[bytes, dict[tuple[int, str], str | None]]:
     """Return a file whose headers are all UTF-8, and the attributes that this changed.
 
-    Parameters
-    ----------
-    data
-        The file, or all of its headers.
-
-    Returns
-    -------
-    tuple
-        The same, of the same length; and by part and name in there, the attributes that differ:
-        their text with lone surrogates, None where text cannot hold them.
-
-    Raises
-    ------
-    ValueError
-        As :func:`attributes_in`.
+    `data` is the file, or all of its headers; the result has the same length. The changed
+    attributes are listed by part and new name, with their text in lone surrogates, or None where
+    text cannot hold them. Raises ValueError as `attributes_in` does.
     """
     out = bytearray(data)
     changed: dict[tuple[int, str], str | None] = {}
@@ -325,14 +279,9 @@ def replace_non_utf8(text: str) -> str:
 def restore_non_utf8(
     data: bytes | memoryview, headers: Iterable[Mapping[str, object]]
 ) -> bytes | memoryview:
-    """Put the bytes back that :func:`replace_non_utf8` replaced.
+    """Put the bytes back that `replace_non_utf8` replaced in a file.
 
-    Parameters
-    ----------
-    data
-        The file, written with replaced text.
-    headers
-        Of each part, with text that may hold lone surrogates.
+    `headers` are those of each part, with text that may hold lone surrogates.
     """
     lost = {
         (part, name.encode()): value.encode("utf-8", "surrogateescape")
@@ -353,10 +302,7 @@ def restore_non_utf8(
 def channels_in(value: bytes) -> Iterator[tuple[bytes, int, tuple[int, int]]]:
     """Yield name, pixel type, and steps across and down of each channel of a list.
 
-    Raises
-    ------
-    ValueError
-        When the list is cut off, or bytes follow it.
+    Raises ValueError when the list is cut off, or bytes follow it.
     """
     at = 0
     while value[at : at + 1] not in (b"", b"\0"):
@@ -377,60 +323,32 @@ def decode(raw: bytes) -> str:
 
 @dataclass(frozen=True)
 class Channel:
-    """One channel of one part.
+    """One channel of one part."""
 
-    Attributes
-    ----------
-    part
-        Index of the part in the file.
-    index
-        Index of the channel in the part, in OpenImageIO's order.
-    name
-        Name with the part's name in front where the channel does not carry its layer itself, or an
-        earlier part has a channel of that name; the part's view is not repeated in it.
-    raw_name
-        Name as it stands in the file.
-    pixel_type
-        "half", "float" or "uint".
-    """
-
-    part: int
-    index: int
+    part: int  # index of the part in the file
+    index: int  # index of the channel in the part, in OpenImageIO's order
+    # Name with the part's name in front where the channel does not carry its layer itself, or an
+    # earlier part has a channel of that name; the part's view is not repeated in it
     name: str
-    raw_name: str
-    pixel_type: str
+    raw_name: str  # name as it stands in the file
+    pixel_type: str  # "half", "float" or "uint"
 
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a file.
+    """One part of a file."""
 
-    Attributes
-    ----------
-    index, name
-        Position in the file, and the part's name ("" in single-part files).
-    data_window, display_window
-        In OpenEXR's coordinates.
-    channels
-        In OpenImageIO's order.
-    view
-        Name of the stereo view, "" where there is none.
-    deep
-        Whether the part holds deep samples.
-    tiled
-        Whether it is stored in tiles; of several levels the full one is read.
-    views
-        Views whose channels lie in this one part, the hero first: the attribute ``multiView``.
-    """
-
+    # Position in the file, and the part's name ("" in single-part files)
     index: int
     name: str
+    # In OpenEXR's coordinates
     data_window: Window
     display_window: Window
-    channels: tuple[Channel, ...]
-    view: str
-    deep: bool
-    tiled: bool = False
+    channels: tuple[Channel, ...]  # in OpenImageIO's order
+    view: str  # name of the stereo view, "" where there is none
+    deep: bool  # whether the part holds deep samples
+    tiled: bool = False  # whether it is stored in tiles; of several levels the full one is read
+    # Views whose channels lie in this one part, the hero first: the attribute ``multiView``
     views: tuple[str, ...] = ()
 
 
@@ -464,19 +382,8 @@ def part_from_header(
 ) -> Part:
     """Describe a part of flat pixels by its header, as `part_from_spec` does.
 
-    Parameters
-    ----------
-    index, values
-        Of the part. Windows are complete and valid.
-    channels
-        Name and pixel type of each.
-    is_multipart
-        Whether the file has several parts.
-
-    Raises
-    ------
-    ValueError
-        When texts are stored in an unusual way.
+    Its windows are complete and valid; `channels` are name and pixel type of each. Raises
+    ValueError when texts are stored in an unusual way.
     """
     texts = {}
     for name in (b"name", b"view"):
@@ -526,10 +433,8 @@ def window_of(values: Values, name: bytes) -> Window:
 def in_openimageio_order(channels: Iterable[tuple[bytes, int]]) -> list[tuple[bytes, int]]:
     """Sort names and types of channels as OpenImageIO does: layer by layer, RGBA first.
 
-    Raises
-    ------
-    ValueError
-        When OpenImageIO takes them for luminance and chroma, and gives them other names.
+    Raises ValueError when OpenImageIO takes them for luminance and chroma, and gives them other
+    names.
     """
     layers: dict[bytes, dict[bytes, tuple[bytes, int]]] = {}
     for name, kind in channels:

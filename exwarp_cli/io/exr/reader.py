@@ -73,26 +73,14 @@ ChannelGroups = Mapping[tuple[int, int, bool], Sequence[Channel]]
 
 @dataclass(frozen=True)
 class FileHeader:
-    """The headers of a file.
-
-    Attributes
-    ----------
-    path
-        The file.
-    parts
-        Its parts; empty where OpenImageIO has to read them.
-    raw
-        The headers as bytes; None where they are not understood here.
-    layouts
-        How each part is stored; None for a part that OpenImageIO has to read.
-    stamp
-        Device, inode, size and time, by which another file at the path is noticed.
-    """
+    """The headers of a file."""
 
     path: Path
-    parts: tuple[Part, ...]
-    raw: RawHeader | None
+    parts: tuple[Part, ...]  # its parts; empty where OpenImageIO has to read them
+    raw: RawHeader | None  # the headers as bytes; None where they are not understood here
+    # How each part is stored; None for a part that OpenImageIO has to read
     layouts: tuple[ChunkLayout | None, ...]
+    # Device, inode, size and time, by which another file at the path is noticed
     stamp: tuple[int, ...] = ()
 
     @property
@@ -109,10 +97,7 @@ class FileHeader:
     def attributes(self) -> tuple[dict[str, Any], ...]:
         """Attributes of each part as OpenEXR has them; see `RawHeader.typed`.
 
-        Raises
-        ------
-        DamagedFileError
-            When OpenEXR refuses a header.
+        Raises DamagedFileError when OpenEXR refuses a header.
         """
         try:
             if self.raw is None:
@@ -162,26 +147,13 @@ def _stamp(status: os.stat_result) -> tuple[int, ...]:
 class ExrFile:
     """An open OpenEXR file; a context manager.
 
-    Parameters
-    ----------
-    path
-        The file.
-    by_openimageio
-        Whether OpenImageIO opens the file at once, as it is probably not decoded here. Its
-        attributes are not read then.
+    With `by_openimageio` OpenImageIO opens the file at once, as it is probably not decoded here.
+    Its attributes are not read then.
 
-    Raises
-    ------
-    MissingFrameError
-        When the file does not exist.
-    DamagedFileError
-        When it is not a readable OpenEXR file.
-    LayoutError
-        When it has subsampled channels, as files of luminance and chroma have.
-    InputError
-        When its name cannot be given to OpenImageIO, which takes UTF-8 alone.
-    UnreadableError
-        When the system does not let it through, now or while pixels are read.
+    Raises MissingFrameError when the file does not exist, DamagedFileError when it is not a
+    readable OpenEXR file, LayoutError when it has subsampled channels, as files of luminance and
+    chroma have, and InputError when its name is no UTF-8, which OpenImageIO needs. Raises
+    UnreadableError when the system does not let it through, now or while pixels are read.
     """
 
     def __init__(self, path: Path, by_openimageio: bool = False) -> None:
@@ -279,16 +251,12 @@ class ExrFile:
         return with_distinct_names(parts)
 
     def read(self, *groups: Iterable[Channel]) -> dict[Channel, np.ndarray]:
-        """Decode channels: [H, W] arrays on their part's data window.
+        """Decode groups of channels: [H, W] arrays on their part's data window.
 
         Half and float become float32; uint stays uint32, as ids above 2^24 need it. Each part is
-        decoded once, whatever the number of its channels.
-
-        Parameters
-        ----------
-        *groups
-            Channels of one group are used together: those of one part and type lie interleaved in
-            one array, in this order, where the part is decoded here.
+        decoded once, whatever the number of its channels. Channels of one group are used together:
+        those of one part and type lie interleaved in one array, in this order, where the part is
+        decoded here.
         """
         wanted: dict[tuple[int, int, bool], list[Channel]] = {}
         visited: set[Channel] = set()
@@ -431,12 +399,8 @@ class HeaderCache:
 def open_image(path: Path) -> oiio.ImageInput:
     """Open a file by OpenImageIO; the only place that does so for OpenEXR files.
 
-    Raises
-    ------
-    DamagedFileError
-        When it cannot be opened.
-    LayoutError
-        When it has subsampled channels.
+    Raises DamagedFileError when it cannot be opened. Raises LayoutError when it has subsampled
+    channels.
     """
     try:
         image = oiio.ImageInput.open(str(path))
@@ -455,12 +419,7 @@ def open_image(path: Path) -> oiio.ImageInput:
 def read_headers(path: Path) -> tuple[dict[str, Any], ...]:
     """Read the attributes of every part; see `RawHeader.typed`.
 
-    Raises
-    ------
-    DamagedFileError
-        When a header cannot be read.
-    InputError
-        As `ExrFile`.
+    Raises DamagedFileError when a header cannot be read. Raises InputError as `ExrFile`.
     """
     with ExrFile(path) as file:
         return file.header.attributes

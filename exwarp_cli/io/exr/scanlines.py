@@ -77,29 +77,17 @@ _NO_BYTES, _NO_OFFSETS = np.empty(0, np.uint8), np.empty(0, np.int64)
 
 @dataclass(frozen=True)
 class ChunkLayout:
-    """How a part of flat pixels is stored, by its header and its chunk offset table.
+    """How a part of flat pixels is stored, by its header and its chunk offset table."""
 
-    Attributes
-    ----------
-    number
-        Part number in its chunks; None in files of one part, whose chunks have none.
-    compression
-        Its number in the header.
-    window
-        The data window.
-    channels
-        Name and type of each, in the order in which they follow each other in a line.
-    tile
-        Width and height of its tiles; None where its chunks are scan lines.
-    starts, ends
-        int64 [N] of each chunk in the table's order: its beginning, and that of what follows.
-    """
-
+    # Part number in its chunks; None in files of one part, whose chunks have none
     number: int | None
-    compression: int
-    window: Window
+    compression: int  # its number in the header
+    window: Window  # the data window
+    # Name and type of each, in the order in which they follow each other in a line
     channels: Sequence[tuple[bytes, int]]
+    # Width and height of its tiles; None where its chunks are scan lines
     tile: tuple[int, int] | None
+    # int64 [N] of each chunk in the table's order: its beginning, and that of what follows
     starts: I64
     ends: I64
 
@@ -131,10 +119,7 @@ def parse_layouts(header: RawHeader, read: ReadAt, size: int) -> list[ChunkLayou
     None stands for a part of deep, subsampled or mipmapped pixels, and for one with anything that
     is unusual or broken.
 
-    Raises
-    ------
-    ValueError
-        When headers or chunk offset tables are broken.
+    Raises ValueError when headers or chunk offset tables are broken.
     """
     is_multipart = header.is_multipart
     supported = MULTIPART | LONG_NAMES | (DEEP if is_multipart else TILED)
@@ -226,13 +211,7 @@ def _chunk_count(values: Values) -> int:
 
 
 class FileBytes:
-    """Reads pieces of an open file at any position, from any thread.
-
-    Parameters
-    ----------
-    file
-        Unbuffered.
-    """
+    """Reads pieces of an open, unbuffered file at any position, from any thread."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -266,46 +245,26 @@ class FileBytes:
 
 @dataclass(frozen=True)
 class ChannelRequest:
-    """Channels of one part that are decoded into one array.
+    """Channels of one part that are decoded into one array."""
 
-    Attributes
-    ----------
-    layout
-        Of the part.
-    names
-        Of channels that are all integers, or none.
-    integer
-        Whether they are integers.
-    """
-
-    layout: ChunkLayout
-    names: tuple[str, ...]
-    integer: bool
+    layout: ChunkLayout  # of the part
+    names: tuple[str, ...]  # of channels that are all integers, or none
+    integer: bool  # whether they are integers
 
 
 @dataclass(frozen=True)
 class _Destination:
-    """Where the channels of a `ChannelRequest` go.
+    """Where the channels of a `ChannelRequest` go."""
 
-    Attributes
-    ----------
-    columns
-        int64 [K, 2] as kernels want it: bytes of each channel, and its place in `out` or -1.
-    out
-        Bits, uint32 [H, W, C].
-    """
-
+    # int64 [K, 2] as kernels want it: bytes of each channel, and its place in `out` or -1
     columns: I64
-    out: np.ndarray
+    out: np.ndarray  # Bits, uint32 [H, W, C]
 
 
 def read_blocks(file: FileBytes, requests: Sequence[ChannelRequest]) -> list[np.ndarray | None]:
     """Decode channels of parts whose layout `is_decoded_here`.
 
-    Returns
-    -------
-    list
-        Of each: float32 or uint32 [H, W, C]; None where OpenImageIO is to decide.
+    Returns float32 or uint32 [H, W, C] for each request; None where OpenImageIO is to decide.
     """
     destinations = [_make_destination(request) for request in requests]
     by_part: dict[int | None, tuple[ChunkLayout, list[_Destination]]] = {}

@@ -58,24 +58,12 @@ class Plane:
 
 @dataclass(frozen=True)
 class ViewLayers:
-    """The layers of one view of a shot that are written.
+    """The layers of one view of a shot that are written."""
 
-    Attributes
-    ----------
-    view
-        Its name; "" where there are none.
-    within
-        Which view of the files it is, as in :func:`exwarp_cli.io.views.channels_of`.
-    colour
-        R, G, B and, if there, A of the beauty.
-    layers
-        Further layers; the beauty may be among them.
-    """
-
-    view: str
-    within: str
-    colour: tuple[ChannelRef, ...]
-    layers: tuple[Layer, ...] = ()
+    view: str  # its name; "" where there are none
+    within: str  # which view of the files it is, as in :func:`exwarp_cli.io.views.channels_of`
+    colour: tuple[ChannelRef, ...]  # R, G, B and, if there, A of the beauty
+    layers: tuple[Layer, ...] = ()  # further layers; the beauty may be among them
 
     @property
     def keys(self) -> dict[PlaneKey, bool]:
@@ -89,23 +77,12 @@ class ViewLayers:
 
 @dataclass(frozen=True)
 class PlaneTemplate:
-    """One channel to write.
+    """One channel to write."""
 
-    Attributes
-    ----------
-    key
-        Which one it is.
-    name
-        As it stands in the file.
-    dtype
-        Pixel type: half, float or uint32.
-    bounded
-        Whether values beyond the type's range become its largest; a depth may be infinite.
-    """
-
-    key: PlaneKey
-    name: str
-    dtype: np.dtype[Any]
+    key: PlaneKey  # which one it is
+    name: str  # as it stands in the file
+    dtype: np.dtype[Any]  # pixel type: half, float or uint32
+    # Whether values beyond the type's range become its largest; a depth may be infinite
     bounded: bool
 
     def channel(self, values: np.ndarray) -> OutputChannel:
@@ -124,39 +101,20 @@ class PlaneTemplate:
 
 @dataclass(frozen=True)
 class PartTemplate:
-    """One part to write.
+    """One part to write."""
 
-    Attributes
-    ----------
-    header
-        Attributes to carry, with the part's compression.
-    planes
-        Its channels.
-    window
-        The data window of the source's part.
-    """
-
-    header: Mapping[str, Any]
-    planes: tuple[PlaneTemplate, ...]
-    window: Window
+    header: Mapping[str, Any]  # attributes to carry, with the part's compression
+    planes: tuple[PlaneTemplate, ...]  # its channels
+    window: Window  # the data window of the source's part
 
 
 @dataclass(frozen=True)
 class Template:
-    """What a generated frame takes over from its key frame's file.
+    """What a generated frame takes over from its key frame's file."""
 
-    Attributes
-    ----------
-    parts
-        In the order of the file, those of which something is written.
-    colour
-        The beauty of the leading view: R, G, B and, if there, A.
-    render
-        Seconds that the key frame took to render, and the attribute with them; None if unknown.
-    """
-
-    parts: tuple[PartTemplate, ...]
-    colour: tuple[PlaneTemplate, ...]
+    parts: tuple[PartTemplate, ...]  # in the order of the file, those of which something is written
+    colour: tuple[PlaneTemplate, ...]  # the beauty of the leading view: R, G, B and, if there, A
+    # Seconds that the key frame took to render, and the attribute with them; None if unknown
     render: tuple[float, str] | None = None
 
     @property
@@ -168,7 +126,10 @@ class Template:
 def read_template(
     path: Path, wanted: tuple[ViewLayers, ...], headers: HeaderCache | None = None
 ) -> Template:
-    """Read what a generated frame takes over.
+    """Read what a generated frame takes over from the file of its key frame.
+
+    Raises DamagedFileError when the header cannot be read, or a colour channel is missing. Raises
+    LayoutError when a layer is missing.
 
     Parameters
     ----------
@@ -179,13 +140,6 @@ def read_template(
         in common is the first one's.
     headers
         Where the file's header may be kept; None to open the file.
-
-    Raises
-    ------
-    DamagedFileError
-        When the header cannot be read, or a colour channel is missing.
-    LayoutError
-        When a layer is missing.
     """
     header = (headers or HeaderCache()).read(path)
     parts, attributes = header.parts, header.attributes
@@ -265,16 +219,8 @@ def _carried_header(
 def render_seconds(headers: Iterable[Mapping[str, Any]]) -> tuple[float, str] | None:
     """Return how many seconds a frame took to render, and the attribute that contains it.
 
-    Parameters
-    ----------
-    headers
-        Of every part of the frame's file. Parts repeat the attributes of the whole frame, so the
-        first that has one counts.
-
-    Returns
-    -------
-    float and str, or None
-        None where no attribute contains it, or none is above 0.
+    None where no attribute contains it, or none is above 0. The headers are those of every part of
+    the frame's file. Parts repeat the attributes of the whole frame, so the first one counts.
     """
     listed = list(headers)
     for name in (BLENDER, VRAY):

@@ -68,18 +68,10 @@ class OpenExrCompression:
 
 @dataclass(frozen=True)
 class PendingHalf:
-    """A channel of halfs that is still one of floats.
+    """A channel of halfs that is still one of floats."""
 
-    Attributes
-    ----------
-    values
-        float32 [H, W], of any strides.
-    bounded
-        Whether values beyond half's range become its largest; else infinity.
-    """
-
-    values: Float32
-    bounded: bool
+    values: Float32  # float32 [H, W], of any strides
+    bounded: bool  # whether values beyond half's range become its largest; else infinity
 
     dtype = np.dtype(np.float16)
 
@@ -110,32 +102,15 @@ def scanline_attributes(data: Window, display: Window) -> dict[str, Any]:
         x0, y0, x1, y1 = window.corners
         return np.array([x0, y0], np.int32), np.array([x1, y1], np.int32)
 
-    return {
-        "type": OpenEXR.scanlineimage,
-        "dataWindow": box(data),
-        "displayWindow": box(display),
-    }
+    return {"type": OpenEXR.scanlineimage, "dataWindow": box(data), "displayWindow": box(display)}
 
 
 def encode(parts: Sequence[OutputPart]) -> list[Buffer]:
-    """Encode a file in memory.
+    """Encode a file in memory, of header and channels [H, W] of each part.
 
-    One thread does it: frames are written in parallel, which shares the cores better.
-
-    Parameters
-    ----------
-    parts
-        Header and channels [H, W] of each. The compression may be an `OpenExrCompression`.
-
-    Returns
-    -------
-    list of bytes-like
-        The file in pieces. The first holds the headers, and can be changed.
-
-    Raises
-    ------
-    RuntimeError, ValueError, TypeError
-        When OpenEXR refuses it.
+    A header's compression may be an `OpenExrCompression`. Returns the file in pieces; the first
+    holds the headers, and can be changed. Raises RuntimeError, ValueError or TypeError when OpenEXR
+    refuses it.
     """
     if not all(is_encoded_here(header, planes) for header, planes in parts):
         return [encode_by_openexr(parts)]
@@ -241,14 +216,7 @@ def _encode_blocks(
 def _fill_lines(channels: Iterable[OutputChannel], top: int, halfs: U16, lines: U16) -> None:
     """Write rows from `top` on as a file has them uncompressed: in each, channel after channel.
 
-    Parameters
-    ----------
-    channels
-        Of one shape [H, W].
-    halfs
-        Scratch memory [rows or more, W].
-    lines
-        Pairs of bytes [rows, N], written.
+    `lines` are pairs of bytes [rows, N], `halfs` is scratch memory [rows or more, W].
     """
     column, rows = 0, slice(top, top + len(lines))
     for channel in channels:
