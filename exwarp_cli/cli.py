@@ -152,25 +152,21 @@ def main() -> NoReturn:
         # numpy warns of overflow, with a line of code, for values that no renderer means.
         warnings.simplefilter("ignore")
     args = sys.argv[1:]
-    # Help and completions read no files, so they need no parent process.
-    if _find_command(args) and not {"-h", "--help"} & set(args):
-        code = _run_supervised(args)
+    child_exit = None
+    try:
+        # Help and completions read no files, so they need no parent process.
+        if _find_command(args) and not {"-h", "--help"} & set(args):
+            child_exit = fork_command(_print_message)
+    except OSError as error:
+        code = _report_error(error, args, {})
     else:
-        code = run(args, is_last=True)
+        code = run(args, is_last=True) if child_exit is None else _report_exit(child_exit, args)
     try:
         sys.stdout.flush()
     except OutputError as error:
         code = code or _fail(str(error), error.exit_code)
     codes.append(code)
     sys.exit(code)
-
-
-def _run_supervised(args: list[str]) -> int:
-    try:
-        child_exit = fork_command(_print_message)
-    except OSError as error:
-        return _report_error(error, args, {})
-    return run(args, is_last=True) if child_exit is None else _report_child_exit(child_exit, args)
 
 
 def _use_utf8() -> None:
@@ -197,7 +193,7 @@ def _exit_now(codes: list[int]) -> None:
         os._exit(code)
 
 
-def _report_child_exit(child_exit: ChildExit, args: list[str]) -> int:
+def _report_exit(child_exit: ChildExit, args: list[str]) -> int:
     """Report how the child ended where it could not do so itself; return the exit code."""
     if child_exit.code >= 0:
         return child_exit.code
@@ -282,7 +278,6 @@ def _report_stop(number: int, args: list[str]) -> int:
 
 
 def _last_words(args: list[str], number: int) -> str:
-    """Return the message of a command that a signal ends."""
     if number == signal.SIGINT:  # a blank line, which parts it from the terminal's own "^C"
         return f"\nexwarp: error: interrupted; {_resume_hint(args)}"
     return f"exwarp: error: terminated; {_resume_hint(args)}"
@@ -303,7 +298,6 @@ def _resume_hint(args: list[str]) -> str:
 
 
 def _find_command(args: list[str]) -> str:
-    """Return the command in a command line, "" without one."""
     return next((word for word in args if word in COMMANDS), "")
 
 

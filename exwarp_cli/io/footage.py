@@ -264,20 +264,16 @@ def make_video_look(
     if apart is None:
         sound, timecode = clip.sound(begin, end), clip.look.timecode
         timecode = timecode and replace(timecode, later=begin)
-    elif lost := _extras_beside_picture(clip):
-        remarks.append(f"the video goes without {lost} of {clip.path}, as {apart}")
+    else:
+        tracks = clip.look.sound
+        extras = {
+            "the sound": tracks and tracks.codecs,
+            "the text of subtitles": tracks and tracks.subtitles,
+            "the timecode": clip.look.timecode,
+        }
+        if lost := " and ".join(name for name, exists in extras.items() if exists):
+            remarks.append(f"the video goes without {lost} of {clip.path}, as {apart}")
     return replace(clip.look, sound=sound, note=note, timecode=timecode, remarks=tuple(remarks))
-
-
-def _extras_beside_picture(clip: Clip) -> str:
-    """Return what a video has beside its picture, in words; "" for nothing."""
-    sound = clip.look.sound
-    has = {
-        "the sound": sound is not None and sound.codecs,
-        "the text of subtitles": sound is not None and sound.subtitles,
-        "the timecode": clip.look.timecode,
-    }
-    return " and ".join(name for name, is_there in has.items() if is_there)
 
 
 def describe_footage(sequence: Sequence) -> dict[str, Any]:

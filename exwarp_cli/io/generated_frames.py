@@ -222,7 +222,6 @@ def is_intact(data: bytes) -> bool:
 
 
 def _find_checksum(data: Buffer) -> int | None:
-    """Return where the checksum's digits begin."""
     # Anywhere: a Cryptomatte's manifest, which comes before it, may be megabytes long.
     match = _CHECKSUM_PATTERN.search(data)
     if match is None or match.end() + CHECKSUM_DIGITS > len(data):
@@ -353,40 +352,35 @@ def find_authorship(path: Path) -> Authorship | None:
     if not data.strip(b"\0"):
         # After a power cut files are empty, or have their length and no content.
         return Authorship(FileState.DAMAGED)
-    return _exr_authorship(path, data) if _is_exr(path) else _still_authorship(path, data)
-
-
-def _exr_authorship(path: Path, data: bytes) -> Authorship:
-    if not data.startswith(MAGIC):
+    is_authentic, facts = _read_claim(path, data)
+    if facts is None:
         return Authorship(FileState.FOREIGN)
-    texts = {name: read_string_attribute(data, f"{PREFIX}{name}") for name in FACTS}
-    facts = {name: text for name, text in texts.items() if text is not None}
-    if is_intact(data):
+    if is_authentic:
         return Authorship(FileState.INTACT, facts)
-    if not facts and read_string_attribute(data, CHECKSUM) is None:
-        return Authorship(FileState.FOREIGN)
     try:
-        require_sound((path,))
+        if _is_exr(path):
+            require_sound((path,))
+        else:
+            read_still(path)
     except DamagedFileError:
         return Authorship(FileState.DAMAGED, facts)
-    except InputError:  # deep or subsampled: never ExWarp's
-        return Authorship(FileState.EDITED, facts)
+    except InputError:  # never ExWarp's: deep, subsampled, other channels, EXR under that name
+        pass
     return Authorship(FileState.EDITED, facts)
 
 
-def _still_authorship(path: Path, data: bytes) -> Authorship:
-    if path.suffix.lower() not in SEALED:
-        ends = data[:_NAME_RANGE] + data[-_NAME_RANGE:]
-        return Authorship(FileState.INTACT if _PROGRAM_NAME.search(ends) else FileState.FOREIGN)
-    facts = parse_still_facts(data)
-    if facts is not None:
-        return Authorship(FileState.INTACT, facts)
-    if not has_seal(data):
-        return Authorship(FileState.FOREIGN)
-    try:
-        read_still(path)
-    except DamagedFileError:
-        return Authorship(FileState.DAMAGED)
-    except InputError:  # other channels, or EXR under that name
-        return Authorship(FileState.EDITED)
-    return Authorship(FileState.EDITED)
+def _read_claim(path: Path, data: bytes) -> tuple[bool, dict[str, Any] | None]:
+    """Return whether a file is as ExWarp wrote it, and its facts; None if it is foreign."""
+    if _is_exr(path):
+        if not data.startswith(MAGIC):
+            return False, None
+        texts = {name: read_string_attribute(data, f"{PREFIX}{name}") for name in FACTS}
+        facts = {name: text for name, text in texts.items() if text is not None}
+        is_authentic = is_intact(data)
+        has_claim = is_authentic or facts or read_string_attribute(data, CHECKSUM) is not None
+        return is_authentic, facts if has_claim else None
+    if path.suffix.lower() in SEALED:
+        still = parse_still_facts(data)
+        return still is not None, still if still is not None or not has_seal(data) else {}
+    ends = data[:_NAME_RANGE] + data[-_NAME_RANGE:]
+    return True, {} if _PROGRAM_NAME.search(ends) else None

@@ -102,9 +102,9 @@ class Packets:
             return None
         return index
 
-    def is_decoded_before(self, index: int, other: int) -> bool:
+    def is_decoded_before(self, index: int, reference: int) -> bool:
         """Return whether a frame is known to be decoded before another one."""
-        return bool(self.positions) and self.positions[index] < self.positions[other]
+        return bool(self.positions) and self.positions[index] < self.positions[reference]
 
     def last_needed(self, index: int) -> int:
         """Return the last frame in the order of showing that one may build on, or itself."""
@@ -265,17 +265,17 @@ def find_pacing(packets: Packets, header_rate: Fraction | None) -> Pacing:
     one. Else, as phones drop frames in the dark, the rate is that of most frames, and each instant
     shows the frame that is there by then.
     """
-    usual = header_rate if header_rate is not None and header_rate > 0 else Fraction(30)
+    default = header_rate if header_rate is not None and header_rate > 0 else Fraction(30)
     if packets.count < 2 or not packets.times:
-        return Pacing(usual, tuple(range(packets.count)))
+        return Pacing(default, tuple(range(packets.count)))
     tick = packets.tick
     seconds = [(time - packets.times[0]) * tick for time in packets.times]
     mean = (len(seconds) - 1) / seconds[-1]
     steps = sorted(b - a for a, b in pairwise(seconds) if b > a)
     typical = 1 / median(steps)
     every = tuple(range(packets.count))
-    standard = (usual,) if usual in _STANDARD_RATES else ()
-    candidates = (nearest_standard_rate(mean), usual, nearest_standard_rate(typical), mean)
+    standard = (default,) if default in _STANDARD_RATES else ()
+    candidates = (nearest_standard_rate(mean), default, nearest_standard_rate(typical), mean)
     for rate in (*standard, *candidates):
         distance = max(abs(time * rate - place) for place, time in enumerate(seconds))
         if distance <= tick * rate:
@@ -447,7 +447,7 @@ class _WaitingFrames:
         self.frames = deque(
             (index, data, needed)
             for index, data, needed in self.frames
-            if not any(needed is None or is_before(other, index) for other in damaged)
+            if not any(needed is None or is_before(broken, index) for broken in damaged)
         )
 
     def take_settled(self, index: int, is_b_frame: bool) -> Iterator[tuple[int, bytes]]:

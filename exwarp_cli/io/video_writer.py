@@ -356,7 +356,6 @@ def _encoders(track: Track, container: str) -> list[tuple[str, ...]]:
 
 
 def _choose_encoder(sound: Soundtrack, track: Track, container: str) -> tuple[str, ...] | None:
-    """Return the first encoder that works; None if none does."""
     for encoder in _encoders(track, container):
         if _can_encode(sound, [(track, encoder)], container):
             return encoder

@@ -413,7 +413,6 @@ def part_from_header(
 
 
 def _parse_texts(name: bytes, value: bytes) -> tuple[str, ...]:
-    """Parse the value of an attribute that is a list of strings."""
     texts, at = [], 0
     while at + 4 <= len(value):
         (size,) = struct.unpack_from("<I", value, at)

@@ -184,7 +184,6 @@ class ExrFile:
         self._image = self._file = self._bytes = None
 
     def _open(self) -> FileHeader:
-        """Open the file, and read its header."""
         path = self.path
         if not path.exists():
             raise MissingFrameError(f"{path} does not exist; check the path or render the frame")

@@ -200,7 +200,6 @@ def _parse_channels(values: Values) -> tuple[tuple[bytes, int], ...] | None:
 
 
 def _chunk_count(values: Values) -> int:
-    """Return the number of chunks in a header of a multi-part file."""
     kind, value = values.get(b"chunkCount", (b"", b""))
     if kind != b"int" or len(value) != 4:
         raise ValueError("no chunkCount")
