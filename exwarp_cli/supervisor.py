@@ -165,17 +165,14 @@ def _wait_for_child(child: int, messages: int, signals: list[tuple[int, float]])
         passed = min(time.monotonic() - begin, 2 * tick)
         seconds = {number: seconds.get(number, 0.0) + passed for number in registry.files}
         overdue = [] if signals else [n for n, spent in seconds.items() if spent > limit]
-        if overdue or _is_grace_over(signals):
+        is_grace_over = False
+        if signals:  # a second one shortens the time to end
+            first, last, now = signals[0][1], signals[-1][1], time.monotonic()
+            is_repeated = last - first > AT_ONCE_S and now - last > TICK_S
+            is_grace_over = is_repeated or now - first > GRACE_S
+        if overdue or is_grace_over:
             with suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
-
-
-def _is_grace_over(signals: list[tuple[int, float]]) -> bool:
-    """Return whether the child had its time to end by a signal; a second one shortens that."""
-    if not signals:
-        return False
-    first, last, now = signals[0][1], signals[-1][1], time.monotonic()
-    return now - first > GRACE_S or (last - first > AT_ONCE_S and now - last > TICK_S)
 
 
 def _forward_signals(child: int, handlers: Mapping[int, Any]) -> list[tuple[int, float]]:

@@ -66,7 +66,7 @@ class Timecode:
     # Frames, or parts of one, from the one that has this timecode to the one that is meant
     later: Fraction = Fraction(0)
 
-    def at(self, rate: Fraction) -> str | None:
+    def convert(self, rate: Fraction) -> str | None:
         """Return the timecode at another rate; None if it cannot be counted there.
 
         At four times the rate, frame 7 of a second becomes frame 28.
@@ -227,7 +227,7 @@ class VideoWriter:
         self._rate = Fraction(fps).limit_denominator(100_000)
         self._look = look or VideoLook()
         # The timecode at the video's rate; None without, and if it cannot count that rate.
-        self._timecode = self._look.timecode and self._look.timecode.at(self._rate)
+        self._timecode = self._look.timecode and self._look.timecode.convert(self._rate)
         self._stack = ExitStack()
         self._count = 0
         self._tracks: EncodedTracks = ()

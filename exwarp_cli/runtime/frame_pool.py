@@ -189,7 +189,12 @@ class ScratchFrames:
         return replace(value, **changed) if changed else value
 
     def _store_array(self, array: np.ndarray) -> np.ndarray:
-        if prod(array.shape[:2]) <= self._min_pixels or self._is_stored(array):
+        base: object = array
+        while isinstance(base, np.ndarray):
+            base = base.base
+        with self._lock:
+            is_stored = isinstance(base, mmap.mmap) and base in self._mapped
+        if prod(array.shape[:2]) <= self._min_pixels or is_stored:
             return array
         file = _map_file(array.nbytes)
         if file is None:
@@ -201,13 +206,6 @@ class ScratchFrames:
         with self._lock:
             self._mapped.add(file)
         return out
-
-    def _is_stored(self, array: np.ndarray) -> bool:
-        base: object = array
-        while isinstance(base, np.ndarray):
-            base = base.base
-        with self._lock:
-            return isinstance(base, mmap.mmap) and base in self._mapped
 
 
 def _map_file(size: int) -> mmap.mmap | None:

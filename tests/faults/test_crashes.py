@@ -163,7 +163,7 @@ class TestKeepGoing:
         outcome.judge(INPUT, INCOMPLETE)
         require_whole(out, rendered)
 
-    def test_it_begins_again_without_all_files_that_were_report_reading(self):
+    def test_it_begins_again_without_all_files_that_were_being_read(self):
         """But with a model, without which there is nothing to go on with."""
         process = subprocess.Popen(
             [sys.executable, "-c", TWO_AT_ONCE], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
