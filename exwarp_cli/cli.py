@@ -1,4 +1,4 @@
-"""The command ``exwarp``: finds its subcommand, and turns what goes wrong into one sentence.
+"""The command ``exwarp``: finds its subcommand, and turns every error into one sentence.
 
 Commands are imported when they run, so that ``exwarp --help`` loads neither numpy nor numba.
 """
@@ -28,16 +28,17 @@ from exwarp_cli.errors import (
     DamagedFileError,
     OutOfMemoryError,
     OutputError,
-    known_error,
+    to_exwarp_error,
 )
-from exwarp_cli.io.standard_streams import prepare_streams
-from exwarp_cli.io.supervision import HANDED_ON, End, part, parts
 from exwarp_cli.runtime.compilation import compilation
 from exwarp_cli.runtime.stop import StopRequested, graceful_stop
+from exwarp_cli.standard_streams import prepare_streams
+from exwarp_cli.supervisor import FORWARDED_SIGNALS, ChildExit, fork_command, is_supervised
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
+# Every command by its module in `exwarp_cli.commands`, with its line in ``exwarp --help``.
 COMMANDS = {
     "upsample": "Write four frames for every rendered one.",
     "inspect": "Show what a sequence holds and how its motion is read.",
@@ -52,7 +53,6 @@ COMMANDS = {
     "doctor": "Check the installation.",
     "completion": "Print what completes commands and options in a shell.",
 }
-"""Every command by its module in `exwarp_cli.commands`, with what ``exwarp --help`` says of it."""
 
 EPILOG = """Run 'exwarp COMMAND --help' for the options of a command.
 
@@ -68,7 +68,7 @@ Exit codes: 0 done, 2 options, 3 input, 4 motion convention unknown, 5 output, 6
 """.replace("USERS_FILE", f"{click.get_app_dir('exwarp')}/exwarp.toml")
 
 DEFECT = 1
-AGAIN = "render, export or copy that file again"
+RENDER_AGAIN = "render, export or copy that file again"
 TERMINATED = 128 + signal.SIGTERM
 
 
@@ -76,7 +76,7 @@ class LazyGroup(click.Group):
     """A group that imports a command when it is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names of the commands, in the order of the table."""
+        """Return the names of the commands, in the order of the table."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -140,21 +140,27 @@ def main() -> NoReturn:
     """Run the command line of this process and exit with its code."""
     _use_utf8()
     codes: list[int] = []
-    if parts():
-        atexit.register(_leave, codes)  # before all others, which run before it
+    if is_supervised():
+        atexit.register(_exit_now, codes)  # before all others, which run before it
     # BLAS would begin a thread a core with numpy, for products that are small here: 0.04 s.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # What is imported stays, and is most of what there is: looking through it for garbage after
     # every 700 objects took a tenth of the time of importing it.
     gc.set_threshold(50_000)
     prepare_streams()
-    if not _debugs():
-        # Of values that no renderer means numpy says that they overflow, with a line of code.
+    if not _is_debugging():
+        # numpy warns of overflow, with a line of code, for values that no renderer means.
         warnings.simplefilter("ignore")
     args = sys.argv[1:]
-    # What prints help and completions reads no files.
-    works = _command_in(args) and not {"-h", "--help"} & set(args)
-    code = _parted(args) if works else run(args, is_last=True)
+    child_exit = None
+    try:
+        # Help and completions read no files, so they need no parent process.
+        if _find_command(args) and not {"-h", "--help"} & set(args):
+            child_exit = fork_command(_print_message)
+    except OSError as error:
+        code = _report_error(error, args, {})
+    else:
+        code = run(args, is_last=True) if child_exit is None else _report_exit(child_exit, args)
     try:
         sys.stdout.flush()
     except OutputError as error:
@@ -163,17 +169,8 @@ def main() -> NoReturn:
     sys.exit(code)
 
 
-def _parted(args: list[str]) -> int:
-    """Run a command line in a process of its own; return the exit code."""
-    try:
-        end = part(_say)
-    except OSError as error:
-        return _failed(error, args, {})
-    return run(args, is_last=True) if end is None else _ended(end, args)
-
-
 def _use_utf8() -> None:
-    """Begin again in Python's UTF-8 mode where the locale has another encoding.
+    """Start again in Python's UTF-8 mode where the locale has another encoding.
 
     OpenEXR, farms and renderers name files in UTF-8, whatever the locale of this terminal is.
     """
@@ -184,11 +181,10 @@ def _use_utf8() -> None:
     os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
-def _leave(codes: list[int]) -> None:
-    """End this process, with a code that is there, as it is.
+def _exit_now(codes: list[int]) -> None:
+    """End this process, if its code is known, without taking the interpreter apart: 0.1 s.
 
-    Its threads have ended by now, and what others registered is done. Else Python takes everything
-    apart that was imported, 0.1 s, and C++ what it made.
+    Its threads have ended by now, and the other exit handlers are done.
     """
     for code in codes:
         for stream in (sys.stdout, sys.stderr):
@@ -197,34 +193,34 @@ def _leave(codes: list[int]) -> None:
         os._exit(code)
 
 
-def _ended(end: End, args: list[str]) -> int:
-    """Say how the process that worked ended, where it could not; return the exit code."""
-    if end.code >= 0:
-        return end.code
-    ended_by = signal.Signals(-end.code)
-    if ended_by in HANDED_ON:
+def _report_exit(child_exit: ChildExit, args: list[str]) -> int:
+    """Report how the child ended where it could not do so itself; return the exit code."""
+    if child_exit.code >= 0:
+        return child_exit.code
+    ended_by = signal.Signals(-child_exit.code)
+    if ended_by in FORWARDED_SIGNALS:
         signal.signal(ended_by, signal.SIG_DFL)
         os.kill(os.getpid(), ended_by)
-    after = _afterwards(args)
-    if end.overdue:
+    hint = _resume_hint(args)
+    if child_exit.overdue:
         return _fail(
-            f"{end.reason}, so it was ended; {AGAIN}, or allow more; {after}",
+            f"{child_exit.reason}, so it was ended; {RENDER_AGAIN}, or allow more; {hint}",
             DamagedFileError.exit_code,
         )
-    if end.stopped:  # what it crashed by is of no interest: libraries do when they are broken off
-        return _stopped(end.stopped, args)
+    if child_exit.stopped:  # libraries crash when they are broken off: that is of no interest
+        return _report_stop(child_exit.stopped, args)
     if ended_by == signal.SIGKILL:
-        while_reading = f" while it read {end.named}" if end.reading else ""
+        while_reading = f" while it read {child_exit.files}" if child_exit.reading else ""
         return _fail(
             f"the process that worked was killed{while_reading}, as systems do that run out of "
-            f"memory; close other programs, or use fewer threads; {after}",
+            f"memory; close other programs, or use fewer threads; {hint}",
             OutOfMemoryError.exit_code,
         )
-    if end.reading:
-        return _fail(f"{end.reason}; {AGAIN}; {after}", DamagedFileError.exit_code)
+    if child_exit.reading:
+        return _fail(f"{child_exit.reason}; {RENDER_AGAIN}; {hint}", DamagedFileError.exit_code)
     return _fail(
         f"a library crashed ({ended_by.name}); this is a defect of ExWarp or of what it uses, "
-        f"please report it; {after}",
+        f"please report it; {hint}",
         DEFECT,
     )
 
@@ -235,63 +231,38 @@ def run(args: list[str], is_last: bool = False) -> int:
     With `is_last` the process ends afterwards, and signals are ignored from there on.
     """
     origins: dict[str, str] = {}  # of options that files and the environment set, by name
+
+    def announce(text: str) -> None:
+        with suppress(OSError, OutputError):  # a stream that fails is no reason to end the work
+            _print_message(text)
+
     try:
-        with (
-            graceful_stop(partial(_last_words, args), is_last),
-            compilation.messages_to(_message),
-        ):
+        with graceful_stop(partial(_last_words, args), is_last), compilation.messages_to(announce):
             result = exwarp.main(args, prog_name="exwarp", standalone_mode=False, obj=origins)
         return result if isinstance(result, int) else 0
     except (Exception, KeyboardInterrupt, StopRequested) as error:
-        return _failed(error, args, origins)
+        return _report_error(error, args, origins)
 
 
-def _message(text: str) -> None:
-    """Print a line; a stream that fails is no reason to end the work."""
-    with suppress(OSError, OutputError):
-        _say(text)
-
-
-def _failed(error: BaseException, args: list[str], origins: Mapping[str, str]) -> int:
-    """Say what ended a command; return the exit code."""
+def _report_error(error: BaseException, args: list[str], origins: Mapping[str, str]) -> int:
+    """Print the sentence for an error that ended a command; return the exit code."""
     if isinstance(error, StopRequested):
-        return _stopped(error.number, args)
+        return _report_stop(error.number, args)
     if isinstance(error, KeyboardInterrupt | click.Abort):
-        return _stopped(signal.SIGINT, args)
+        return _report_stop(signal.SIGINT, args)
     if isinstance(error, click.ClickException):
-        return _fail(_with_hint(error, origins), error.exit_code)
+        sentence = _with_origins(error.format_message().rstrip("."), origins)
+        context = error.ctx if isinstance(error, click.UsageError) else None
+        hint = "" if context is None else f"; see {context.command_path} --help"
+        return _fail(f"{sentence}{hint}", error.exit_code)
     if isinstance(error, MemoryError):
         return _fail(
             "the memory does not suffice; close other programs, or use fewer threads",
             OutOfMemoryError.exit_code,
         )
-    known = known_error(error)
-    if known is not None:
-        return _fail(_traced(str(known), origins), known.exit_code)
-    return _defect(error)
-
-
-def _stopped(number: int, args: list[str]) -> int:
-    """Say that a command was asked to end; return the exit code."""
-    if _debugs():
-        traceback.print_exc()
-    click.echo(_last_words(args, number), err=True)
-    return INTERRUPTED if number == signal.SIGINT else TERMINATED
-
-
-def _last_words(args: list[str], number: int) -> str:
-    """Return what is said of a command that a signal ends."""
-    if number == signal.SIGINT:  # a blank line, which parts it from the terminal's own "^C"
-        return f"\nexwarp: error: interrupted; {_afterwards(args)}"
-    return f"exwarp: error: terminated; {_afterwards(args)}"
-
-
-def _debugs() -> bool:
-    """Whether details are wanted, for a report of a defect."""
-    return os.environ.get("EXWARP_DEBUG", "0") not in ("", "0")
-
-
-def _defect(error: BaseException) -> int:
+    user_error = to_exwarp_error(error)
+    if user_error is not None:
+        return _fail(_with_origins(str(user_error), origins), user_error.exit_code)
     return _fail(
         f"unexpected {type(error).__name__}: {error}; this is a defect of ExWarp, please report it "
         "with the details that EXWARP_DEBUG=1 in the environment shows",
@@ -299,43 +270,51 @@ def _defect(error: BaseException) -> int:
     )
 
 
-def _afterwards(args: list[str]) -> str:
-    """Say what a stopped command leaves, and how to go on."""
-    return {
+def _report_stop(number: int, args: list[str]) -> int:
+    if _is_debugging():
+        traceback.print_exc()
+    click.echo(_last_words(args, number), err=True)
+    return INTERRUPTED if number == signal.SIGINT else TERMINATED
+
+
+def _last_words(args: list[str], number: int) -> str:
+    if number == signal.SIGINT:  # a blank line, which parts it from the terminal's own "^C"
+        return f"\nexwarp: error: interrupted; {_resume_hint(args)}"
+    return f"exwarp: error: terminated; {_resume_hint(args)}"
+
+
+def _is_debugging() -> bool:
+    return os.environ.get("EXWARP_DEBUG", "0") not in ("", "0")
+
+
+def _resume_hint(args: list[str]) -> str:
+    """Return what a stopped command leaves, and how to go on."""
+    hints = {
         "upsample": "frames written so far are whole, and --skip-existing goes on from there",
         "bench": "what was measured so far is kept, and the same command goes on from there",
-    }.get(
-        _command_in(args),
-        "what was written so far is whole; run the command again",
-    )
+    }
+    default = "what was written so far is whole; run the command again"
+    return hints.get(_find_command(args), default)
 
 
-def _command_in(args: list[str]) -> str:
-    """Return the command that a command line names, "" where it names none."""
+def _find_command(args: list[str]) -> str:
     return next((word for word in args if word in COMMANDS), "")
 
 
 def _fail(sentence: str, code: int) -> int:
-    if _debugs():
+    if _is_debugging():
         traceback.print_exc()
     if sentence:
-        _say(f"error: {sentence}")
+        _print_message(f"error: {sentence}")
     return code
 
 
-def _say(sentence: str) -> None:
+def _print_message(sentence: str) -> None:
     click.echo(f"exwarp: {one_line(sentence)}", err=True)
 
 
-def _with_hint(error: click.ClickException, origins: Mapping[str, str]) -> str:
-    """Name the help of the command in whose options the mistake is."""
-    sentence = _traced(error.format_message().rstrip("."), origins)
-    context = error.ctx if isinstance(error, click.UsageError) else None
-    return sentence if context is None else f"{sentence}; see {context.command_path} --help"
-
-
-def _traced(sentence: str, origins: Mapping[str, str]) -> str:
-    """Say where the options that a sentence names were set, if not on the command line."""
-    named = (name for name in origins if re.search(rf"(?<![\w-]){name}(?![\w-])", sentence))
-    where = [f"{name} is set by {origins[name]}" for name in named if origins[name] not in sentence]
+def _with_origins(sentence: str, origins: Mapping[str, str]) -> str:
+    """Append where the options in a sentence were set, if not on the command line."""
+    names = (name for name in origins if re.search(rf"(?<![\w-]){name}(?![\w-])", sentence))
+    where = [f"{name} is set by {origins[name]}" for name in names if origins[name] not in sentence]
     return "; ".join((sentence, *where))

@@ -64,11 +64,9 @@ class LayoutError(InputError):
 
 
 class UnreadableError(ExwarpError):
-    """A file cannot be read for a reason that is not the file's: share, rights, open files.
+    """A file that the system does not let through: share, rights, number of open files."""
 
-    It is no `InputError`, so that what goes on without damaged frames does not go on without it.
-    """
-
+    # No InputError: a run that goes on without damaged frames stops at this.
     exit_code = 3
 
 
@@ -91,7 +89,7 @@ class OutputExistsError(OutputError):
 
 
 class ReaderGoneError(OutputError):
-    """The program that reads standard output has ended, as ``| head`` does; it has no message."""
+    """The program that reads standard output has ended, as ``| head`` does; without a message."""
 
 
 class MissingExtraError(ExwarpError):
@@ -130,52 +128,44 @@ class IncompleteError(ExwarpError):
     exit_code = 12
 
 
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
-"""Error numbers that only writing causes."""
+# Errors that only writing causes.
+_NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
 
 
 def system_error(error: OSError) -> ExwarpError | None:
-    """Put into a sentence what the system refuses, where nothing nearer to the file did.
+    """Translate an error of the system that nothing nearer to the file did; None without a file.
 
-    A folder that may not be entered, a network share that went away and a name that is too long
-    are met wherever code looks whether a file is there.
-
-    Returns
-    -------
-    ExwarpError or None
-        None where no file is named.
+    Wherever code looks whether a file exists, it may meet a folder that may not be entered, a
+    network share that went away, or a name that is too long.
     """
     if not isinstance(error.filename, str) or error.strerror is None:
         return None
-    kind = OutputError if error.errno in _NO_ROOM else InputError
+    kind = OutputError if error.errno in _NO_SPACE else InputError
     return kind(f"cannot use {error.filename}: {error.strerror}; check the path and its rights")
 
 
-def is_lack_of_threads(error: BaseException) -> bool:
-    """True if an error says that the system starts no more threads or processes.
-
-    Python raises RuntimeError for threads and BlockingIOError for processes. Libraries in C++ raise
-    RuntimeError with the words of the system.
-    """
+def is_thread_limit(error: BaseException) -> bool:
+    """Return whether an error says that the system starts no more threads or processes."""
+    # Python raises BlockingIOError for processes and RuntimeError for threads; libraries in C++
+    # raise RuntimeError with the words of the system.
     if isinstance(error, OSError):
         return error.errno == errno.EAGAIN and error.filename is None
-    text = str(error)
-    no_more = ("can't start new thread", os.strerror(errno.EAGAIN))
-    return isinstance(error, RuntimeError) and any(words in text for words in no_more)
+    texts = ("can't start new thread", os.strerror(errno.EAGAIN))
+    return isinstance(error, RuntimeError) and any(text in str(error) for text in texts)
 
 
-def lack_of_threads() -> OutOfMemoryError:
-    """Return the error that tells of a limit on threads and processes."""
+def thread_limit_error() -> OutOfMemoryError:
+    """Build the error for a limit on threads and processes."""
     return OutOfMemoryError(
         "the system lets this user start no more threads or processes; raise the limit (ulimit -u, "
         "or that of the container or batch job), or end other programs"
     )
 
 
-def known_error(error: BaseException) -> ExwarpError | None:
-    """Return the error of this tree for any error; None for a defect of ExWarp."""
+def to_exwarp_error(error: BaseException) -> ExwarpError | None:
+    """Translate any error to one of this tree; None for a defect of ExWarp."""
     if isinstance(error, ExwarpError):
         return error
-    if is_lack_of_threads(error):
-        return lack_of_threads()
+    if is_thread_limit(error):
+        return thread_limit_error()
     return system_error(error) if isinstance(error, OSError) else None

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import settings
 
-from exwarp_cli.domain import cores
+from exwarp_cli.runtime import cores
 
 # A busy machine is no defect: examples may take any time.
 settings.register_profile("exwarp", deadline=None)
@@ -31,4 +31,4 @@ os.environ["EXWARP_CONFIG"] = "none"
 def every_core() -> Iterator[None]:
     """A test that runs a command with fewer cores leaves all of them to the next."""
     yield
-    cores.share(None, os.cpu_count() or 1)
+    cores.set_count(None, os.cpu_count() or 1)

@@ -33,8 +33,8 @@ from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import ExwarpError, InputError
 from exwarp_cli.io.dataset import BENCHMARK, TRAINING, FrameSet, RenderedScene, find_scenes
+from exwarp_cli.io.exr.reader import read_headers
 from exwarp_cli.io.frames import read_image
-from exwarp_cli.io.output import read_headers
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.progress import NoProgress
 from exwarp_cli.pipeline.run import upsample

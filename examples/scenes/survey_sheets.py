@@ -23,8 +23,8 @@ from things_list import may_be_committed
 
 from exwarp_cli.errors import ExwarpError
 from exwarp_cli.io.dataset import BENCHMARK, TRAINING, RenderedScene, find_scenes
+from exwarp_cli.io.display_colour import to_display
 from exwarp_cli.io.frames import read_image
-from exwarp_cli.io.video import to_display
 
 TILES, TILE_WIDTH = (4, 2), 240
 ACROSS = 10

@@ -165,13 +165,13 @@ def _open_job(options: Mapping[str, Any], chunk_size: int, title: str | None) ->
     """Look at everything now that the chunks will need."""
     from exwarp_cli.errors import OutputExistsError
     from exwarp_cli.farm.farm_job import open_farm_job
-    from exwarp_cli.io.atomic import is_there
+    from exwarp_cli.io.files import path_exists
     from exwarp_cli.report.folder import REPORT_FILE, chunk_reports
 
     settings, folder = upsample.settings_of(options), options["report_folder"]
     keeps_report = folder is None or settings.overwrite or settings.skip_existing
     # The job would mix a report that is there, or those of chunks, with its own.
-    if not keeps_report and (is_there(folder / REPORT_FILE) or chunk_reports(folder)):
+    if not keeps_report and (path_exists(folder / REPORT_FILE) or chunk_reports(folder)):
         raise OutputExistsError(
             f"{folder} holds a report already, or those of chunks; give --skip-existing to go on "
             "with it, --overwrite to replace it, or another --report"

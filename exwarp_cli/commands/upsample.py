@@ -375,7 +375,7 @@ def _print_summary(
 ) -> None:
     """Say in a few lines what was done, or print the report's document."""
     from exwarp_cli.commands.summary_lines import summary_lines
-    from exwarp_cli.io.clip import is_clip
+    from exwarp_cli.io.video_reader import is_clip
     from exwarp_cli.report.schema import run_document
 
     document = run_document(summary)

@@ -17,8 +17,8 @@ from typing import Any
 from exwarp_cli.domain.settings import ClusterSettings
 from exwarp_cli.domain.wording import first_line
 from exwarp_cli.errors import ClusterError, MissingExtraError
-from exwarp_cli.io.machine import processors
-from exwarp_cli.runtime.stop import blocked, cleaned_up, note_progress, scratch_folder
+from exwarp_cli.runtime.machine import processors
+from exwarp_cli.runtime.stop import block_signals, clean_up_after, note_progress, scratch_folder
 
 CONNECT_S = 10.0  # seconds that a scheduler has to answer
 STOP_S = 6.0  # seconds that processes have to end before they are killed
@@ -112,7 +112,7 @@ def _local_cluster(distributed: Any, workers: int, threads: int | None) -> Itera
         # Some parts of Dask otherwise make a folder for all runs, which is never removed.
         stack.enter_context(dask.config.set({"temporary-directory": folder}))
         try:
-            with blocked(signal.SIGINT):  # this process ends its workers itself
+            with block_signals(signal.SIGINT):  # this process ends its workers itself
                 cluster = distributed.LocalCluster(
                     n_workers=workers,
                     threads_per_worker=threads_per_worker(workers, threads),
@@ -130,7 +130,7 @@ def _local_cluster(distributed: Any, workers: int, threads: int | None) -> Itera
                 "use fewer --workers, or none"
             ) from error
         # Listed now: a cluster that is being closed lists them no more.
-        stack.enter_context(cleaned_up(partial(_kill, tuple(cluster.workers.values()))))
+        stack.enter_context(clean_up_after(partial(_kill, tuple(cluster.workers.values()))))
         stack.callback(_close, cluster)
         yield cluster
 

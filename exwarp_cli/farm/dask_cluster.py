@@ -36,8 +36,8 @@ from exwarp_cli.farm.dask_worker import (
 )
 from exwarp_cli.farm.farm_job import DEFAULT_SIZE, split
 from exwarp_cli.farm.path_options import absolute, inputs_of
-from exwarp_cli.io.atomic import Held, await_file, marked, remove_leftovers
-from exwarp_cli.io.footage import picture
+from exwarp_cli.io.files import ResourceOwner, await_file, marker_file, remove_leftovers
+from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.pipeline.dry_run import DryRun
 from exwarp_cli.pipeline.job import Job
 from exwarp_cli.pipeline.messages import announce_skipped
@@ -92,7 +92,7 @@ def _run(
     job.targets.make_folders()
     with ExitStack() as stack:
         stack.callback(job.close)  # whose rendered frames the video shows
-        marks = [stack.enter_context(marked(folder)) for folder in job.targets.folders]
+        marks = [stack.enter_context(marker_file(folder)) for folder in job.targets.folders]
         dispatcher = ChunkDispatcher(client, _requirements(job, marks), progress)
         workers = dispatcher.await_workers()
         divided = chunks_of(job.keys, where, workers)
@@ -216,7 +216,7 @@ def _make_chunks(
     return chunks
 
 
-class VideoFromFrames(Held):
+class VideoFromFrames(ResourceOwner):
     """Appends finished key intervals to a job's video, in order, on a thread of its own.
 
     The video is complete, or absent. It equals that of a single run unless the frames' compression
@@ -249,7 +249,7 @@ class VideoFromFrames(Held):
         assert frames is not None
         if not slot.index:  # the rendered file itself
             number = source.timeline.numbers[slot.key]
-            self._frames.show(picture(source.keys.sequence, number, source.keys.view))
+            self._frames.show(read_sequence_picture(source.keys.sequence, number, source.keys.view))
             return
         number = source.timeline.number(slot)
         await_file(frames.path(number))  # another machine has just written it

@@ -17,7 +17,7 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.results import RunOutcome
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import OutputError
-from exwarp_cli.io.atomic import LOOK_S, make_folder, shows
+from exwarp_cli.io.files import POLL_S, is_visible, make_folder
 from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.progress import ANY, FrameListener, NoProgress
 from exwarp_cli.pipeline.run import write_intervals
@@ -168,11 +168,11 @@ async def check_worker(requirements: WorkerRequirements) -> str | None:
         if not is_same:
             return f"does not see {path} as it is here; use a folder that all machines share"
     deadline = time.monotonic() + MARK_S
-    while hidden := [mark for mark in requirements.marks if not shows(Path(mark))]:
+    while hidden := [mark for mark in requirements.marks if not is_visible(Path(mark))]:
         if time.monotonic() > deadline:
             folder = Path(hidden[0]).parent
             return f"does not see the folder {folder}; write to one that all machines share"
-        await asyncio.sleep(LOOK_S)
+        await asyncio.sleep(POLL_S)
     try:
         for mark in requirements.marks:
             make_folder(Path(mark).parent)  # it exists: this tells whether it can be written to

@@ -15,7 +15,7 @@ from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import UsageError
 from exwarp_cli.farm.path_options import PathOption, locate, names_files
 from exwarp_cli.io.channel_map import parse_aovs, read_channel_map
-from exwarp_cli.io.clip import is_clip
+from exwarp_cli.io.video_reader import is_clip
 
 # Keeps a worker's environment, and settings files there, from changing the job.
 ISOLATED = "--isolated"

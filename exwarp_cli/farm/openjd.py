@@ -25,7 +25,7 @@ from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.farm.farm_job import Argument, FarmJob, Placeholder, frames_text, is_dense, split
 from exwarp_cli.farm.path_options import DataFlow, PathOption
-from exwarp_cli.io.atomic import atomic_write_text, is_there, make_folder
+from exwarp_cli.io.files import atomic_write_text, make_folder, path_exists
 
 SPECIFICATION = "jobtemplate-2023-09"
 CHUNKING = "TASK_CHUNKING"
@@ -336,7 +336,7 @@ def write_bundle(folder: Path, template: JobTemplate) -> None:
         When it cannot be written.
     """
     for name in (TEMPLATE_FILE, VALUES_FILE):
-        if is_there(folder / name):
+        if path_exists(folder / name):
             raise OutputExistsError(
                 f"{folder} has a {name} already; remove it, or name another folder with --bundle"
             )

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.channel_map import parse_aovs
-from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.frame_names import NamePattern
+from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.models.model_file import weight_files
 from exwarp_cli.models.policy_files import PAPER
 

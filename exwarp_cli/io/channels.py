@@ -15,7 +15,7 @@ from enum import Enum
 
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import LayoutError
-from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.header import Channel
 from exwarp_cli.io.producers import (
     BACKWARD_NAMES,
     FORWARD_NAMES,

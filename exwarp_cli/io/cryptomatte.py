@@ -33,7 +33,7 @@ import numpy.typing as npt
 from exwarp_cli.domain.frame import Float32, Int32
 from exwarp_cli.errors import DamagedFileError, LayoutError, UsageError
 from exwarp_cli.io.channels import ChannelRef
-from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.header import Channel
 from exwarp_cli.kernels import ranked
 
 # The only hash and the only conversion that the specification knows.

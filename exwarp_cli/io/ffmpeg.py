@@ -18,227 +18,164 @@ from typing import IO
 import imageio_ffmpeg
 import numpy as np
 
-from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import UInt8
-from exwarp_cli.io.atomic import Held
-from exwarp_cli.runtime.stop import check_stop, cleaned_up
+from exwarp_cli.io.files import ResourceOwner
+from exwarp_cli.runtime import cores
+from exwarp_cli.runtime.stop import check_stop, clean_up_after
 
+# Names frames as bytes: uint8 [H, W, 3], one after the other.
 RAW = "-f rawvideo -pix_fmt rgb24"
-"""What names frames as bytes: uint8 [H, W, 3], one after the other."""
 
+# Options that make ffmpeg read such frames.
 RAW_INPUT = RAW + " -s {width}x{height} -r {rate} -i -"
-"""Options that make ffmpeg read such frames."""
 
-
-EXACT = "flags=accurate_rnd+full_chroma_int"
-"""Of the filter ``scale``: without them colours are off by more than rounding."""
-
-TO_VIDEO = f"scale=out_color_matrix=bt709:out_range=tv:{EXACT}"
-"""Turns sRGB into what players and VMAF take: ffmpeg's own matrix is standard definition's."""
+# Of the filter ``scale``: without them colours are off by more than rounding.
+EXACT_SCALING = "flags=accurate_rnd+full_chroma_int"
 
 
 class FfmpegError(Exception):
-    """ffmpeg failed; the text quotes its last line, or tells what kept it from starting.
+    """ffmpeg failed; the text quotes its last line, or says why it did not start.
 
-    Not an error for users: who feeds ffmpeg says what it was for, and what to do.
+    Not an error for users: callers add what ffmpeg was for, and what to do.
     """
 
 
-def filtered(options: Sequence[str], data: bytes) -> bytes:
-    """Run ffmpeg on data that fits in memory, and return what it writes.
+def run_ffmpeg(options: Sequence[str], data: bytes | None = None) -> tuple[bytes, str]:
+    """Run ffmpeg with options, which write to ``-``; return what it writes and what it prints.
 
-    Parameters
-    ----------
-    options
-        Without the program's name; they read from and write to ``-``.
-    data
-        What it reads.
-
-    Raises
-    ------
-    FfmpegError
-        When ffmpeg does not start, or fails.
+    It reads `data` from ``-``; without, its input is closed. Raises FfmpegError when ffmpeg does
+    not start, or fails.
     """
+    if data is None:
+        options = ("-nostdin", *options)
     try:
-        # As for `Feed`, Ctrl-C is for us to answer: leaving `run` ends ffmpeg.
-        done = subprocess.run(
+        # Ctrl-C is for this process to handle, here as below: leaving `run` ends ffmpeg.
+        process = subprocess.run(
             _command(options), input=data, capture_output=True, check=False, process_group=0
         )
     except (OSError, RuntimeError) as error:
-        raise _no_start(error) from error
-    if done.returncode:
-        raise _ended(done.stderr, done.returncode)
-    return done.stdout
+        raise _start_error(error) from error
+    if process.returncode:
+        raise _exit_error(process.stderr, process.returncode)
+    return process.stdout, process.stderr.decode("utf-8", "replace")
 
 
-def run_ffmpeg(options: Sequence[str]) -> tuple[bytes, str]:
-    """Run ffmpeg without input from here, and return what it writes and what it says.
-
-    Parameters
-    ----------
-    options
-        Without the program's name; they write to ``-``. What ffmpeg reads is closed.
-
-    Raises
-    ------
-    FfmpegError
-        When ffmpeg does not start, or fails.
-    """
-    try:
-        done = subprocess.run(
-            _command(("-nostdin", *options)), capture_output=True, check=False, process_group=0
-        )
-    except (OSError, RuntimeError) as error:
-        raise _no_start(error) from error
-    if done.returncode:
-        raise _ended(done.stderr, done.returncode)
-    return done.stdout, done.stderr.decode("utf-8", "replace")
-
-
-class Drain(Held):
-    """One run of ffmpeg whose output is read here; a context manager.
-
-    Left before the end, it ends ffmpeg.
-
-    Parameters
-    ----------
-    options
-        Without the program's name; they write to ``-``.
-
-    Raises
-    ------
-    FfmpegError
-        When ffmpeg does not start.
-    """
+class _FfmpegStream(ResourceOwner):
+    """One run of ffmpeg beside this process; a context manager that ends it."""
 
     def __init__(self, options: Sequence[str]) -> None:
         self._options = options
 
-    def _open(self, stack: ExitStack) -> None:
+    def _start(self, stack: ExitStack, stdin: int, stdout: int, folder: Path | None = None) -> None:
         log: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - the stack closes it
         self._log = stack.enter_context(log)
-        self._listened, self._unfinished = 0, b""
         try:
-            self._ffmpeg = subprocess.Popen(
-                _command(("-nostdin", *self._options)),
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
+            self._process = subprocess.Popen(
+                _command(self._options),
+                stdin=stdin,
+                stdout=stdout,
                 stderr=self._log,
+                cwd=folder,
                 process_group=0,
             )
         except (OSError, RuntimeError) as error:
-            raise _no_start(error) from error
+            raise _start_error(error) from error
+
+    def _kill(self) -> None:
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+
+    def _error(self) -> FfmpegError:
+        self._log.seek(0)
+        return _exit_error(self._log.read(), self._process.returncode)
+
+
+class FfmpegReader(_FfmpegStream):
+    """One run of ffmpeg whose output, written to ``-``, is read here; a context manager.
+
+    Left before the end, it ends ffmpeg. Raises FfmpegError when ffmpeg does not start.
+    """
+
+    def __init__(self, options: Sequence[str]) -> None:
+        super().__init__(("-nostdin", *options))
+        self._log_position, self._incomplete_line = 0, b""
+
+    def _open(self, stack: ExitStack) -> None:
+        self._start(stack, subprocess.DEVNULL, subprocess.PIPE)
+        assert self._process.stdout is not None
+        stack.enter_context(self._process.stdout)
         stack.callback(self._kill)
 
     def read(self, size: int) -> bytes | None:
         """Return the next `size` bytes; None at the end, or where fewer are left.
 
-        Raises
-        ------
-        FfmpegError
-            When ffmpeg failed.
-        StopRequested
-            When this process was asked to stop.
+        Raises FfmpegError when ffmpeg failed. Raises StopRequested when this process was asked to
+        stop.
         """
         check_stop()
-        assert self._ffmpeg.stdout is not None
-        data = self._ffmpeg.stdout.read(size)
+        assert self._process.stdout is not None
+        data = self._process.stdout.read(size)
         if len(data) == size:
             return data
-        if self._ffmpeg.wait() != 0:
-            self._log.seek(0)
-            raise _ended(self._log.read(), self._ffmpeg.returncode)
+        if self._process.wait() != 0:
+            raise self._error()
         return None
 
     def messages(self) -> list[str]:
         """Return the complete lines that ffmpeg printed since the last call."""
         # ffmpeg shares the file's position, so it is not moved here.
-        log, text = self._log.fileno(), self._unfinished
-        while more := os.pread(log, 1 << 16, self._listened):
-            self._listened += len(more)
+        log, text = self._log.fileno(), self._incomplete_line
+        while more := os.pread(log, 1 << 16, self._log_position):
+            self._log_position += len(more)
             text += more
-        *lines, self._unfinished = text.split(b"\n")
+        *lines, self._incomplete_line = text.split(b"\n")
         return [line.decode("utf-8", "replace") for line in lines]
 
-    def _kill(self) -> None:
-        if self._ffmpeg.poll() is None:
-            self._ffmpeg.kill()
-        if self._ffmpeg.stdout is not None:
-            self._ffmpeg.stdout.close()
-        self._ffmpeg.wait()
 
+class FfmpegWriter(_FfmpegStream):
+    """One run of ffmpeg, in a folder, that reads frames from here; a context manager.
 
-class Feed(Held):
-    """One run of ffmpeg that reads frames from here; a context manager.
-
-    Left without `close`, by an error for example, it ends ffmpeg.
-
-    Parameters
-    ----------
-    options
-        Without the program's name.
-    folder
-        Where it runs; None for here.
-
-    Raises
-    ------
-    FfmpegError
-        When ffmpeg does not start.
+    Left without `close`, by an error for example, it ends ffmpeg. Raises FfmpegError when ffmpeg
+    does not start.
     """
 
     def __init__(self, options: Sequence[str], folder: Path | None = None) -> None:
-        self._options = options
+        super().__init__(options)
         self._folder = folder
 
     def _open(self, stack: ExitStack) -> None:
-        log: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - the stack closes it
-        self._log = stack.enter_context(log)
-        try:
-            self._ffmpeg = subprocess.Popen(
-                _command(self._options),
-                stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
-                stderr=self._log,
-                cwd=self._folder,
-                process_group=0,  # Ctrl-C is for us to answer; ffmpeg then ends with us
-            )
-        except (OSError, RuntimeError) as error:
-            raise _no_start(error) from error
-        stack.enter_context(cleaned_up(self._kill))
+        self._start(stack, subprocess.PIPE, subprocess.DEVNULL, self._folder)
+        stack.enter_context(clean_up_after(self._kill))
 
     def write(self, frame: UInt8) -> None:
         """Send a frame, uint8 [H, W, 3]; raises FfmpegError."""
-        assert self._ffmpeg.stdin is not None
+        assert self._process.stdin is not None
         try:
-            self._ffmpeg.stdin.write(np.ascontiguousarray(frame).data)
-        except OSError as error:  # a broken pipe; why ffmpeg left stands in what it printed
-            raise self._failure() from error
+            self._process.stdin.write(np.ascontiguousarray(frame).data)
+        except OSError as error:  # a broken pipe; ffmpeg has printed why it ended
+            self._kill()
+            raise self._error() from error
 
     def close(self) -> None:
-        """Say that there are no more frames, and wait for the end; raises FfmpegError."""
-        assert self._ffmpeg.stdin is not None
+        """Send the end of the frames, and wait for ffmpeg to end; raises FfmpegError."""
+        assert self._process.stdin is not None
         try:
-            self._ffmpeg.stdin.close()
+            self._process.stdin.close()
         except OSError as error:
-            raise self._failure() from error
-        if self._ffmpeg.wait() != 0:
-            raise self._failure()
-
-    def _failure(self) -> FfmpegError:
-        self._kill()
-        self._log.seek(0)
-        return _ended(self._log.read(), self._ffmpeg.returncode)
+            self._kill()
+            raise self._error() from error
+        if self._process.wait() != 0:
+            raise self._error()
 
     def _kill(self) -> None:
-        if self._ffmpeg.poll() is None:
-            self._ffmpeg.kill()
-        self._ffmpeg.wait()
-        if self._ffmpeg.stdin is not None and not self._ffmpeg.stdin.closed:
+        super()._kill()
+        if self._process.stdin is not None and not self._process.stdin.closed:
             with suppress(OSError):  # what was buffered has no reader any more
-                self._ffmpeg.stdin.close()
+                self._process.stdin.close()
 
 
-def even(frame: UInt8) -> UInt8:
+def pad_to_even(frame: UInt8) -> UInt8:
     """Repeat the last row and column of uint8 [H, W, 3] where their number is odd.
 
     4:2:0 video has even sizes only.
@@ -250,23 +187,24 @@ def even(frame: UInt8) -> UInt8:
 
 
 def _command(options: Sequence[str]) -> list[str]:
-    """Return a command line: filters, and who decodes the first input, have our threads.
+    """Return a command line that limits the threads of filters and of the first input's decoder.
 
-    An encoder keeps its own number, since its bytes go by that.
+    An encoder keeps its own number, since its bytes depend on that.
     """
     count = str(cores.count())
-    bounds = ("-filter_threads", count, "-filter_complex_threads", count, "-threads", count)
-    return [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *bounds, *options]
+    limits = ("-filter_threads", count, "-filter_complex_threads", count, "-threads", count)
+    return [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *limits, *options]
 
 
-def _no_start(error: Exception) -> FfmpegError:
+def _start_error(error: Exception) -> FfmpegError:
     return FfmpegError(f"ffmpeg does not start ({error})")
 
 
-def _ended(log: bytes, status: int) -> FfmpegError:
+def _exit_error(log: bytes, status: int) -> FfmpegError:
     """Quote the last line of what ffmpeg printed."""
     lines = log.decode("utf-8", "replace").strip().splitlines()
     if not lines:
         return FfmpegError(f"ffmpeg ends with status {status}")
-    said = re.sub(r"^(\[[^\]]*\] )+", "", lines[-1].strip())  # [vist#0:0/h264 @ 0x55…] [dec:h264 …]
-    return FfmpegError(f"ffmpeg says {said!r}")
+    # Without its prefixes, as in: [vist#0:0/h264 @ 0x55…] [dec:h264 …]
+    message = re.sub(r"^(\[[^\]]*\] )+", "", lines[-1].strip())
+    return FfmpegError(f"ffmpeg says {message!r}")

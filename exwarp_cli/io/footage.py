@@ -1,4 +1,4 @@
-"""Pictures without AOVs, a video's or a sequence of stills, in the place of rendered EXR frames."""
+"""Footage without AOVs, a video or a sequence of stills, in the place of rendered EXR frames."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
-from exwarp_cli.io.chromaticities import primaries_of
-from exwarp_cli.io.clip import CLIPS, Clip, ClipReader, is_clip, open_clip
+from exwarp_cli.io.display_colour import parse_pixel_aspect, primaries_of
 from exwarp_cli.io.exr.reader import display_window
 from exwarp_cli.io.exr.template import PartTemplate, PlaneTemplate, Template
 from exwarp_cli.io.exr.writer import COMPRESSIONS
 from exwarp_cli.io.frame_names import file_type, split_names
-from exwarp_cli.io.output import FrameTemplate, file_digest, read_picture
+from exwarp_cli.io.generated_frames import FrameTemplate, file_digest, read_picture
 from exwarp_cli.io.sequences import EXR, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.io.shot_files import count_nonfinite, first_usable
@@ -34,17 +33,18 @@ from exwarp_cli.io.stills import (
     read_still_template,
     still_size,
 )
-from exwarp_cli.io.video import VideoLook, pixel_aspect
+from exwarp_cli.io.video_reader import CLIPS, Clip, ClipReader, is_clip, open_clip
+from exwarp_cli.io.video_writer import VideoLook
 
+# Digits of the numbers that a clip's frames get as files; they count from 1.
 CLIP_PADDING = 4
-"""Digits of the numbers that a clip's frames get as files; they count from 1."""
 
+# Suffixes of sound files, in lower case.
 SOUNDS = (".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg", ".opus", ".wma", ".aif", ".aiff", ".ac3")
-"""Suffixes of files of sound, in lower case."""
 
 
 class ClipFrames:
-    """Frames of a video by number, from 1; each thread that asks decodes for itself."""
+    """Frames of a video by number, from 1; each thread decodes for itself."""
 
     def __init__(self, clip: Clip) -> None:
         self.clip = clip
@@ -57,7 +57,7 @@ class ClipFrames:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the video's file, hexadecimal."""
+        """Digest of the video's file, hexadecimal; see `file_digest`."""
         return file_digest(self.clip.path)
 
     def image(self, number: int) -> Image:
@@ -78,17 +78,12 @@ class ClipSequence(Sequence):
     """A video as the sequence that its frames would be as files, numbered from 1.
 
     Every number's path is the video's own, and so is the folder, where no other file can lie.
-
-    Attributes
-    ----------
-    frames
-        What reads them.
     """
 
     frames: ClipFrames = field(compare=False, repr=False)
 
     @classmethod
-    def of(cls, clip: Clip) -> ClipSequence:
+    def from_clip(cls, clip: Clip) -> ClipSequence:
         """Number the frames of a video."""
         files = dict.fromkeys(range(1, clip.count + 1), clip.path)
         return cls(clip.path, f"{clip.path.stem}.", CLIP_PADDING, ".png", files, ClipFrames(clip))
@@ -102,124 +97,98 @@ class ClipSequence(Sequence):
 def find_frames(spec: str, gaps: bool = False, scan: str = SourceSettings.scan) -> Sequence:
     """Find a video, a sequence of stills, or one of EXR; in a folder that holds both, the EXR.
 
-    With `gaps` frames that are missing in between are listed, too.
+    With `gaps` missing frames in between are listed, too.
 
-    Raises
-    ------
-    InputError
-        When there is none, or several.
+    Raises InputError when there is none, or several.
     """
-    return find_plain(spec, gaps, scan) or find_sequence(spec, gaps=gaps)
+    return find_footage(spec, gaps, scan) or find_sequence(spec, gaps=gaps)
 
 
-def find_plain(spec: str, gaps: bool = False, scan: str = SourceSettings.scan) -> Sequence | None:
+def find_footage(spec: str, gaps: bool = False, scan: str = SourceSettings.scan) -> Sequence | None:
     """Find a video or a sequence of stills; None where EXR is meant.
 
-    With `gaps` frames that are missing in between are listed, too. `scan` is as in `open_clip`.
+    With `gaps` missing frames in between are listed, too. `scan` is as in `open_clip`.
 
-    Raises
-    ------
-    InputError
-        When there are several, or a video cannot be read.
+    Raises InputError when there are several, or a video cannot be read.
     """
     if is_clip(spec):
-        return ClipSequence.of(open_clip(Path(spec), scan))
+        return ClipSequence.from_clip(open_clip(Path(spec), scan))
     path = Path(spec)
-    _require_picture(path)
-    if spec and path.is_dir():
-        plain = not _holds(path, EXR) and _holds(path, STILLS)
-    else:
-        plain = path.suffix.lower() in STILLS
-    return find_sequence(spec, STILLS, gaps) if plain else None
-
-
-def _require_picture(path: Path) -> None:
-    """Refuse a file that is neither EXR, a still nor a video, by its suffix."""
     suffix = path.suffix.lower()
-    # A number behind the last point is a frame's, which has messages of its own.
-    if suffix in (*EXR, *STILLS) or suffix[1:].isdigit() or not path.is_file():
-        return
-    if suffix in SOUNDS:
-        raise InputError(f"{path} is sound, which has no frames; name a video or frames")
-    known = ", ".join((*EXR, *STILLS, *CLIPS))
-    raise InputError(f"{path} is of a kind that is not read; convert it to one of these: {known}")
+    is_plain_path = suffix in STILLS
+    if spec and path.is_dir():
+        is_plain_path = not _has_frames(path, EXR) and _has_frames(path, STILLS)
+    elif suffix not in (*EXR, *STILLS) and not suffix[1:].isdigit() and path.is_file():
+        # A number behind the last point is a frame's, which has messages of its own.
+        if suffix in SOUNDS:
+            raise InputError(f"{path} is sound, which has no frames; name a video or frames")
+        types = ", ".join((*EXR, *STILLS, *CLIPS))
+        raise InputError(
+            f"{path} is of a kind that is not read; convert it to one of these: {types}"
+        )
+    return find_sequence(spec, STILLS, gaps) if is_plain_path else None
+
+
+def _has_frames(folder: Path, suffixes: tuple[str, ...]) -> bool:
+    try:
+        with os.scandir(folder) as entries:
+            names = [entry.name for entry in entries if not entry.name.startswith(".")]
+    except OSError:
+        return False  # the search for the sequence reports why
+    return bool(split_names(names, suffixes))
 
 
 def is_plain(sequence: Sequence) -> bool:
-    """Whether a sequence is a video or one of stills."""
+    """Return whether a sequence is a video or one of stills."""
     return sequence.type not in EXR
 
 
-def shot_of(sequence: Sequence, keep_going: bool = False) -> Shot:
+def make_shot(sequence: Sequence, keep_going: bool = False) -> Shot:
     """Return a video or a sequence of stills as a shot that has colour alone.
 
-    Parameters
-    ----------
-    sequence
-        The pictures.
-    keep_going
-        Whether to take the first still that is sound.
-
-    Raises
-    ------
-    InputError
-        When the first still cannot be read.
+    With `keep_going` the first still that is sound is taken. Raises InputError when the first still
+    cannot be read.
     """
 
-    def by(number: int) -> Shot:
+    def make_from(number: int) -> Shot:
         if isinstance(sequence, ClipSequence):
             clip = sequence.frames.clip
-            display, alpha, producer = sequence.frames.display, clip.has_alpha, "video"
+            display, has_alpha, producer = sequence.frames.display, clip.has_alpha, "video"
         else:
             path = sequence.files[number]
             if keep_going:
                 read_picture(path)
-            display, alpha = Window(0, 0, *still_size(path)), read_still_template(path).has_alpha
+            display = Window(0, 0, *still_size(path))
+            has_alpha = read_still_template(path).has_alpha
             producer = f"{sequence.type.lstrip('.').upper()} images"
-        colour = tuple(ChannelRef("", name) for name in ("RGBA" if alpha else "RGB"))
+        colour = tuple(ChannelRef("", name) for name in ("RGBA" if has_alpha else "RGB"))
         layout = Layout({Role.COLOUR: colour}, producer=producer)
         return Shot(sequence, {}, layout, display, first=number, keep_going=keep_going)
 
-    return first_usable(sequence.numbers if keep_going else sequence.numbers[:1], by)
+    return first_usable(sequence.numbers if keep_going else sequence.numbers[:1], make_from)
 
 
-def picture(sequence: Sequence, number: int, view: str = "") -> Image:
-    """Read the colour of a frame of any kind of sequence.
+def read_sequence_picture(sequence: Sequence, number: int, view: str = "") -> Image:
+    """Read the colour of a frame of any kind of sequence; of EXR, of one view, "" for the hero.
 
-    Parameters
-    ----------
-    sequence
-        A video, stills or EXR.
-    number
-        Of the frame.
-    view
-        Which view of an EXR file; "" for the hero.
-
-    Raises
-    ------
-    InputError
-        When it is missing or damaged.
-    LayoutError
-        When no colour is recognised.
+    Raises InputError when it is missing or damaged, LayoutError when no colour is recognised.
     """
     if isinstance(sequence, ClipSequence):
         return sequence.frames.image(number)
     return read_picture(sequence.files[number], view)
 
 
-def key_picture(shot: Shot, number: int) -> Image:
+def read_key_picture(shot: Shot, number: int) -> Image:
     """Read a key frame of a video or of stills.
 
-    Raises
-    ------
-    LayoutError
-        When it has another size than the first, or has alpha where the first has none.
+    Raises LayoutError when it has another size than the first, or has alpha where the first has
+    none.
     """
-    image = picture(shot.sequence, number)
-    found, channels = image.display_window, len(shot.layout.roles[Role.COLOUR])
-    if found != shot.display or image.pixels.shape[-1] != channels:
+    image = read_sequence_picture(shot.sequence, number)
+    window, channels = image.display_window, len(shot.layout.roles[Role.COLOUR])
+    if window != shot.display or image.pixels.shape[-1] != channels:
         raise LayoutError(
-            f"{shot.sequence.files[number]} is {found.width}x{found.height} with "
+            f"{shot.sequence.files[number]} is {window.width}x{window.height} with "
             f"{image.pixels.shape[-1]} channels, and the first frame is {shot.display.width}x"
             f"{shot.display.height} with {channels}; write all frames alike"
         )
@@ -227,36 +196,27 @@ def key_picture(shot: Shot, number: int) -> Image:
     return image
 
 
-def picture_size(sequence: Sequence, number: int) -> Window:
+def read_display_window(sequence: Sequence, number: int) -> Window:
     """Return the display window of any kind of sequence, by one of its frames."""
     if isinstance(sequence, ClipSequence):
         return sequence.frames.display
     path = sequence.files[number]
-    if is_plain(sequence):
-        return Window(0, 0, *still_size(path))
-    return display_window(path)
+    return Window(0, 0, *still_size(path)) if is_plain(sequence) else display_window(path)
 
 
-def digest_of(sequence: Sequence, number: int) -> str:
+def digest_frame(sequence: Sequence, number: int) -> str:
     """Digest what a frame of a video or of stills depends on."""
     if isinstance(sequence, ClipSequence):
-        read = sequence.frames.clip.reading
-        return " ".join((sequence.frames.digest, str(number), *read))
+        reading = sequence.frames.clip.reading
+        return " ".join((sequence.frames.digest, str(number), *reading))
     return file_digest(sequence.files[number])
 
 
-def plain_template(shot: Shot, number: int, suffix: str) -> FrameTemplate:
-    """Return what frames that are made of a video or of stills are written by.
+def make_frame_template(shot: Shot, number: int, suffix: str) -> FrameTemplate:
+    """Return the template for frames that are made of footage, by the suffix of the files to write.
 
-    Parameters
-    ----------
-    shot
-        The input.
-    number
-        Of the key frame.
-    suffix
-        Of the files to write. EXR is half and scene-linear, stills are as their key frame, and
-        frames of a video have sRGB codes of 8 bits, or of 16 if it has more than 8.
+    EXR is half and scene-linear, stills are as their key frame, and frames of a video have sRGB
+    codes of 8 bits, or of 16 if it has more than 8.
     """
     if file_type(suffix) in EXR:
         planes = tuple(
@@ -272,35 +232,27 @@ def plain_template(shot: Shot, number: int, suffix: str) -> FrameTemplate:
     return read_still_template(shot.sequence.files[number])
 
 
-def own_rate(sequence: Sequence) -> Fraction | None:
-    """Return the frame rate that a video has; None for any other sequence."""
+def clip_rate(sequence: Sequence) -> Fraction | None:
+    """Return the frame rate of a video; None for any other sequence."""
     return sequence.frames.clip.rate if isinstance(sequence, ClipSequence) else None
 
 
-def look_of(
+def make_video_look(
     shot: Shot, begin: Fraction, end: Fraction | None, note: str, apart: str | None = None
 ) -> VideoLook:
-    """Return what a video made of a sequence is like.
+    """Return the properties of a video made of a sequence, with a note as in `VideoLook`.
 
-    Parameters
-    ----------
-    shot
-        The input. What an EXR header says of colour and pixels is read in its first frame.
-    begin, end
-        The part of its sound that goes along, in frames of the input from the first; to the end of
-        all for None.
-    note
-        See `VideoLook`.
-    apart
-        Why neither sound, subtitles nor timecode go along; None if they do.
+    Of EXR, the header of the first frame has colour and pixel aspect. The sound goes along from
+    `begin` to `end`, in frames of the input from the first; None is the end of all. `apart` is why
+    neither sound, subtitles nor timecode go along; None if they do.
     """
     sequence = shot.sequence
-    if is_plain(sequence) and not isinstance(sequence, ClipSequence):
-        return VideoLook(note=note)
-    if not isinstance(sequence, ClipSequence):
+    if not is_plain(sequence):
         header = shot.headers.read(sequence.files[shot.first]).attributes[0]
-        aspect = pixel_aspect(header.get("pixelAspectRatio"))
+        aspect = parse_pixel_aspect(header.get("pixelAspectRatio"))
         return VideoLook(pixel_aspect=aspect, note=note, primaries=primaries_of(header))
+    if not isinstance(sequence, ClipSequence):
+        return VideoLook(note=note)
     clip = sequence.frames.clip
     remarks = []
     if clip.has_alpha:
@@ -308,32 +260,26 @@ def look_of(
             f"the alpha of {clip.path} is left out of the video, as H.264 has none: it is shown "
             "over black; frames as PNG or EXR keep it"
         )
+    sound, timecode = None, None
     if apart is None:
-        code = clip.look.timecode
-        code = None if code is None else replace(code, later=begin)
-        sound = clip.sound(begin, end)
-        return replace(clip.look, sound=sound, note=note, timecode=code, remarks=tuple(remarks))
-    if lost := _beside_the_picture(clip):
-        remarks.append(f"the video goes without {lost} of {clip.path}, as {apart}")
-    return replace(clip.look, sound=None, note=note, timecode=None, remarks=tuple(remarks))
+        sound, timecode = clip.sound(begin, end), clip.look.timecode
+        timecode = timecode and replace(timecode, later=begin)
+    else:
+        tracks = clip.look.sound
+        extras = {
+            "the sound": tracks and tracks.codecs,
+            "the text of subtitles": tracks and tracks.subtitles,
+            "the timecode": clip.look.timecode,
+        }
+        if lost := " and ".join(name for name, exists in extras.items() if exists):
+            remarks.append(f"the video goes without {lost} of {clip.path}, as {apart}")
+    return replace(clip.look, sound=sound, note=note, timecode=timecode, remarks=tuple(remarks))
 
 
-def _beside_the_picture(clip: Clip) -> str:
-    """Name what a video has beside its picture; "" for nothing."""
-    sound = clip.look.sound
-    there = {
-        "the sound": sound is not None and sound.codecs,
-        "the text of subtitles": sound is not None and sound.subtitles,
-        "the timecode": clip.look.timecode,
-    }
-    return " and ".join(name for name, has in there.items() if has)
-
-
-def facts_of(sequence: Sequence) -> dict[str, Any]:
-    """Return what is known of the pictures of a video or of stills, as plain data."""
+def describe_footage(sequence: Sequence) -> dict[str, Any]:
+    """Return the properties of a video or of stills, as plain data."""
     if isinstance(sequence, ClipSequence):
         clip = sequence.frames.clip
-        sound = () if clip.look.sound is None else clip.look.sound.codecs
         colour = clip.look.colour
         return {
             "kind": "video",
@@ -341,7 +287,7 @@ def facts_of(sequence: Sequence) -> dict[str, Any]:
             "colour": f"{colour.matrix}, {'full' if colour.full_range else 'limited'} range",
             "alpha": "kept" if clip.has_alpha else None,
             "pixel_aspect": float(clip.look.pixel_aspect),
-            "sound": list(sound),
+            "sound": list(clip.look.sound.codecs if clip.look.sound else ()),
         }
     template = read_still_template(next(iter(sequence.files.values())))
     return {
@@ -354,8 +300,8 @@ def facts_of(sequence: Sequence) -> dict[str, Any]:
     }
 
 
-def lost_alpha(shot: Shot, suffix: str) -> str | None:
-    """Say that frames lose the alpha of a video or of stills; None if they do not."""
+def lost_alpha_message(shot: Shot, suffix: str) -> str | None:
+    """Return the message that frames lose the alpha of footage; None if they do not."""
     has_alpha = is_plain(shot.sequence) and len(shot.layout.roles[Role.COLOUR]) > 3
     if not has_alpha or file_type(suffix) in EXR or has_room_for_alpha(file_type(suffix)):
         return None
@@ -365,8 +311,8 @@ def lost_alpha(shot: Shot, suffix: str) -> str | None:
     )
 
 
-def unevenness_of(sequence: Sequence) -> str | None:
-    """Say how a video whose own rate varies is taken; None where it is even."""
+def uneven_rate_message(sequence: Sequence) -> str | None:
+    """Return the message on a video whose own rate varies; None where it is even."""
     if not isinstance(sequence, ClipSequence) or not sequence.frames.clip.pacing.varies:
         return None
     clip = sequence.frames.clip
@@ -376,18 +322,8 @@ def unevenness_of(sequence: Sequence) -> str | None:
     )
 
 
-def close(*sequences: Sequence) -> None:
-    """Close what reading frames of some sequences left open."""
+def close_sequences(*sequences: Sequence) -> None:
+    """Close the videos among some sequences."""
     for sequence in sequences:
         if isinstance(sequence, ClipSequence):
             sequence.frames.close()
-
-
-def _holds(folder: Path, suffixes: tuple[str, ...]) -> bool:
-    """Whether a folder has frames with one of some suffixes."""
-    try:
-        with os.scandir(folder) as entries:
-            names = [entry.name for entry in entries if not entry.name.startswith(".")]
-    except OSError:
-        return False  # who looks for the sequence says why
-    return bool(split_names(names, suffixes))

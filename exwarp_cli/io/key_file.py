@@ -19,12 +19,12 @@ from typing import BinaryIO
 
 from exwarp_cli.domain.timeline import parsed_rate
 from exwarp_cli.errors import InputError
-from exwarp_cli.io import checksum
-from exwarp_cli.io.atomic import PIECE, atomic_copy, atomic_path
+from exwarp_cli.io import files
 from exwarp_cli.io.exr.header import RawHeader
-from exwarp_cli.io.exr.reader import HeaderCache, damaged, parse_header
-from exwarp_cli.io.output import CHECKSUM, PREFIX, is_intact, seal
-from exwarp_cli.io.reading_retry import with_retries
+from exwarp_cli.io.exr.reader import HeaderCache, damaged_error, parse_header
+from exwarp_cli.io.exr.template import PREFIX
+from exwarp_cli.io.files import COPY_BYTES, atomic_copy, atomic_path, with_retries
+from exwarp_cli.io.generated_frames import CHECKSUM, is_intact, seal
 from exwarp_cli.io.sequences import EXR
 
 RATE = b"framesPerSecond"
@@ -66,7 +66,7 @@ class KeyFile:
                     file = stack.enter_context(self.source.open("rb", buffering=0))
                 try:
                     file.seek(position)
-                    return file.read(PIECE)
+                    return file.read(COPY_BYTES)
                 except OSError:
                     file = None  # a stale handle stays stale
                     raise
@@ -109,8 +109,8 @@ class KeyFile:
         return position >= len(data)
 
     def digest(self) -> str:
-        """Return the checksum of the file, hexadecimal; see `exwarp_cli.io.checksum`."""
-        return checksum.digits_of(self.pieces())
+        """Return the checksum of the file, hexadecimal; see `exwarp_cli.io.files`."""
+        return files.compute_checksum(self.pieces())
 
 
 def possible_key_files(source: Path, target: Path) -> tuple[KeyFile, ...]:
@@ -182,7 +182,7 @@ def _read_sound(source: Path, read: Callable[[], KeyFile]) -> KeyFile:
     except OSError as error:
         raise _unreadable(source, error) from error
     except (ValueError, struct.error) as error:
-        raise damaged(source, str(error)) from error
+        raise damaged_error(source, str(error)) from error
 
 
 def digests(
@@ -198,7 +198,7 @@ def digests(
 
     def read() -> tuple[str, str | None]:
         with path.open("rb", buffering=0) as file:
-            digest = hashlib.file_digest(file, checksum.new).hexdigest()
+            digest = hashlib.file_digest(file, files.new_checksum).hexdigest()
             is_exr = path.suffix.lower() in EXR
             if headers is not None and is_exr:
                 headers.keep(path, parse_header(path, file))
@@ -213,7 +213,7 @@ def digests(
     try:
         return with_retries(path, read)
     except OSError as error:
-        raise damaged(path, str(error.strerror)) from error
+        raise damaged_error(path, str(error.strerror)) from error
 
 
 def _with_rate(file: BinaryIO, rate: Fraction) -> tuple[bytes, int]:
@@ -231,7 +231,7 @@ def _with_rate(file: BinaryIO, rate: Fraction) -> tuple[bytes, int]:
     if not is_intact(data):
         return head, rest
     begin = head.index(CHECKSUM.encode() + b"\0string\0") + len(CHECKSUM) + 12
-    blank = head[:begin] + checksum.ZEROS.encode() + head[begin + checksum.DIGITS :]
+    blank = head[:begin] + files.CHECKSUM_ZEROS.encode() + head[begin + files.CHECKSUM_DIGITS :]
     return bytes(seal(blank, data[rest:])[0]), rest
 
 
@@ -272,7 +272,7 @@ def _rate_changes(header: RawHeader, rate: Fraction) -> list[Change]:
 def _mark_changes(header: RawHeader, marks: Mapping[str, str | int]) -> list[Change]:
     """Return the changes that replace ExWarp's own attributes by new ones of the first part."""
     values: dict[str, str | int] = {f"{PREFIX}{name}": value for name, value in marks.items()}
-    values[CHECKSUM] = checksum.ZEROS
+    values[CHECKSUM] = files.CHECKSUM_ZEROS
     text = b""
     for name, value in values.items():
         if isinstance(value, int):

@@ -15,7 +15,7 @@ from fnmatch import fnmatchcase
 
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
-from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.header import Channel
 
 # What --layers takes beside names: the layer that frames are made for, and every one.
 BEAUTY, ALL = "beauty", "all"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from exwarp_cli.domain.timeline import ranges, without_gaps
 from exwarp_cli.errors import InputError, MissingFrameError, OutputError, UsageError
-from exwarp_cli.io.atomic import is_there
+from exwarp_cli.io.files import path_exists
 from exwarp_cli.io.frame_names import (
     SEPARATORS,
     NamePattern,
@@ -242,7 +242,7 @@ def output_pattern(spec: str, source: Sequence, suffixes: tuple[str, ...] = EXR)
         )
     path = Path(spec)
     target = OutputPattern(path, source.base, source.padding, source.suffix)
-    if not (spec.endswith(("/", os.sep)) or (is_there(path) and path.is_dir())):
+    if not (spec.endswith(("/", os.sep)) or (path_exists(path) and path.is_dir())):
         pattern = NamePattern.parse(path.name)
         suffix = path.suffix.lower()
         if suffix not in suffixes and (suffix in _OTHER_MEDIA or pattern is not None):

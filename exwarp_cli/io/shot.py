@@ -17,7 +17,7 @@ from exwarp_cli.io.channel_map import AovFile, ChannelMap, detect_aov, find_chan
 from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect_layout
 from exwarp_cli.io.cryptomatte import Cryptomatte, IdReading, find_cryptomattes
 from exwarp_cli.io.depth import DepthReading, depth_reading_by_name
-from exwarp_cli.io.exr.parts import Channel, Part
+from exwarp_cli.io.exr.header import Channel, Part
 from exwarp_cli.io.exr.reader import HeaderCache
 from exwarp_cli.io.sequences import Sequence, find_sequence
 from exwarp_cli.io.shot_files import (

@@ -13,8 +13,8 @@ from exwarp_cli.domain.frame import Bool, are_finite, broken_pixels
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import Role, detect_layout
 from exwarp_cli.io.cryptomatte import Headers
-from exwarp_cli.io.exr.parts import Channel, Part
-from exwarp_cli.io.exr.reader import ExrFile, FileHeader, HeaderCache, deep_only
+from exwarp_cli.io.exr.header import Channel, Part
+from exwarp_cli.io.exr.reader import ExrFile, FileHeader, HeaderCache, deep_image_error
 from exwarp_cli.io.frame_names import pass_role
 from exwarp_cli.io.producers import vector_direction
 from exwarp_cli.io.sequences import AovSet, Sequence, find_aov_set, find_sequence
@@ -115,7 +115,7 @@ def read_flat_header(path: Path, headers: HeaderCache) -> FileHeader:
     """Read the header of a file, and refuse one of which all parts are deep."""
     header = headers.read(path)
     if all(part.deep for part in header.parts):
-        raise deep_only(path)
+        raise deep_image_error(path)
     return header
 
 

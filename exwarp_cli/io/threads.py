@@ -1,37 +1,30 @@
-"""The one place that tells libraries how many threads they may have.
+"""Passes the number of cores of this process on to the libraries that start threads.
 
-`domain.cores` knows the number. onnxruntime's sessions, ffmpeg, and what runs threads here receive
-it at each use. OpenCV always has one. numpy starts BLAS as it is imported, so `exwarp_cli.cli` sets
-the number for BLAS.
+onnxruntime's sessions, ffmpeg and this package's own thread pools take the number from
+`runtime.cores` at each use. OpenCV always has one thread. numpy starts BLAS as it is imported, so
+`exwarp_cli.cli` limits BLAS.
 """
 
 from __future__ import annotations
 
 import OpenImageIO as oiio
 
-from exwarp_cli.domain import cores
-from exwarp_cli.io.machine import processors
 from exwarp_cli.kernels import _row_bands
+from exwarp_cli.runtime import cores
+from exwarp_cli.runtime.machine import processors
 
 
 def use_threads(count: int | None) -> None:
-    """Set how many cores this process uses.
-
-    Parameters
-    ----------
-    count
-        At least 1; None for all that this process may use. Kernels heed it in this thread, and in
-        those that begin with `for_kernels`.
-    """
-    cores.share(count, processors().usable)
+    """Set how many cores this process uses: at least 1, or None for all that it may use."""
+    cores.set_count(count, processors().usable)
     oiio.attribute("threads", cores.count())
     oiio.attribute("exr_threads", cores.count())
-    for_kernels()
+    limit_kernel_threads()
 
 
-def for_kernels() -> None:
-    """Have kernels that this thread starts use no more threads than cores are left for it.
+def limit_kernel_threads() -> None:
+    """Limit the kernels that this thread starts to the spare cores.
 
-    A new thread's kernels have threads for all cores, whatever others do.
+    Each thread has to call it: the kernels of a new thread use all cores.
     """
-    _row_bands.set_threads(cores.left)
+    _row_bands.set_threads(cores.spare_count)

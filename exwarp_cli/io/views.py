@@ -19,7 +19,7 @@ from glob import escape
 from pathlib import Path
 
 from exwarp_cli.errors import InputError, LayoutError
-from exwarp_cli.io.exr.parts import Channel, Part
+from exwarp_cli.io.exr.header import Channel, Part
 from exwarp_cli.io.frame_names import NamePattern
 
 # What --view takes for every view.

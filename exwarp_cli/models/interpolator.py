@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain import cores
 from exwarp_cli.domain.extrapolator import Curve
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.timeline import MOST
 from exwarp_cli.errors import InputError, LayoutError, OutputExistsError
-from exwarp_cli.io.atomic import atomic_write_text
+from exwarp_cli.io.files import atomic_write_text
 from exwarp_cli.models.interpolator_card import (
     FIRST,
     MODES,
@@ -30,6 +29,7 @@ from exwarp_cli.models.interpolator_card import (
 )
 from exwarp_cli.models.model_file import read_model, shape_text
 from exwarp_cli.models.session import OnnxNetwork
+from exwarp_cli.runtime import cores
 
 # Largest encoded colour of an answer, as a multiple of white.
 MAX_ENCODED = 4.0

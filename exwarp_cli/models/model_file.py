@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 from exwarp_cli.domain.network import TIME, NetworkInterface
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
-from exwarp_cli.runtime.read_registry import being_read
+from exwarp_cli.runtime.read_registry import report_reading
 
 # Limit of a file in Protocol Buffers, and more than any other file that is read whole.
 MAX_BYTES = 2**31 - 1
@@ -233,7 +233,7 @@ class _Weights:
 
     def embed(self, data: bytes) -> Chunks | None:
         try:
-            with being_read(self._path, required=True):
+            with report_reading(self._path, required=True):
                 return self._embed_in(memoryview(data), "ModelProto", 0)
         except _MalformedError as error:
             raise DamagedFileError(

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from exwarp_cli.domain import cores
 from exwarp_cli.domain.extrapolator import EXTRAPOLATES, Inputs, Span, Tile, cut
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.lookahead import LOOKAHEAD, LOOKS_AHEAD
@@ -24,6 +23,7 @@ from exwarp_cli.models.model_file import (
     stated_stride,
 )
 from exwarp_cli.models.session import OnnxNetwork
+from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.frame_pool import pool
 
 SHIPPED_EXTRAPOLATOR = "extrapolator.onnx"

@@ -33,7 +33,7 @@ import numpy.typing as npt
 from exwarp_cli.accel.quantised_mlp import QuantisedLayer, QuantisedMlp, Requantisation
 from exwarp_cli.domain.tiles import TILE_STATE
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
-from exwarp_cli.io.atomic import atomic_write_bytes
+from exwarp_cli.io.files import atomic_write_bytes
 from exwarp_cli.models.model_file import read_model
 
 FORMAT = "exwarp.policy/1"

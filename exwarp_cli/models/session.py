@@ -13,9 +13,9 @@ from exwarp_cli.errors import (
     MissingExtraError,
     OutOfMemoryError,
 )
-from exwarp_cli.io.standard_streams import quiet_libraries
 from exwarp_cli.models.model_file import embed_weights
-from exwarp_cli.runtime.read_registry import being_read
+from exwarp_cli.runtime.read_registry import report_reading
+from exwarp_cli.standard_streams import silence_libraries
 
 CUDA = "CUDAExecutionProvider"
 
@@ -69,7 +69,7 @@ class OnnxNetwork:
             if self.device == "cpu":  # takes an eighth of the time of a run
                 options.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
         try:
-            with being_read(self.path, required=True):
+            with report_reading(self.path, required=True):
                 (answer,) = session.run([output], feeds, options)
         except _failures() as error:
             if isinstance(error, MemoryError) or "alloc" in str(error):
@@ -115,7 +115,7 @@ def open_session(path: Path, data: bytes, threads: int, device: str) -> Any:
     cuda = (CUDA, {"cudnn_conv_algo_search": "HEURISTIC", "use_tf32": "0"})
     providers = [cuda] if device == "cuda" else []
     try:
-        with being_read(path, required=True), quiet_libraries():
+        with report_reading(path, required=True), silence_libraries():
             session = runtime.InferenceSession(
                 data, options, providers=[*providers, "CPUExecutionProvider"], enable_fallback=False
             )
@@ -151,7 +151,7 @@ def providers() -> tuple[str, ...]:
 def _runtime() -> Any:
     # The import takes 0.3 s. It looks for devices, and writes to the terminal which it misses.
     try:
-        with quiet_libraries():
+        with silence_libraries():
             import onnxruntime
     except ImportError as error:
         raise MissingExtraError(

@@ -30,7 +30,7 @@ from exwarp_cli.domain.risk import ROWS
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.tiles import TilePlan
 from exwarp_cli.domain.timeline import FACTOR, Slot
-from exwarp_cli.io.output import quantised
+from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader, PolicyObservation
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.scheduling import record_time
@@ -139,7 +139,7 @@ class OraclePath:
             return Choice(Plan.fixed("S6"))
 
         def as_written(pixels: Float32) -> Float32:
-            return quantised(pixels, inputs.metadata.template)
+            return quantise_picture(pixels, inputs.metadata.template)
 
         by_psnr = self.judge is DecisionSource.PSNR
         timing_ms: dict[str, float] = {}

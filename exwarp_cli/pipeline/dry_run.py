@@ -12,7 +12,7 @@ from pathlib import Path
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.results import FrameKind, RunOutcome, RunSummary
 from exwarp_cli.domain.timeline import Slot
-from exwarp_cli.io.atomic import is_there, output_error
+from exwarp_cli.io.files import output_error, path_exists
 from exwarp_cli.pipeline.fingerprint import key_fingerprint
 from exwarp_cli.pipeline.frame_writer import FrameWriter
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, SkippedInterval
@@ -101,7 +101,7 @@ def require_writable(folders: Iterable[Path]) -> None:
         For the first of them.
     """
     for folder in folders:
-        parent = next(path for path in (folder, *folder.absolute().parents) if is_there(path))
+        parent = next(path for path in (folder, *folder.absolute().parents) if path_exists(path))
         number = 0
         if not parent.is_dir():
             number = errno.EEXIST if parent == folder else errno.ENOTDIR
@@ -153,7 +153,7 @@ def _is_kept(
 def _foreseen(job: Job, slot: Slot, kept: bool) -> ForeseenFrame:
     number, targets = job.source.timeline.number(slot), job.targets
     path = targets.video if targets.frames is None else targets.frames.path(number)
-    exists = path is not None and is_there(path)
+    exists = path is not None and path_exists(path)
     fate = Fate.KEEP if kept else Fate.REPLACE if exists else Fate.WRITE
     kind = FrameKind.GENERATED if slot.index else FrameKind.KEY
     if slot.index and job.rendered is not None and job.rendered.has(number):

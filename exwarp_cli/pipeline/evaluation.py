@@ -15,7 +15,7 @@ from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.domain.timeline import parse_frames, ranges
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
-from exwarp_cli.io.footage import close, find_frames, picture
+from exwarp_cli.io.footage import close_sequences, find_frames, read_sequence_picture
 from exwarp_cli.io.frames import read_plane
 from exwarp_cli.io.sequences import Sequence, find_sequence
 from exwarp_cli.io.views import expand_view
@@ -134,7 +134,7 @@ def evaluate(
     try:
         compared, shape = _score(files, origins, scorer, progress or NoProgress(), watcher)
     finally:
-        close(truth, judged)
+        close_sequences(truth, judged)
     if measuring.preset is None:  # a preset has its own rule for rendered frames
         notes = (*rendered_note(origins), *notes)
     result = Comparison(
@@ -180,7 +180,7 @@ class _Files:
 
 
 def _read_display(sequence: Sequence, number: int, view: str) -> Float32:
-    image = picture(sequence, number, view)
+    image = read_sequence_picture(sequence, number, view)
     return image.on(image.display_window).pixels
 
 
@@ -287,8 +287,8 @@ def _rate(reference: Sequence, test: Sequence, kinds: list[str | None], view: st
         rendered,
         len(b),
         len(a),
-        lambda index: picture(test, b[index], view),
-        lambda index: picture(reference, a[index], view),
+        lambda index: read_sequence_picture(test, b[index], view),
+        lambda index: read_sequence_picture(reference, a[index], view),
     )
 
 

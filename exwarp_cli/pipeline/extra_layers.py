@@ -14,10 +14,10 @@ from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.io.channels import ChannelRef, Role
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr.template import Plane, PlaneKey, Template, ViewLayers, read_template
-from exwarp_cli.io.footage import is_plain, plain_template
+from exwarp_cli.io.footage import is_plain, make_frame_template
 from exwarp_cli.io.frames import read_planes
+from exwarp_cli.io.generated_frames import FrameTemplate
 from exwarp_cli.io.layers import ALL, BEAUTY, Layer, LayerKind, group_layers, select_layers
-from exwarp_cli.io.output import FrameTemplate
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.io.shot_files import count_nonfinite, rename_channels
 from exwarp_cli.pipeline.source import Source
@@ -156,7 +156,7 @@ def template_of(contents: tuple[Content, ...], suffix: str, number: int) -> Fram
     """
     keys = contents[0].source.keys
     if is_plain(keys.sequence):
-        return plain_template(keys, number, suffix)
+        return make_frame_template(keys, number, suffix)
     wanted = tuple(content.wanted for content in contents)
     return read_template(keys.sequence.files[number], wanted, keys.headers)
 

@@ -16,9 +16,9 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.footage import ClipSequence, digest_of, is_plain
+from exwarp_cli.io.footage import ClipSequence, digest_frame, is_plain
+from exwarp_cli.io.generated_frames import file_digest
 from exwarp_cli.io.key_file import digests, plan_key_file
-from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.pipeline.source import FrameOf, Source
@@ -160,7 +160,7 @@ class Fingerprinter:
         frame = (number, tuple(shot.files(number).items()))
         if frame not in self._digests:
             if is_plain(shot.sequence):
-                digest = digest_of(shot.sequence, number)
+                digest = digest_frame(shot.sequence, number)
             else:
                 digest = self._digest_files(shot, number)
             self._digests[frame] = digest
@@ -185,7 +185,7 @@ def key_fingerprint(keys: Shot, number: int, rate: Fraction | None = None) -> st
 
     The rate is what its header says; None where it says none.
     """
-    facts = {"version": __version__, "key": digest_of(keys.sequence, number), "fps": str(rate)}
+    facts = {"version": __version__, "key": digest_frame(keys.sequence, number), "fps": str(rate)}
     return _digest_json(facts)
 
 

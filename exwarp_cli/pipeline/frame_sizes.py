@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError, LayoutError
-from exwarp_cli.io.footage import is_plain, picture_size
+from exwarp_cli.io.footage import is_plain, read_display_window
 from exwarp_cli.pipeline.ground_truth import truth_of_another_size
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def _displays(frames: Iterable[tuple[Sequence, int]]) -> list[Window | None]:
 
     def display(frame: tuple[Sequence, int]) -> Window | None:
         try:
-            return picture_size(*frame)
+            return read_display_window(*frame)
         except (InputError, OSError, KeyError):
             return None
 

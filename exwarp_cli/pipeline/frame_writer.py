@@ -10,32 +10,32 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Bool, Float32, Image, Window
 from exwarp_cli.domain.timeline import OutputRate
-from exwarp_cli.io.atomic import Held, is_there
-from exwarp_cli.io.exr.template import Plane, PlaneKey
+from exwarp_cli.io.display_colour import to_display
+from exwarp_cli.io.exr.template import PREFIX, Plane, PlaneKey
 from exwarp_cli.io.exr.writer import Buffer
-from exwarp_cli.io.key_file import open_key_file, plan_key_file, plan_marked_file
-from exwarp_cli.io.output import (
-    PREFIX,
+from exwarp_cli.io.files import ResourceOwner, path_exists
+from exwarp_cli.io.generated_frames import (
     FrameTemplate,
-    facts_in,
+    read_facts,
     read_picture,
     write_mask,
     write_picture,
 )
+from exwarp_cli.io.key_file import open_key_file, plan_key_file, plan_marked_file
 from exwarp_cli.io.sequences import EXR
-from exwarp_cli.io.video import VideoLook, VideoWriter, to_display
+from exwarp_cli.io.video_writer import VideoLook, VideoWriter
 from exwarp_cli.pipeline.output_plan import OutputPlan, key_is_there, slot_is_there
 from exwarp_cli.pipeline.scheduling import AsyncWriter, record_time
 from exwarp_cli.pipeline.verification import FRAME, HOLES, Sums, sum_of
+from exwarp_cli.runtime import cores
 
 # Frames that may wait for a thread to write them, beyond those under way.
 FRAMES_BEHIND = 4
 
 
-class FrameWriter(Held):
+class FrameWriter(ResourceOwner):
     """Writes the frames of a run, in order; a context manager."""
 
     def __init__(
@@ -125,7 +125,7 @@ class FrameWriter(Held):
         # A run that may replace none began without any: what exists now is its own, as after the
         # loss of a worker.
         may_replace = self._output.overwrites or self._output.resumes
-        return may_replace and self.keeps_frames and is_there(self._path(number))
+        return may_replace and self.keeps_frames and path_exists(self._path(number))
 
     def replace_key(self, number: int, source: Path) -> None:
         """Replace an earlier copy of a key frame at once, if it is another than the source."""
@@ -242,7 +242,7 @@ class FrameWriter(Held):
 
     def written(self, number: int) -> dict[str, Any]:
         """Return the attributes of a generated frame that an earlier run wrote."""
-        return facts_in(self._path(number))
+        return read_facts(self._path(number))
 
     def _path(self, number: int) -> Path:
         assert self._output.frames is not None

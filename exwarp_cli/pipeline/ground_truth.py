@@ -15,10 +15,10 @@ from exwarp_cli.domain.frame import Image, UInt8, Window
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import Slot, Timeline
 from exwarp_cli.errors import InputError, LayoutError
-from exwarp_cli.io.footage import find_frames, picture, picture_size
+from exwarp_cli.io.display_colour import to_display
+from exwarp_cli.io.footage import find_frames, read_display_window, read_sequence_picture
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot_files import NonFinite, count_nonfinite, first_usable
-from exwarp_cli.io.video import to_display
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.source import FrameOf, Source, align
 
@@ -61,7 +61,7 @@ def find_truth(
     display = source.keys.display
 
     def require_same_size(number: int) -> None:
-        window = picture_size(sequence, number)
+        window = read_display_window(sequence, number)
         if window.shape != display.shape:
             raise LayoutError(
                 f"--ground-truth {sequence.pattern} is {window.width}x{window.height} and the "
@@ -111,8 +111,10 @@ def _match_by_rate(source: Source, sequence: Sequence, frame_of: FrameOf) -> Fra
         sorted(key_at),
         math.ceil(len(timeline.numbers) * timeline.factor),
         len(numbers),
-        lambda place: picture(keys.sequence, timeline.numbers[key_at[place]], keys.view),
-        lambda place: picture(sequence, numbers[place], keys.view),
+        lambda place: read_sequence_picture(
+            keys.sequence, timeline.numbers[key_at[place]], keys.view
+        ),
+        lambda place: read_sequence_picture(sequence, numbers[place], keys.view),
     )
     if rate == 1:
         return frame_of
@@ -251,7 +253,10 @@ class TruthReader:
         number = frame_of(slot)
         if number is None:
             return None
-        image, display = picture(sequence, number, self.source.keys.view), self.source.keys.display
+        image, display = (
+            read_sequence_picture(sequence, number, self.source.keys.view),
+            self.source.keys.display,
+        )
         output = self.source.timeline.number(slot)
         if image.display_window.shape != display.shape:
             raise truth_of_another_size(output, image.display_window, display)

@@ -16,8 +16,8 @@ from exwarp_cli.io.channel_map import channel_map_text, write_channel_map
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
 from exwarp_cli.io.cryptomatte import Cryptomatte, Manifest
 from exwarp_cli.io.depth import DepthKind
-from exwarp_cli.io.exr.parts import Part
-from exwarp_cli.io.footage import facts_of
+from exwarp_cli.io.exr.header import Part
+from exwarp_cli.io.footage import describe_footage
 from exwarp_cli.io.producers import UNKNOWN
 from exwarp_cli.io.shot import MAIN, Shot, channel_label
 from exwarp_cli.pipeline.depth_and_ids import read_ids, sound_cryptomattes, with_depth_ordered
@@ -97,7 +97,7 @@ def inspect(settings: SourceSettings) -> Inspection:
         Timeline.of(plain.sequence.numbers)
         require_one_size(plain, plain.sequence.numbers)
         fps, fps_source = rate_of(plain, settings.fps)
-        pictures = facts_of(plain.sequence)
+        pictures = describe_footage(plain.sequence)
         return Inspection(plain, (), None, None, fps, fps_source, pictures=pictures)
     shot, settings = open_keys(settings)
     Timeline.of(shot.sequence.numbers)

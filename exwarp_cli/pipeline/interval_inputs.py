@@ -14,7 +14,7 @@ from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError
-from exwarp_cli.io.output import FrameTemplate
+from exwarp_cli.io.generated_frames import FrameTemplate
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.pipeline.extra_layers import Content, LayerFrames, LayerReader, template_of
 from exwarp_cli.pipeline.fingerprint import Fingerprinter

@@ -11,9 +11,9 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.tiles import TILE_STATE
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError, UsageError
-from exwarp_cli.io.footage import close, is_plain
+from exwarp_cli.io.footage import close_sequences, is_plain
+from exwarp_cli.io.generated_frames import parse_compression
 from exwarp_cli.io.layers import BEAUTY
-from exwarp_cli.io.output import compression_of
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.extra_layers import Content, contents_of
 from exwarp_cli.pipeline.frame_sizes import (
@@ -152,9 +152,9 @@ class Job:
 
     def close(self) -> None:
         """Close what reading left open; a later read opens it again."""
-        close(self.source.keys.sequence, *(() if self.truth is None else self.truth[:1]))
+        close_sequences(self.source.keys.sequence, *(() if self.truth is None else self.truth[:1]))
         if self.rendered is not None:
-            close(self.rendered.sequence)
+            close_sequences(self.rendered.sequence)
 
     def summary(self, outcome: RunOutcome, seconds: float) -> RunSummary:
         """Put together what a run of this job did.
@@ -200,7 +200,7 @@ def open_job(settings: UpsampleSettings) -> Job:
     ExwarpError
         For anything that a user can cause, but for what is in the way of the output.
     """
-    compression = compression_of(settings.compression)
+    compression = parse_compression(settings.compression)
     use_threads(settings.threads)
     method = _find_method(settings.method, settings.causal)
     sources = open_sources(settings.source, method.needs_motion, pictures=True)

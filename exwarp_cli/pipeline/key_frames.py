@@ -11,7 +11,7 @@ from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, KeyFrame, Window, pl
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.footage import ClipSequence, is_plain, key_picture
+from exwarp_cli.io.footage import ClipSequence, is_plain, read_key_picture
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, colour_window, read_raw
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.pipeline.shots import Shots, UnreadableFrames
@@ -263,7 +263,7 @@ class KeyFrameStore:
         keys, number = self.source.keys, self.source.timeline.numbers[key]
         with self.reading(Slot(key, 0)):
             if is_plain(keys.sequence):
-                return KeyFrame(number, key_picture(keys, number), None)
+                return KeyFrame(number, read_key_picture(keys, number), None)
             return read_raw(keys, number, (Role.COLOUR,)).key(None)
 
     def _with_surface(self, frame: KeyFrame) -> KeyFrame:

@@ -23,10 +23,10 @@ from exwarp_cli.domain.timeline import NEAR, Slot, Timeline, ranges
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import IncompleteError
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.cryptomatte import MAX_NAMES, quote_name
-from exwarp_cli.io.footage import is_plain, lost_alpha, unevenness_of
+from exwarp_cli.io.footage import is_plain, lost_alpha_message, uneven_rate_message
 from exwarp_cli.io.shot import alpha_note
+from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.pipeline.extra_layers import Content, files_apart
 from exwarp_cli.pipeline.ground_truth import OtherRate
@@ -235,9 +235,9 @@ def _input_notes(settings: UpsampleSettings, source: Source) -> Iterator[str | N
             f"{float(source.timeline.factor):g} times the input's {fps}, which keeps {kept}; "
             f"{float(target):g} itself keeps one in {seldom}"
         )
-    yield unevenness_of(sequence)
+    yield uneven_rate_message(sequence)
     if not is_clip(settings.output):  # a video's writer announces it
-        yield lost_alpha(source.keys, frame_suffix(settings.output, sequence))
+        yield lost_alpha_message(source.keys, frame_suffix(settings.output, sequence))
     yield alpha_note(source.keys.layout)
 
 

@@ -19,30 +19,30 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from exwarp_cli.domain import cores
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot, Timeline, ranges
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import OutputError, OutputExistsError, UsageError
-from exwarp_cli.io.atomic import is_there, make_folder, output_error, remove_leftovers
-from exwarp_cli.io.clip import is_clip
-from exwarp_cli.io.footage import digest_of, is_plain, look_of, own_rate
-from exwarp_cli.io.key_file import KeyFile, possible_key_files
-from exwarp_cli.io.output import (
+from exwarp_cli.io.files import make_folder, output_error, path_exists, remove_leftovers
+from exwarp_cli.io.footage import clip_rate, digest_frame, is_plain, make_video_look
+from exwarp_cli.io.generated_frames import (
     KEY_FRAMES,
     REQUESTED_METHOD,
     Authorship,
-    State,
-    authorship_of,
+    FileState,
     file_digest,
-    recipe_in,
+    find_authorship,
+    read_fingerprint,
 )
+from exwarp_cli.io.key_file import KeyFile, possible_key_files
 from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
-from exwarp_cli.io.video import VideoLook, require_container, video_note
+from exwarp_cli.io.video_reader import is_clip
+from exwarp_cli.io.video_writer import VideoLook, read_video_note, require_container
 from exwarp_cli.pipeline.fingerprint import Fingerprinter, key_fingerprint
 from exwarp_cli.pipeline.source import Source
+from exwarp_cli.runtime import cores
 from exwarp_cli.synthesis.methods import Method
 
 if TYPE_CHECKING:
@@ -147,20 +147,20 @@ class OutputPlan:
         """
         if self.overwrites and self.resumes:
             raise UsageError("--overwrite and --skip-existing contradict each other; give one")
-        if self.video is not None and is_there(self.video) and self.video.is_dir():
+        if self.video is not None and path_exists(self.video) and self.video.is_dir():
             raise output_error(self.video, IsADirectoryError(errno.EISDIR, ""))
         if self.overwrites or self.resumes:
             return
         numbers = [timeline.number(slot) for slot in slots]
         for pattern in (self.frames, self.holes):
-            existing = [n for n in numbers if pattern is not None and is_there(pattern.path(n))]
+            existing = [n for n in numbers if pattern is not None and path_exists(pattern.path(n))]
             if existing and pattern is not None:
                 raise OutputExistsError(
                     f"{pattern.folder} has frame {ranges(existing)} of {pattern.name} already; "
                     "give --skip-existing to keep good ones, --overwrite to replace them, or "
                     "another -o"
                 )
-        if self.video is not None and is_there(self.video):
+        if self.video is not None and path_exists(self.video):
             option = "--video" if self.frames is not None else "-o"
             raise OutputExistsError(
                 f"{self.video} exists already; give --overwrite to replace it, or another {option}"
@@ -197,7 +197,7 @@ def key_is_there(target: Path, source: KeyFile) -> bool:
 
 def slot_is_there(target: Path, recipe: str) -> bool:
     """Return True if a generated frame exists, undamaged, and as this run would make it."""
-    return target.exists() and recipe_in(target) == recipe
+    return target.exists() and read_fingerprint(target) == recipe
 
 
 def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> VideoLook:
@@ -218,12 +218,12 @@ def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> VideoLo
     shown = timeline.slots_of(first) or (Slot(first, 0),)
     begin = first + timeline.time(shown[0])
     end = None if last == len(timeline.numbers) - 1 else Fraction(last + 1)
-    own, apart = own_rate(source.keys.sequence), None
+    own, apart = clip_rate(source.keys.sequence), None
     if last - first + 1 != len(keys):
         apart = "the key frames that are written do not follow each other"
     elif own is not None and source.fps != own:
         apart = f"--fps {float(source.fps):g} is not its own rate of {float(own):g}"
-    return look_of(source.keys, begin, end, note, apart)
+    return make_video_look(source.keys, begin, end, note, apart)
 
 
 def video_fingerprint(
@@ -254,7 +254,7 @@ def video_fingerprint(
     }
     if rendered is not None:
         sequence = rendered.sequence
-        facts["rendered"] = [[n, digest_of(sequence, n)] for n in sequence.numbers]
+        facts["rendered"] = [[n, digest_frame(sequence, n)] for n in sequence.numbers]
     look = video_look(source, keys)
     if look.pixel_aspect != 1 or look.primaries is not None:
         facts["look"] = [str(look.pixel_aspect), repr(look.primaries)]
@@ -267,7 +267,7 @@ def is_video_kept(targets: OutputPlan, settings: UpsampleSettings, note: str) ->
     wanted = settings.skip_existing and settings.ground_truth is None
     if not (wanted and note) or targets.frames is not None or targets.video is None:
         return False
-    return video_note(targets.video) == note
+    return read_video_note(targets.video) == note
 
 
 def require_own(
@@ -356,16 +356,16 @@ class _Ownership:
     def _authorship(self, path: Path) -> Authorship | None:
         """Return what a file says of itself; None where there is none."""
         if path not in self._authorships:
-            self._authorships[path] = authorship_of(path)
+            self._authorships[path] = find_authorship(path)
         return self._authorships[path]
 
     def _why_not_written(self, authorship: Authorship | None) -> str | None:
         """Return why a file is none that the run's method wrote, by what it says of itself."""
         if authorship is None:
             return None
-        if authorship.state is State.FOREIGN:
+        if authorship.state is FileState.FOREIGN:
             return "not written by ExWarp"
-        if authorship.state is State.EDITED:
+        if authorship.state is FileState.EDITED:
             return "changed since ExWarp wrote it"
         by = _other_method(authorship, self.method)
         return None if by is None else f"made by {by} and not by {self.method.name}"
@@ -428,15 +428,15 @@ class _Ownership:
             for slot in timeline.made_of(index) if index >= 0 else ():
                 path = frames.path(timeline.number(slot))
                 authorship = self._authorship(path)
-                if authorship is not None and authorship.state is State.INTACT:
+                if authorship is not None and authorship.state is FileState.INTACT:
                     yield path, authorship
 
 
 def _is_foreign_video(path: Path) -> bool:
     """Return True if something is where a video goes that does not name ExWarp in its comment."""
-    if not is_there(path) or not path.stat().st_size:
+    if not path_exists(path) or not path.stat().st_size:
         return False
-    return not (video_note(path) or "").startswith(BY_EXWARP)
+    return not (read_video_note(path) or "").startswith(BY_EXWARP)
 
 
 def _other_method(authorship: Authorship, method: Method) -> str | None:

@@ -27,7 +27,7 @@ from exwarp_cli.accel.mac_array import (
 )
 from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, Inference, QuantisedMlp, infer_reference
 from exwarp_cli.errors import OutputExistsError, UsageError
-from exwarp_cli.io.atomic import atomic_write_text, make_folder
+from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.models.policy_files import StateRow, load_policy, read_states
 
 FORMAT = "exwarp.policy-hex/1"

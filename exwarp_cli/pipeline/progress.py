@@ -24,7 +24,7 @@ from exwarp_cli.errors import (
     OutOfMemoryError,
     OutputError,
     UsageError,
-    known_error,
+    to_exwarp_error,
 )
 from exwarp_cli.runtime.compilation import compilation
 
@@ -431,7 +431,7 @@ def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterato
         with compilation.messages_to(progress.message):
             yield progress
     except Exception as error:
-        user_error = known_error(error)
+        user_error = to_exwarp_error(error)
         if user_error is not None:
             progress.fail(str(user_error), user_error.exit_code)
         elif isinstance(error, MemoryError):

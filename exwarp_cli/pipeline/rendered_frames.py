@@ -18,13 +18,13 @@ from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import Slot, Timeline, ranges
 from exwarp_cli.errors import InputError, LayoutError, OutputError
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.clip import is_clip
-from exwarp_cli.io.footage import digest_of, find_frames, is_plain, key_picture
+from exwarp_cli.io.footage import digest_frame, find_frames, is_plain, read_key_picture
 from exwarp_cli.io.frames import GEOMETRY, read_raw
-from exwarp_cli.io.output import State, authorship_of
+from exwarp_cli.io.generated_frames import FileState, find_authorship
 from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.io.shot_files import NonFinite, count_nonfinite, require_sound
+from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.extra_layers import Content, LayerStore
 from exwarp_cli.pipeline.source import Source
@@ -203,7 +203,7 @@ class RenderedReader:
         for layers in self._layers:
             layers.frame(number)
             layers.keep(())
-        digest = digest_of(self._sequence, number)
+        digest = digest_frame(self._sequence, number)
         facts = [__version__, FrameKind.RENDERED.value, digest, str(self._rate)]
         text = json.dumps([*facts, slot.key, slot.index])
         return RenderedFrame(path, frames[0], hashlib.sha256(text.encode()).hexdigest())
@@ -211,7 +211,7 @@ class RenderedReader:
     def _read_as_key(self, shot: Shot, number: int) -> KeyFrame:
         """Read a frame as if it were a key frame; raises InputError where that fails."""
         if self._plain:
-            return KeyFrame(number, key_picture(shot, number), None)
+            return KeyFrame(number, read_key_picture(shot, number), None)
         if self._leads:
             with suppress(LayoutError):  # a frame without geometry takes its place all the same
                 raw = read_raw(shot, number, (Role.COLOUR, *LEADING), objects=True)
@@ -231,8 +231,8 @@ def leads_on(source: Source, method: Method, contents: tuple[Content, ...]) -> b
 
 def _refuse_generated(path: Path) -> None:
     """Refuse a frame that ExWarp made; raises LayoutError."""
-    authorship = None if is_clip(str(path)) else authorship_of(path)
-    if authorship is None or authorship.state is not State.INTACT:
+    authorship = None if is_clip(str(path)) else find_authorship(path)
+    if authorship is None or authorship.state is not FileState.INTACT:
         return
     if authorship.facts.get("kind") in NEW:
         raise LayoutError(

@@ -13,14 +13,13 @@ from functools import partial
 from time import perf_counter
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.cores import working
 from exwarp_cli.domain.frame import Image
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunOutcome, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
-from exwarp_cli.io.footage import picture
-from exwarp_cli.io.output import PREFIX
+from exwarp_cli.io.exr.template import PREFIX
+from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
@@ -54,6 +53,7 @@ from exwarp_cli.pipeline.scheduling import (
 from exwarp_cli.pipeline.scoring import IntervalScores, KeyedPulses, broken_pixels_of
 from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_attribute, rounded
 from exwarp_cli.pipeline.verification import Sums, files_of, verify, verify_video
+from exwarp_cli.runtime.cores import hold_cores
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.runtime.stop import check_stop
 
@@ -118,7 +118,7 @@ def write_intervals(
         if listener is None and is_video_kept(job.targets, settings, note):
             return RunOutcome(cuts=reader.cuts)
         run = Run(job, reader, note, progress, listener)
-        with working():
+        with hold_cores():
             frames = run.render_all()
         outcome = RunOutcome(
             frames,
@@ -341,7 +341,7 @@ class Run:
         if inputs.frame is not None:
             return inputs.frame.image
         number, keys = self._timeline.numbers[inputs.key], self._source.keys
-        return picture(keys.sequence, number, keys.view)
+        return read_sequence_picture(keys.sequence, number, keys.view)
 
     def _record(
         self, rendered: RenderedSlot, inputs: IntervalInputs, scores: IntervalScores | None

@@ -14,10 +14,10 @@ from enum import Enum
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
-from exwarp_cli.domain.cores import making, waiting, working
 from exwarp_cli.errors import InputError
-from exwarp_cli.io.threads import for_kernels
+from exwarp_cli.io.threads import limit_kernel_threads
 from exwarp_cli.kernels import _row_bands
+from exwarp_cli.runtime.cores import hold_cores, release_cores, rendering
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.interval_builder import PreparedInterval
@@ -86,13 +86,13 @@ def record_time(timing_ms: dict[S, float], step: S, count: int = 1) -> Iterator[
 
 def wait_result(future: Future[T]) -> T:
     """Return what another thread makes; it may work on this thread's cores until then."""
-    with waiting():
+    with release_cores():
         return future.result()
 
 
 def run_with_core(task: Callable[[], T]) -> T:
     """Run a task on a core."""
-    with working():
+    with hold_cores():
         return task()
 
 
@@ -102,7 +102,7 @@ def prefetch(tasks: Iterable[Callable[[], T]], depth: int) -> Iterator[T]:
     An error of a task is raised where its result is due.
     """
     ahead: deque[Future[T]] = deque()
-    pool = ThreadPoolExecutor(1, "exwarp-read", for_kernels)
+    pool = ThreadPoolExecutor(1, "exwarp-read", limit_kernel_threads)
     try:
         for task in tasks:
             ahead.append(pool.submit(run_with_core, task))
@@ -111,7 +111,7 @@ def prefetch(tasks: Iterable[Callable[[], T]], depth: int) -> Iterator[T]:
         while ahead:
             yield wait_result(ahead.popleft())
     finally:
-        with waiting():
+        with release_cores():
             pool.shutdown(wait=True, cancel_futures=True)
 
 
@@ -131,7 +131,7 @@ class ParallelSlots:
 
     def __exit__(self, *exc: object) -> None:
         if self._pool is not None:
-            with waiting():
+            with release_cores():
                 self._pool.shutdown(wait=True, cancel_futures=True)
 
     def render(self, render: Callable[[S], T], slots: Iterable[S], how: Mode) -> Iterator[T]:
@@ -152,7 +152,7 @@ class ParallelSlots:
 
     def _run(self, render: Callable[[S], T], slot: S) -> T:
         # Cores of slots are not left for others meanwhile.
-        with working(self._share), making():
+        with hold_cores(self._share), rendering():
             return render(slot)
 
 
@@ -164,7 +164,7 @@ class AsyncWriter:
     """
 
     def __init__(self, threads: int, depth: int) -> None:
-        self._pool = ThreadPoolExecutor(threads, "exwarp-write", for_kernels)
+        self._pool = ThreadPoolExecutor(threads, "exwarp-write", limit_kernel_threads)
         self._depth = depth
         self._waiting: deque[Future[None]] = deque()
 
@@ -180,7 +180,7 @@ class AsyncWriter:
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         drops_waiting = kind is not None and not issubclass(kind, InputError)
         # What has begun is finished either way: a write is quick and leaves complete files.
-        with waiting():
+        with release_cores():
             self._pool.shutdown(wait=True, cancel_futures=drops_waiting)
         if kind is None:
             for future in self._waiting:

@@ -16,9 +16,9 @@ from exwarp_cli.domain.results import BrokenPixels, FrameRecord, Score
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, UsageError
-from exwarp_cli.io.footage import picture
-from exwarp_cli.io.video import to_display
-from exwarp_cli.io.vmaf import require_size, vmaf
+from exwarp_cli.io.display_colour import to_display
+from exwarp_cli.io.ffmpeg_filters import compute_vmaf, require_vmaf_size
+from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.metrics.flicker import Transition, error, flicker, landing, transition
 from exwarp_cli.metrics.pulse import between, mean_gradient, pulse
 from exwarp_cli.synthesis.interval import Interval
@@ -103,9 +103,9 @@ def vmaf_of(truth: Mapping[int, Float32], rows: Sequence[Sequence[Float32]]) -> 
     ends = reference[slots + 1 :]
     videos = [[reference[0], *map(to_display, row), *ends] for row in rows]
     if ends:  # the next interval has no effect on a closed one, so one ffmpeg takes all
-        values = vmaf(reference * len(rows), [frame for video in videos for frame in video])
+        values = compute_vmaf(reference * len(rows), [frame for video in videos for frame in video])
     else:
-        values = [value for video in videos for value in vmaf(reference, video)]
+        values = [value for video in videos for value in compute_vmaf(reference, video)]
     count = len(reference)
     return [values[i * count + 1 : i * count + 1 + slots] for i in range(len(rows))]
 
@@ -137,7 +137,7 @@ def require_measurable(settings: UpsampleSettings, display: Window, whole: bool 
             "--factor"
         )
     if has_truth and "vmaf" in settings.measured:
-        require_size(display.height, display.width, "the input")
+        require_vmaf_size(display.height, display.width, "the input")
 
 
 class IntervalScores:
@@ -222,7 +222,9 @@ class IntervalScores:
             pairs[slot] = (to_display(pixels),) * 2
         # From the key frame on, up to the first instant without truth.
         video = list(takewhile(pairs.__contains__, range(self._count + 2)))
-        values = vmaf((pairs[slot][0] for slot in video), (pairs[slot][1] for slot in video))
+        values = compute_vmaf(
+            (pairs[slot][0] for slot in video), (pairs[slot][1] for slot in video)
+        )
         return {slot: v for slot, v in zip(video, values, strict=True) if slot in self._shown}
 
 
@@ -305,7 +307,7 @@ class KeyedPulses:
             # A causal method makes its frames without it, so a damaged one is no error.
             with suppress(InputError):
                 number = self._source.timeline.numbers[following]
-                image = picture(keys.sequence, number, keys.view)
+                image = read_sequence_picture(keys.sequence, number, keys.view)
                 self._keys[following] = mean_gradient(image.on(keys.display).pixels)
         after = None if slot.key in self._last_of_shot else self._keys.get(following)
         time = float(self._source.timeline.time(slot))

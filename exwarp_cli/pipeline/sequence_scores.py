@@ -15,14 +15,14 @@ from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.errors import InputError, MotionError, UsageError
-from exwarp_cli.io.atomic import Held
-from exwarp_cli.io.clip import is_clip
+from exwarp_cli.io.display_colour import to_display
+from exwarp_cli.io.ffmpeg_filters import EncodedVmafStream, VmafStream
+from exwarp_cli.io.files import ResourceOwner
 from exwarp_cli.io.frames import GEOMETRY, read_raw
-from exwarp_cli.io.output import facts_in
+from exwarp_cli.io.generated_frames import read_facts
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot import Shot, open_shot
-from exwarp_cli.io.video import to_display
-from exwarp_cli.io.vmaf import EncodedVmaf, Vmaf
+from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.metrics import extranet
 from exwarp_cli.metrics.display import rounded
 from exwarp_cli.metrics.flicker import error, of_frames, transition
@@ -93,7 +93,7 @@ class Pair:
     mask: Bool | None  # bool [H, W], the holes; None without
 
 
-class SequenceScorer(Held):
+class SequenceScorer(ResourceOwner):
     """Scores pairs one by one, and the whole sequence at the end; a context manager.
 
     Attributes
@@ -102,7 +102,7 @@ class SequenceScorer(Held):
         What a reader of the numbers should know at the end, a sentence each.
     """
 
-    _vmaf: Vmaf | EncodedVmaf | None = None
+    _vmaf: VmafStream | EncodedVmafStream | None = None
 
     def _open(self, stack: ExitStack) -> None:
         if self._vmaf is not None:
@@ -136,7 +136,7 @@ class MetricScorer(SequenceScorer):
     def __init__(self, names: tuple[str, ...], motion: SequenceMotion | None) -> None:
         self._names = names
         self._motion = motion
-        self._vmaf = Vmaf() if "vmaf" in names else None
+        self._vmaf = VmafStream() if "vmaf" in names else None
         self._scores: list[Scores] = []
         self._error: Float32 | None = None
         self._transitions: list[float | None] = []
@@ -195,7 +195,7 @@ class ExtranetScorer(SequenceScorer):
         cut = ENDS_LEFT_OUT if count > SHORTEST_CUT else 0
         self._video = range(cut, count - cut)
         self._generated = generated
-        self._vmaf = EncodedVmaf() if "vmaf" in names else None
+        self._vmaf = EncodedVmafStream() if "vmaf" in names else None
         self._scores: list[Score] = []
         self._counted = 0
 
@@ -269,7 +269,7 @@ def origins_of(files: Listed[Path]) -> list[Origin]:
     """
     origins = []
     for path in files:
-        facts = {} if is_clip(str(path)) else facts_in(path)
+        facts = {} if is_clip(str(path)) else read_facts(path)
         values = (facts.get(name) for name in ("kind", "madeBy", "path", "method"))
         kind, made_by, decided, method = (v if isinstance(v, str) else None for v in values)
         origins.append(Origin(kind, maker_of(made_by, method), decided))

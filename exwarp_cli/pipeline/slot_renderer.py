@@ -21,9 +21,14 @@ from exwarp_cli.domain.risk import Risk
 from exwarp_cli.domain.tiles import TileMakers, TilePlan
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import OutputError
-from exwarp_cli.io.exr.template import Plane, PlaneKey, Template
+from exwarp_cli.io.exr.template import PREFIX, Plane, PlaneKey, Template
+from exwarp_cli.io.generated_frames import (
+    KEY_FRAMES,
+    REQUESTED_METHOD,
+    FrameTemplate,
+    quantise_picture,
+)
 from exwarp_cli.io.layers import LayerKind
-from exwarp_cli.io.output import KEY_FRAMES, PREFIX, REQUESTED_METHOD, FrameTemplate, quantised
 from exwarp_cli.metrics.pulse import mean_gradient
 from exwarp_cli.pipeline.extra_layers import ExtraLayers, named_by_path
 from exwarp_cli.pipeline.frame_writer import FrameWriter
@@ -315,7 +320,7 @@ def rate_attribute(source: Source) -> dict[str, Any]:
 
 def rounded(image: Image, template: FrameTemplate) -> Image:
     """Return a frame as its file has it."""
-    return replace(image, pixels=quantised(image.pixels, template))
+    return replace(image, pixels=quantise_picture(image.pixels, template))
 
 
 def decision_text(decision: Decision) -> str:

@@ -27,12 +27,12 @@ from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, Motion
 from exwarp_cli.io import sequences
 from exwarp_cli.io.channel_map import AovFile, ChannelMap, parse_aovs, read_channel_map
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.clip import is_clip
-from exwarp_cli.io.footage import find_plain, is_plain, own_rate, shot_of
+from exwarp_cli.io.footage import clip_rate, find_footage, is_plain, make_shot
 from exwarp_cli.io.frames import require_visible
-from exwarp_cli.io.output import frame_rate
+from exwarp_cli.io.generated_frames import frame_rate
 from exwarp_cli.io.shot import Shot, open_shot, open_views
 from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors_message
+from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.views import ALL
 from exwarp_cli.pipeline.depth_and_ids import (
     read_alike,
@@ -236,7 +236,7 @@ def open_plain(settings: SourceSettings) -> Shot | None:
         When options are given that say how EXR is read.
     """
     allow(settings.max_pixels)
-    sequence = find_plain(settings.sequence, settings.keep_going, settings.scan)
+    sequence = find_footage(settings.sequence, settings.keep_going, settings.scan)
     if sequence is None:
         return None
     options = {
@@ -253,7 +253,7 @@ def open_plain(settings: SourceSettings) -> Shot | None:
                 f"{option} is for rendered EXR frames, and {sequence.pattern} has nothing but "
                 "colour; leave it out"
             )
-    return shot_of(sequence, settings.keep_going)
+    return make_shot(sequence, settings.keep_going)
 
 
 def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
@@ -319,7 +319,7 @@ def rate_of(keys: Shot, option: Fraction | None) -> tuple[Fraction, str]:
     """
     if option is not None:
         return standard_rate(option), "option"
-    own = own_rate(keys.sequence)
+    own = clip_rate(keys.sequence)
     if own is not None:
         return own, "file"
     step = number_step(keys.sequence.numbers)

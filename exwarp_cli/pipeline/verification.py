@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from exwarp_cli.domain import cores
 from exwarp_cli.domain.results import FrameKind, FrameRecord, WrittenFile
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError, OutputError
-from exwarp_cli.io.atomic import output_error
-from exwarp_cli.io.clip import open_clip
 from exwarp_cli.io.exr.writer import Buffer
-from exwarp_cli.io.output import read_picture, recipe_in
+from exwarp_cli.io.files import output_error
+from exwarp_cli.io.generated_frames import read_fingerprint, read_picture
+from exwarp_cli.io.video_reader import open_clip
+from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.stop import check_stop
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ class _Check:
                 return open_clip(self.path).count == self.shown
             if self.is_sealed:
                 read_picture(self.path, self.view)
-                return recipe_in(self.path) is not None
+                return read_fingerprint(self.path) is not None
         except (OSError, InputError):
             return False
         return True

@@ -16,7 +16,7 @@ from pathlib import Path
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import OutputExistsError
-from exwarp_cli.io.atomic import atomic_write_text, is_there, make_folder, remove_leftovers
+from exwarp_cli.io.files import atomic_write_text, make_folder, path_exists, remove_leftovers
 from exwarp_cli.pipeline.evaluation import Comparison
 from exwarp_cli.report.comparison import (
     SCHEMA,
@@ -84,7 +84,7 @@ def prepare_report(folder: Path, replace: bool, option: str = "--report") -> Non
 
 def refuse_report(folder: Path, replace: bool, option: str = "--report") -> None:
     """Refuse to replace a report unless asked, and touch nothing; see `prepare_report`."""
-    if is_there(folder / REPORT_FILE) and not replace:
+    if path_exists(folder / REPORT_FILE) and not replace:
         raise OutputExistsError(
             f"{folder} holds a report already; give --overwrite to replace it, or another {option}"
         )
@@ -101,7 +101,7 @@ def prepare_comparison(folder: Path) -> None:
         When the folder cannot be made.
     """
     report = folder / REPORT_FILE
-    if is_there(report):
+    if path_exists(report):
         try:
             with report.open("rb") as file:
                 is_comparison = SCHEMA.encode() in file.read(200)

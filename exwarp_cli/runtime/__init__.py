@@ -1,1 +1,1 @@
-"""The process: its memory, its stops, and what it reads."""
+"""The process: its cores, memory, stops, compilation messages and open files."""

@@ -10,29 +10,20 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-Clock = Callable[[], float]
-
 COMPILING = "compiling kernels for this machine, once; this may take half a minute"
-COMPILED = "compiled "
-"""First word of all later messages."""
+COMPILED = "compiled "  # begins all later messages
 
+# Seconds between two messages on a terminal. Logs stay short: they get the first and the last.
 INTERVAL = 3.0
-"""Seconds between two messages on a terminal. Logs stay short: they get the first and the last."""
 
 
 class Compilation:
-    """The kernels that a process compiles, and the messages about them.
+    """The kernels that a process compiles, and the messages about them."""
 
-    Attributes
-    ----------
-    loaded, compiled
-        Kernels taken from the disk cache, and compiled, since the process began.
-    """
-
-    def __init__(self, clock: Clock = time.monotonic) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._channels: list[Callable[[str], None]] = []
-        self.loaded = self.compiled = 0
+        self.loaded = self.compiled = 0  # kernels since the process began
         self._is_announced = False
         self._count, self._seconds = 0, 0.0  # of the kernels compiled since the last report
         self._start = self._newest = 0.0  # times of the last kernel's start and the last message
@@ -45,7 +36,7 @@ class Compilation:
             yield
         finally:
             if self._count:
-                self._send(f"{self._state()}; later runs need not")
+                self._send(f"{self._summary()}; later runs need not")
                 self._count, self._seconds = 0, 0.0
             self._channels.remove(channel)
             self._is_announced = self._is_announced and bool(self._channels)
@@ -65,9 +56,9 @@ class Compilation:
             return
         self._count, self._seconds = self._count + 1, self._seconds + now - self._start
         if sys.stderr.isatty() and now - self._newest >= INTERVAL:
-            self._send(f"{self._state()} so far")
+            self._send(f"{self._summary()} so far")
 
-    def _state(self) -> str:
+    def _summary(self) -> str:
         kernels = "1 kernel" if self._count == 1 else f"{self._count} kernels"
         return f"{COMPILED}{kernels} in {self._seconds:.0f} s"
 
@@ -77,4 +68,3 @@ class Compilation:
 
 
 compilation = Compilation()
-"""That of this process."""

@@ -13,7 +13,6 @@ import tempfile
 import threading
 import weakref
 from collections import deque
-from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from math import inf, prod
@@ -22,22 +21,18 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-MIN_BYTES = 1 << 20
-"""Arrays below this size are left to numpy."""
+MIN_BYTES = 1 << 20  # arrays below this size are left to numpy
+MAX_FREE_BYTES = 256 << 20  # of free buffers in a pool: about those of a slot at 1920x1080
 
-MAX_FREE_BYTES = 256 << 20
-"""Free buffers that a pool keeps at most; about those of a slot at 1920x1080."""
-
+# Pixels of a frame above which its arrays lie in scratch files where a network extrapolates. Of
+# 3840x2160, what a slot is made from takes 5 GB.
 LARGE_PIXELS = 4 * 2**20
-"""Pixels of a frame above which its arrays lie in scratch files where a network extrapolates. Of
-3840x2160, what a slot is made from takes 5 GB."""
 
 T = TypeVar("T")
 Buffer = npt.NDArray[np.uint8]
 
-
+# Pages that other processes do not share, as always on Windows: only these can be huge.
 _PRIVATE = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
-"""Pages that other processes do not share, as always on Windows: only these can be huge."""
 
 
 class _Lease:
@@ -53,7 +48,7 @@ class _Lease:
         }
 
 
-class _Free(NamedTuple):
+class _FreeBuffer(NamedTuple):
     """A free buffer, and the count of `trim` calls when it became free."""
 
     buffer: Buffer
@@ -63,15 +58,12 @@ class _Free(NamedTuple):
 class FramePool:
     """A free list of buffers. Every method may be called in any thread.
 
-    Parameters
-    ----------
-    max_free
-        Bytes of free buffers; beyond, those that are free for longest are dropped.
+    Above `max_free` bytes of free buffers, those that are free for longest are dropped.
     """
 
     def __init__(self, max_free: int = MAX_FREE_BYTES) -> None:
         self._max_free = max_free
-        self._free: list[_Free] = []
+        self._free: list[_FreeBuffer] = []
         self._trims = 0
         self._lock = threading.Lock()
         # A finalizer may run while its thread has the lock, so it only appends; that needs none.
@@ -89,10 +81,7 @@ class FramePool:
 
         Its buffer is free again when the array and all its views are gone.
 
-        Raises
-        ------
-        MemoryError
-            If the system has too little memory.
+        Raises MemoryError if the system has too little memory.
         """
         dtype = np.dtype(dtype)
         size = prod(shape) * dtype.itemsize
@@ -100,9 +89,13 @@ class FramePool:
             return np.empty(shape, dtype)
         with self._lock:
             self._collect()
-            buffer = self._take(size)
+            buffer = None
+            for index in range(len(self._free) - 1, -1, -1):  # the one that was used last
+                if self._free[index].buffer.nbytes == size:
+                    buffer = self._free.pop(index).buffer
+                    break
         if buffer is None:
-            buffer = _fresh(size)
+            buffer = _map_memory(size)
         lease = _Lease(buffer, shape, dtype)
         weakref.finalize(lease, self._returned.append, buffer).atexit = False
         return np.asarray(lease)
@@ -127,33 +120,16 @@ class FramePool:
             self._free.clear()
 
     def _collect(self) -> None:
-        """Take over what finalizers returned."""
+        """Take over the returned buffers, and drop the oldest above the limit."""
         while self._returned:
-            buffer = self._returned.popleft()
-            self._free.append(_Free(buffer, self._trims))
-        self._drop(sum(free.buffer.nbytes for free in self._free) - self._max_free)
-
-    def _drop(self, size: int) -> None:
-        """Drop so many bytes, or all, beginning with the buffers that are free for longest."""
-        while size > 0 and self._free:
-            size -= self._free.pop(0).buffer.nbytes
-
-    def _take(self, size: int) -> Buffer | None:
-        """Take the buffer of a size that was used last; None if none is free."""
-        for index in range(len(self._free) - 1, -1, -1):
-            if self._free[index].buffer.nbytes == size:
-                return self._free.pop(index).buffer
-        return None
+            self._free.append(_FreeBuffer(self._returned.popleft(), self._trims))
+        excess = sum(free.buffer.nbytes for free in self._free) - self._max_free
+        while excess > 0 and self._free:
+            excess -= self._free.pop(0).buffer.nbytes
 
 
-def _fresh(size: int) -> Buffer:
-    """Map memory of the system, which has all of it again when the buffer is dropped.
-
-    Raises
-    ------
-    MemoryError
-        If the system has too little.
-    """
+def _map_memory(size: int) -> Buffer:
+    """Map memory that returns to the system when the buffer is dropped; raises MemoryError."""
     try:
         pages = mmap.mmap(-1, size, **_PRIVATE)
     except OSError as error:
@@ -165,19 +141,14 @@ def _fresh(size: int) -> Buffer:
 
 
 pool = FramePool()
-"""The pool of this process."""
 
 
 class ScratchFrames:
     """Copies of large arrays in files without a name, which leave memory until they are used.
 
-    The system removes a file when its last array is gone, or the process ends. The files lie in
-    the system's folder for temporary files.
-
-    Parameters
-    ----------
-    min_pixels
-        Arrays [H, W, ...] with more pixels are stored; the default stores none.
+    The system removes a file when its last array is gone, or the process ends. The files lie in the
+    system's folder for temporary files. Arrays [H, W, ...] with more than `min_pixels` are stored;
+    the default stores none.
     """
 
     def __init__(self, min_pixels: float = inf) -> None:
@@ -188,14 +159,13 @@ class ScratchFrames:
     def store(self, value: T) -> T:
         """Return an array, or a tuple or dataclass of such, with every large array in a file.
 
-        What is not large, or is there already, stays as it is. So does what the disk has no room
-        for, or where the system lacks what this needs.
+        Arrays stay in memory where the disk has no room, or the system lacks a call.
         """
         stored: T = self._store(value)
         return stored
 
     def page_out(self) -> None:
-        """Have all stored arrays leave the process's memory; it reads again what it uses."""
+        """Remove all stored arrays from the process's memory; it reads again what it uses."""
         with self._lock:
             files = list(self._mapped)
         for file in files:
@@ -205,41 +175,37 @@ class ScratchFrames:
         if isinstance(value, np.ndarray):
             return self._store_array(value)
         if type(value) is tuple:
-            parts = tuple(self._store(part) for part in value)
-            return value if _same(parts, value) else parts
+            items = tuple(self._store(item) for item in value)
+            return items if any(a is not b for a, b in zip(items, value, strict=True)) else value
         if not is_dataclass(value) or isinstance(value, type):
             return value
-        names = [field.name for field in fields(value) if field.init]
-        before = [getattr(value, name) for name in names]
-        after = [self._store(part) for part in before]
-        if _same(after, before):
-            return value
-        return replace(value, **dict(zip(names, after, strict=True)))
+        changed = {}
+        for field in fields(value):
+            if field.init:
+                before = getattr(value, field.name)
+                after = self._store(before)
+                if after is not before:
+                    changed[field.name] = after
+        return replace(value, **changed) if changed else value
 
     def _store_array(self, array: np.ndarray) -> np.ndarray:
-        if prod(array.shape[:2]) <= self._min_pixels or self._has(array):
+        base: object = array
+        while isinstance(base, np.ndarray):
+            base = base.base
+        with self._lock:
+            is_stored = isinstance(base, mmap.mmap) and base in self._mapped
+        if prod(array.shape[:2]) <= self._min_pixels or is_stored:
             return array
         file = _map_file(array.nbytes)
         if file is None:
             return array
         out = np.ndarray(array.shape, array.dtype, buffer=file)
-        self.page_out()  # else what is read seldom counts at every peak
+        self.page_out()  # else rarely used arrays count at every peak
         out[...] = array
         file.madvise(mmap.MADV_DONTNEED)
         with self._lock:
             self._mapped.add(file)
         return out
-
-    def _has(self, array: np.ndarray) -> bool:
-        base: object = array
-        while isinstance(base, np.ndarray):
-            base = base.base
-        with self._lock:
-            return isinstance(base, mmap.mmap) and base in self._mapped
-
-
-def _same(parts: Iterable[object], others: Iterable[object]) -> bool:
-    return all(part is other for part, other in zip(parts, others, strict=True))
 
 
 def _map_file(size: int) -> mmap.mmap | None:
@@ -251,5 +217,4 @@ def _map_file(size: int) -> mmap.mmap | None:
     return None
 
 
-IN_MEMORY = ScratchFrames()
-"""Stores nothing."""
+IN_MEMORY = ScratchFrames()  # stores nothing

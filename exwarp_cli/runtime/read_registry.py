@@ -24,20 +24,17 @@ _skipped: Mapping[Path, str] = {}
 
 
 class ReadRegistry:
-    """What another process reads: `files` by the number of the reading, and those `required`.
-
-    `restarts` is whether the command goes on without files that crash a library.
-    """
+    """The files that another process reads."""
 
     def __init__(self) -> None:
-        self.files: dict[int, Path] = {}
-        self.required: set[int] = set()
-        self.restarts = False
-        self._rest = b""
+        self.files: dict[int, Path] = {}  # by the number of the reading
+        self.required: set[int] = set()  # readings that nothing can go on without
+        self.restarts = False  # whether the command can restart without files that crash a library
+        self._incomplete = b""
 
     def receive(self, data: bytes) -> None:
         """Update from the next bytes of the pipe."""
-        *messages, self._rest = (self._rest + data).split(b"\0")
+        *messages, self._incomplete = (self._incomplete + data).split(b"\0")
         for message in messages:
             head, _, name = message.partition(b" ")
             kind, number = head[:1], int(head[1:])
@@ -53,41 +50,32 @@ class ReadRegistry:
 
 
 def attach(pipe: int, skipped: Mapping[Path, str]) -> None:
-    """Have this process report what it reads, and not read files at which an earlier one failed.
+    """Report this process's readings to a pipe's descriptor.
 
-    Parameters
-    ----------
-    pipe
-        Descriptor that is written to.
-    skipped
-        The sentence that refuses a file, by its path.
+    The files that failed an earlier process are refused from now on, each with its message.
     """
     global _pipe, _skipped
     _pipe, _skipped = pipe, dict(skipped)
 
 
 def enable_restart() -> None:
-    """Have another process go on without files at which a library crashes or hangs."""
+    """Allow a restart without the files at which a library crashes or hangs."""
     _send(_RESTART, 0)
 
 
 def is_restarted() -> bool:
-    """Return whether this process goes on for one that failed at a file."""
+    """Return whether an earlier process of this command failed at a file."""
     return bool(_skipped)
 
 
 @contextmanager
-def being_read(path: Path, required: bool = False) -> Iterator[None]:
+def report_reading(path: Path, required: bool = False) -> Iterator[None]:
     """Report a file while a library reads it in the block.
 
     Nothing can go on without a file that is `required`, such as a model.
 
-    Raises
-    ------
-    DamagedFileError
-        When an earlier process failed at it.
-    StopRequested
-        When this process was asked to stop.
+    Raises DamagedFileError when an earlier process failed at it. Raises StopRequested when this
+    process was asked to stop.
     """
     check_stop()
     if path in _skipped:

@@ -1,7 +1,7 @@
 """Stops: SIGINT and SIGTERM set a flag that loops read; a second signal ends the process at once.
 
-Files appear only when they are complete, and the next run removes what is left of dead ones. So
-nothing is lost but the frames under way, wherever a process ends.
+Files appear only when they are complete, and the next run removes the temporaries of dead ones. So
+wherever a process ends, only its unfinished frames are lost.
 """
 
 from __future__ import annotations
@@ -18,16 +18,14 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
+# Seconds in which signals count as one. A terminal sends SIGINT to both processes of a command, and
+# the parent forwards it.
 AT_ONCE_S = 1.0
-"""Seconds in which signals count as one. A terminal sends SIGINT to both processes of a command,
-and the parent hands it on."""
 
+# Seconds without progress after which a process that was asked to stop is ended. A frame of
+# 1920x1080 by a network takes 3 s of one core, and 6 s on a busy machine. Containers and farms
+# allow 10 s or more before they kill. A longer frame is lost, and the next run makes it again.
 STALLED_S = 8.0
-"""Seconds without progress after which a process that was asked to stop is ended.
-
-A frame of 1920x1080 by a network takes 3 s of one core, and 6 s on a busy machine. Containers and
-farms allow 10 s or more before they kill. A longer frame is lost, and the next run makes it again.
-"""
 
 _TICK_S = 0.25
 
@@ -39,7 +37,7 @@ _clean_ups: list[Callable[[], object]] = []
 
 
 class StopRequested(BaseException):
-    """A loop ends by this exception, with the signal's number; no `Exception`: it is no failure."""
+    """Ends a loop, with the signal's number; no `Exception`, as it is no failure."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -54,14 +52,14 @@ def check_stop() -> None:
 
 
 def note_progress() -> None:
-    """Have a process that was asked to stop go on for a while; what takes long to end calls it."""
+    """Let a process that was asked to stop run on for a while; slow clean-ups call it."""
     global _progress
     _progress = time.monotonic()
 
 
 @contextmanager
-def cleaned_up(action: Callable[[], object]) -> Iterator[None]:
-    """Clean up when the block ends, or the process in it; where both do, twice."""
+def clean_up_after(action: Callable[[], object]) -> Iterator[None]:
+    """Call an action when the block ends, or the process within it; if both end, twice."""
     _clean_ups.append(action)
     try:
         yield
@@ -73,54 +71,47 @@ def cleaned_up(action: Callable[[], object]) -> Iterator[None]:
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Yield an empty folder that is removed when the block ends, or the process in it."""
+    """Yield an empty folder that is removed when the block ends, or the process within it."""
     import tempfile  # not needed by most commands
 
     folder = tempfile.TemporaryDirectory("-exwarp", ignore_cleanup_errors=True)
-    with cleaned_up(folder.cleanup):
+    with clean_up_after(folder.cleanup):
         yield Path(folder.name)
 
 
 @contextmanager
 def graceful_stop(last_words: Callable[[int], str], is_last: bool = False) -> Iterator[None]:
-    """Have SIGINT and SIGTERM set the flag within the block, unless SIGINT is ignored.
+    """Let SIGINT and SIGTERM set the flag within the block, unless SIGINT is ignored.
 
     Outside the main thread signals belong to the program that embeds this one: nothing changes.
+    `last_words` returns what to print when a signal, whose number it takes, ends the process at
+    once. With `is_last` the process ends after the block, and signals are ignored from there on.
 
-    Parameters
-    ----------
-    last_words
-        Returns what to print when a signal, whose number it takes, ends the process at once.
-    is_last
-        Whether the process ends after the block; signals are ignored from there on.
-
-    Raises
-    ------
-    StopRequested
-        When something failed after a signal: programs that got it too may have ended.
+    Raises StopRequested when something failed after a signal: programs that got it too may have
+    ended.
     """
     global _number
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    usual = {signal.SIGTERM: signal.signal(signal.SIGTERM, _ask)}
+    handlers = {signal.SIGTERM: signal.signal(signal.SIGTERM, _request_stop)}
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        usual[signal.SIGINT] = signal.signal(signal.SIGINT, _ask)
+        handlers[signal.SIGINT] = signal.signal(signal.SIGINT, _request_stop)
     try:
-        with _watched(last_words):
+        with _watch_signals(last_words):
             yield
     except Exception as error:
         if _number:
             raise StopRequested(_number) from error
         raise
     finally:
-        for number, handler in usual.items():
+        for number, handler in handlers.items():
             signal.signal(number, signal.SIG_IGN if is_last else handler or signal.SIG_DFL)
         _number = 0
 
 
 @contextmanager
-def blocked(*numbers: int) -> Iterator[None]:
+def block_signals(*numbers: int) -> Iterator[None]:
     """Keep signals from this thread in the block, and for good from processes that start in it.
 
     A terminal interrupts all processes of a command; one that is importing prints a traceback.
@@ -135,18 +126,16 @@ def blocked(*numbers: int) -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
-def _ask(number: int, _frame: FrameType | None = None) -> None:
+def _request_stop(number: int, _frame: FrameType | None = None) -> None:
     global _number
     _number = _number or number
 
 
 @contextmanager
-def _watched(last_words: Callable[[int], str]) -> Iterator[None]:
-    """Have another thread act on signals in the block.
-
-    Python runs a handler between two steps of the main thread, which may be in a library for
-    minutes. What C writes to the wakeup descriptor reaches the other thread at once.
-    """
+def _watch_signals(last_words: Callable[[int], str]) -> Iterator[None]:
+    """Let another thread act on signals in the block."""
+    # Python runs a handler between two steps of the main thread, which may be in a library for
+    # minutes. What C writes to the wakeup descriptor reaches the other thread at once.
     receiver, sender = socket.socketpair()
     sender.setblocking(False)
     watcher = threading.Thread(target=_watch, args=(receiver, last_words), daemon=True)
@@ -157,11 +146,11 @@ def _watched(last_words: Callable[[int], str]) -> Iterator[None]:
         sender.close()
         yield
         return
-    usual = signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
+    previous = signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
     try:
         yield
     finally:
-        signal.set_wakeup_fd(usual)
+        signal.set_wakeup_fd(previous)
         sender.close()  # ends the thread
         watcher.join()
 
@@ -175,21 +164,21 @@ def _watch(receiver: socket.socket, last_words: Callable[[int], str]) -> None:
                 number = receiver.recv(1)
             except TimeoutError:
                 if time.monotonic() - max(first, _progress) > STALLED_S:
-                    _end(last_words)
+                    _end_process(last_words)
                 continue
             if not number:
                 return
             if number[0] not in (signal.SIGINT, signal.SIGTERM):
                 continue
             if first and time.monotonic() - first > AT_ONCE_S:
-                _end(last_words)
+                _end_process(last_words)
             if not first:
                 first = time.monotonic()
                 receiver.settimeout(_TICK_S)
-                _ask(number[0])
+                _request_stop(number[0])
 
 
-def _end(last_words: Callable[[int], str]) -> NoReturn:
+def _end_process(last_words: Callable[[int], str]) -> NoReturn:
     """End this process from another thread: the main one may be in a library."""
     with suppress(OSError, ValueError, AttributeError):  # a lock may be held on the stream
         os.write(sys.stderr.fileno(), f"{last_words(_number)}\n".encode())

@@ -12,7 +12,7 @@ from multiprocessing import active_children, get_context, parent_process
 from typing import Any, TypeVar
 
 from exwarp_cli.errors import ExwarpError
-from exwarp_cli.runtime.stop import blocked, check_stop
+from exwarp_cli.runtime.stop import block_signals, check_stop
 
 Task = TypeVar("Task", bound=tuple[Any, ...])
 Result = TypeVar("Result")
@@ -59,7 +59,7 @@ def run_tasks(
     inbox = context.SimpleQueue()
     pool = ProcessPoolExecutor(jobs, context, _begin, (begin, inbox))
     try:
-        with blocked(*BLOCKED):
+        with block_signals(*BLOCKED):
             waiting = {pool.submit(work, *task): task for task in tasks}
         pending: set[Future[Result]] = set(waiting)
         while pending:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.header import Channel
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.threads import use_threads
 from tests.bench import goals

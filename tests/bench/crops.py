@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from exwarp_cli.domain.frame import UInt8
-from exwarp_cli.io.output import read_picture
+from exwarp_cli.io.generated_frames import read_picture
 from exwarp_cli.metrics.display import rounded
 
 SCALE = 4

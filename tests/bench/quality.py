@@ -21,7 +21,7 @@ from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.metric import DEFAULT_METRICS
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.io.output import read_picture
+from exwarp_cli.io.generated_frames import read_picture
 from exwarp_cli.io.sequences import find_sequence
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.run import upsample

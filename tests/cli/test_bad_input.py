@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.io.atomic import MARK
-from exwarp_cli.io.output import is_intact
+from exwarp_cli.io.files import TEMPORARY_SUFFIX
+from exwarp_cli.io.generated_frames import is_intact
 from tests.cli import shots
 from tests.cli.street import Street
 
@@ -73,7 +73,7 @@ def assert_only_whole_frames(folder: Path, keys: Path) -> None:
         with suppress(RuntimeError):  # of those that are no EXR
             rendered.add(shots.passed_through(keys / name, 120))
     for name, data in shots.contents(folder).items():
-        assert MARK not in name
+        assert TEMPORARY_SUFFIX not in name
         assert data in rendered or is_intact(data)
 
 

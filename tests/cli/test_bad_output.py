@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.io.atomic import MARK
-from exwarp_cli.io.output import is_intact
+from exwarp_cli.io.files import TEMPORARY_SUFFIX
+from exwarp_cli.io.generated_frames import is_intact
 from tests.cli import shots
 from tests.cli.street import Street
 
@@ -57,7 +57,7 @@ class TestUnwritable:
         (tmp_path / "out" / "shot.0003.exr").mkdir(parents=True)
         options = ("-o", tmp_path / "out", "-m", "hold", "--overwrite")
         exwarp("upsample", keys, *options).refused(5, "shot.0003.exr", "in the way")
-        assert not [name for name in shots.names(tmp_path / "out") if MARK in name]
+        assert not [name for name in shots.names(tmp_path / "out") if TEMPORARY_SUFFIX in name]
 
     @pytest.mark.skipif(os.name == "nt", reason="limits of POSIX")
     def test_a_full_disk(self, tmp_path):
@@ -79,7 +79,7 @@ class TestUnwritable:
         assert len(errors) == 1 and "cannot write" in errors[0] and "Traceback" not in done.stderr
         assert done.stdout == ""
         for name, data in shots.contents(out).items():
-            assert MARK not in name and is_intact(data)
+            assert TEMPORARY_SUFFIX not in name and is_intact(data)
 
 
 class TestExisting:

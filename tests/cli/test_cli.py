@@ -205,7 +205,7 @@ class TestSignals:
     BODY = """
     import time
     from pathlib import Path
-    from exwarp_cli.io.atomic import atomic_path
+    from exwarp_cli.io.files import atomic_path
     from exwarp_cli.runtime.stop import check_stop
     with atomic_path(Path({target!r})) as temporary:
         temporary.write_text("half")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli import cli
-from exwarp_cli.io.clip import open_clip
+from exwarp_cli.io.video_reader import open_clip
 from tests.cli import pictures, shots
 from tests.cli.pictures import TEST_RATE, clip, frame, psnr, shown
 from tests.cli.shots import changed_by, colour_of, contents, names, read

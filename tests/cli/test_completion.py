@@ -103,12 +103,13 @@ class TestOffers:
 
     def test_names_are_those_of_the_registries(self):
         from exwarp_cli.io.channels import Role
-        from exwarp_cli.io.output import COMPRESSIONS, SMALLER
+        from exwarp_cli.io.exr.writer import COMPRESSIONS
+        from exwarp_cli.io.generated_frames import OPENEXR_COMPRESSIONS
         from exwarp_cli.io.producers import PRESETS
         from exwarp_cli.synthesis.methods import METHODS
 
         assert tuple(METHODS) == completion.METHODS
-        assert (*COMPRESSIONS, *SMALLER) == completion.COMPRESSIONS
+        assert (*COMPRESSIONS, *OPENEXR_COMPRESSIONS) == completion.COMPRESSIONS
         assert tuple(PRESETS) == completion.CONVENTIONS
         assert tuple(role.value for role in Role) == completion.ROLES
 

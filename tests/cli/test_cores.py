@@ -27,7 +27,8 @@ CASES = {
 }
 
 LARGE = """
-from exwarp_cli.io import machine, threads
+from exwarp_cli.io import threads
+from exwarp_cli.runtime import machine
 threads.processors = lambda: machine.Processors(64, 64, None)
 from exwarp_cli import cli
 cli.main()

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.io.atomic import MARK
-from exwarp_cli.io.output import is_intact
+from exwarp_cli.io.files import TEMPORARY_SUFFIX
+from exwarp_cli.io.generated_frames import is_intact
 from tests.cli import shots
 from tests.cli.farm_engine import EXWARP, HOSTILE, Ended, environment, openjd
 from tests.cli.processes import await_files
@@ -133,7 +133,7 @@ class TestTrouble:
         rendered = {shots.passed_through(path, 120) for path in keys.iterdir()}
         for name, data in before.items():
             frame = data in rendered or is_intact(data)
-            assert frame or (MARK in name and number == signal.SIGKILL)
+            assert frame or (TEMPORARY_SUFFIX in name and number == signal.SIGKILL)
         ended = openjd("run", template, cwd=tmp_path)
         assert ended.code == 0, ended.log
         upsample(keys, tmp_path / "single", *FORWARD, "-m", "softsplat")

@@ -298,7 +298,7 @@ class TestReport:
 
 
 def test_a_video_stays_in_step(kept, keys, tmp_path):
-    from exwarp_cli.io.clip import open_clip
+    from exwarp_cli.io.video_reader import open_clip
 
     truncate(damaged_at(keys, 1))
     truncate(damaged_at(keys, 3))

@@ -10,7 +10,7 @@ import OpenEXR
 import pytest
 
 from exwarp_cli import cli
-from exwarp_cli.io.video import to_display
+from exwarp_cli.io.display_colour import to_display
 from tests.cli import shots
 from tests.cli.documents import document_of
 from tests.cli.pictures import frame, stills

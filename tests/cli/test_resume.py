@@ -9,7 +9,7 @@ from pathlib import Path
 import imageio_ffmpeg
 import pytest
 
-from exwarp_cli.io.atomic import MARK, _host
+from exwarp_cli.io.files import TEMPORARY_SUFFIX, host_name
 from exwarp_cli.pipeline import frame_writer
 from tests.cli import shots
 from tests.cli.street import Street
@@ -141,7 +141,9 @@ class TestSkipExisting:
     def test_leftovers_of_dead_runs_go(self, plain_shot, upsample, done, tmp_path):
         report = tmp_path / "report"
         report.mkdir()
-        leftovers = [f / f".a.{_host()}-{2**22 + 1}-0{MARK}" for f in (done, report)]
+        leftovers = [
+            f / f".a.{host_name()}-{2**22 + 1}-0{TEMPORARY_SUFFIX}" for f in (done, report)
+        ]
         for leftover in leftovers:
             leftover.write_bytes(b"half")
         options = ("--skip-existing", *self.OPTIONS, "--report", report)

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.io.atomic import MARK
-from exwarp_cli.io.output import is_intact
+from exwarp_cli.io.files import TEMPORARY_SUFFIX
+from exwarp_cli.io.generated_frames import is_intact
 from tests.cli import shots
 from tests.cli.processes import await_files
 from tests.cli.street import Street
@@ -57,5 +57,5 @@ class TestTermination:
         assert len(errors) == 1 and word in errors[0] and "--skip-existing" in errors[0]
         rendered = {shots.passed_through(path, 120) for path in keys.iterdir()}
         for name, data in shots.contents(tmp_path / "out").items():
-            assert MARK not in name and (data in rendered or is_intact(data))
+            assert TEMPORARY_SUFFIX not in name and (data in rendered or is_intact(data))
         assert set(shots.names(tmp_path)) == {"out", "holes"}

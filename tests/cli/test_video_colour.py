@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from exwarp_cli.io.clip import open_clip
+from exwarp_cli.io.video_reader import open_clip
 from tests.blender_layers import HALF, layer
 from tests.cli import shots
 from tests.unit.test_video import decode

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from exwarp_cli import errors
-from exwarp_cli.io.atomic import MARK
-from exwarp_cli.io.output import is_intact
+from exwarp_cli.io.files import TEMPORARY_SUFFIX
+from exwarp_cli.io.generated_frames import is_intact
 from tests.cli import shots
 
 FULL = os.environ.get("EXWARP_FAULTS") == "full"
@@ -143,9 +143,9 @@ def require_whole(folder: Path, rendered: set[bytes]) -> None:
     Temporary names of runs that were killed are none of a frame.
     """
     for name, data in shots.contents(folder).items():
-        assert MARK in name or data in rendered or is_intact(data), name
+        assert TEMPORARY_SUFFIX in name or data in rendered or is_intact(data), name
 
 
 def require_no_leftovers(folder: Path) -> None:
     """Refuse temporary files."""
-    assert [name for name in shots.names(folder) if MARK in name] == []
+    assert [name for name in shots.names(folder) if TEMPORARY_SUFFIX in name] == []

@@ -47,21 +47,21 @@ TWO_AT_ONCE = """
 import os, sys, threading, time
 from pathlib import Path
 from exwarp_cli.errors import DamagedFileError
-from exwarp_cli.io.supervision import part
-from exwarp_cli.runtime.read_registry import being_read, enable_restart
+from exwarp_cli.supervisor import fork_command
+from exwarp_cli.runtime.read_registry import report_reading, enable_restart
 
 def read_well():
-    with being_read(Path("a.exr")), being_read(Path("model.onnx"), required=True):
+    with report_reading(Path("a.exr")), report_reading(Path("model.onnx"), required=True):
         begun.set()
         time.sleep(60)
 
-end = part(lambda line: print(line, flush=True))
+end = fork_command(lambda line: print(line, flush=True))
 if end is not None:
     sys.exit(end.code)
 enable_restart()
 for name in ("a.exr", "b.exr"):
     try:
-        with being_read(Path(name)):
+        with report_reading(Path(name)):
             pass
     except DamagedFileError as error:
         print(error, flush=True)
@@ -70,7 +70,7 @@ for name in ("a.exr", "b.exr"):
 begun = threading.Event()
 threading.Thread(target=read_well, daemon=True).start()
 begun.wait()
-with being_read(Path("b.exr")):
+with report_reading(Path("b.exr")):
     os.abort()
 """
 

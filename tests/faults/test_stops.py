@@ -11,7 +11,7 @@ import time
 import pytest
 
 from exwarp_cli import cli, errors
-from exwarp_cli.io.atomic import MARK
+from exwarp_cli.io.files import TEMPORARY_SUFFIX
 from exwarp_cli.runtime.stop import STALLED_S
 from tests.faults.running import (
     BOUND_S,
@@ -27,10 +27,10 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes
 
 NEVER_ENDS = """
 import os, signal, sys, time
-from exwarp_cli.io import supervision
+from exwarp_cli import supervisor
 
-supervision.GRACE_S, supervision.TICK_S = float(sys.argv[1]), 0.2
-end = supervision.part(print)
+supervisor.GRACE_S, supervisor.TICK_S = float(sys.argv[1]), 0.2
+end = supervisor.fork_command(print)
 if end is None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     print("works", flush=True)
@@ -53,7 +53,7 @@ def test_a_second_signal_ends_it_at_once(keys, rendered, tmp_path, number, code,
     process = started("hang", 14, "upsample", keys, "-o", out, *PLAIN, *how, module=CRASHING)
     assert process.stderr is not None
     assert any("hangs" in line for line in iter(process.stderr.readline, ""))
-    assert any(MARK in path.name for path in tmp_path.iterdir())
+    assert any(TEMPORARY_SUFFIX in path.name for path in tmp_path.iterdir())
     process.send_signal(number)
     time.sleep(1.5)
     assert process.poll() is None

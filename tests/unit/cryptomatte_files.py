@@ -13,7 +13,7 @@ import OpenEXR
 import OpenImageIO as oiio
 
 from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes, hash_name
-from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.header import Channel
 from exwarp_cli.io.exr.reader import ExrFile
 from tests.unit.exr_files import Planes, write_parts, write_single
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.exr import reader
-from exwarp_cli.io.exr.header import RawHeader
-from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.header import Channel, RawHeader
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.exr.scanlines import parse_layouts
 

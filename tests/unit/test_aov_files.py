@@ -7,7 +7,7 @@ import pytest
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.channel_map import AovFile, detect_aov, parse_aovs, require_channel_count
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.header import Channel
 
 
 def channels(*names: str) -> dict[str, Channel]:

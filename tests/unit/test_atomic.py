@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from exwarp_cli.errors import InputError, OutputError
-from exwarp_cli.io import atomic
-from exwarp_cli.io.atomic import (
+from exwarp_cli.io import files
+from exwarp_cli.io.files import (
     FOREIGN_AGE_S,
-    MARK,
+    TEMPORARY_SUFFIX,
     atomic_copy,
     atomic_path,
     atomic_write_bytes,
@@ -36,7 +36,7 @@ class TestAtomicPath:
         with atomic_path(target) as temporary:
             temporary.write_bytes(b"half")
             assert not target.exists()
-            assert temporary.parent == tmp_path and temporary.suffix == MARK
+            assert temporary.parent == tmp_path and temporary.suffix == TEMPORARY_SUFFIX
         assert names(tmp_path) == ["a.0001.exr"]
         assert target.read_bytes() == b"half"
 
@@ -80,7 +80,7 @@ class TestAtomicPath:
             raise OSError(errno.ENOSPC, "full")
 
         (tmp_path / "a").write_text("old")
-        monkeypatch.setattr(atomic.os, "fsync", full)
+        monkeypatch.setattr(files.os, "fsync", full)
         with pytest.raises(OutputError, match="no space"):
             atomic_write_text(tmp_path / "a", "new")
         assert names(tmp_path) == ["a"] and (tmp_path / "a").read_text() == "old"
@@ -134,13 +134,13 @@ class TestWritersAndCopy:
 
         data = bytes(range(256)) * 20
         (tmp_path / "a").write_bytes(data)
-        monkeypatch.setattr(atomic.os, "copy_file_range", broken)
+        monkeypatch.setattr(files.os, "copy_file_range", broken)
         atomic_copy(tmp_path / "a", tmp_path / "b")
         assert (tmp_path / "b").read_bytes() == data
         assert asked == ([len(data)] if done == 0 else [len(data), len(data) - done])
 
     def test_a_system_that_cannot(self, tmp_path, monkeypatch):
-        monkeypatch.delattr(atomic.os, "copy_file_range", raising=False)
+        monkeypatch.delattr(files.os, "copy_file_range", raising=False)
         (tmp_path / "a").write_bytes(b"1")
         atomic_copy(tmp_path / "a", tmp_path / "b")
         assert (tmp_path / "b").read_bytes() == b"1"
@@ -189,7 +189,7 @@ class TestMakeFolder:
 DIES_HALF_WAY = """
 import os, signal, sys
 from pathlib import Path
-from exwarp_cli.io.atomic import atomic_path
+from exwarp_cli.io.files import atomic_path
 with atomic_path(Path(sys.argv[1])) as temporary:
     temporary.write_text("half")
     print("half", flush=True)
@@ -211,7 +211,7 @@ class TestLeftovers:
             process.stdin.write(b"\n")
         assert process.returncode == -signal.SIGKILL
         (left,) = names(tmp_path)
-        assert left.endswith(MARK), "no image suffix, so no reader takes it for a frame"
+        assert left.endswith(TEMPORARY_SUFFIX), "no image suffix, so no reader takes it for a frame"
         assert remove_leftovers(tmp_path) == 1
         assert names(tmp_path) == []
 
@@ -223,13 +223,19 @@ class TestLeftovers:
 
     @pytest.mark.parametrize(("age", "removed"), [(FOREIGN_AGE_S - 60, 0), (FOREIGN_AGE_S + 60, 1)])
     def test_those_of_other_machines_go_by_age(self, tmp_path, age, removed):
-        foreign = tmp_path / f".a.exr.elsewhere-4026531836-1-0{MARK}"
+        foreign = tmp_path / f".a.exr.elsewhere-4026531836-1-0{TEMPORARY_SUFFIX}"
         foreign.touch()
         os.utime(foreign, (time.time() - age,) * 2)
         assert remove_leftovers(tmp_path) == removed
 
     def test_other_files_stay(self, tmp_path):
-        kept = ["a.0001.exr", ".hidden", f"notes{MARK}", f".a.x-y-z{MARK}", ".a.host-1-0.tmp"]
+        kept = [
+            "a.0001.exr",
+            ".hidden",
+            f"notes{TEMPORARY_SUFFIX}",
+            f".a.x-y-z{TEMPORARY_SUFFIX}",
+            ".a.host-1-0.tmp",
+        ]
         for name in kept:
             (tmp_path / name).touch()
             os.utime(tmp_path / name, (0, 0))

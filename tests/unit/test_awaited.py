@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 
-from exwarp_cli.io.atomic import await_file
+from exwarp_cli.io.files import await_file
 
 
 def test_a_file_that_is_there_is_not_waited_for(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.channels import Layout, Role, detect_layout, require_role
-from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.header import Channel
 from exwarp_cli.io.producers import PRESETS, is_cryptomatte_name
 
 

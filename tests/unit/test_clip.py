@@ -12,19 +12,20 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import DamagedFileError, InputError
-from exwarp_cli.io import clip_timing
-from exwarp_cli.io.clip import ClipReader, is_clip, open_clip
-from exwarp_cli.io.clip_timing import (
+from exwarp_cli.io import video_timing
+from exwarp_cli.io.display_colour import MATRICES, to_display
+from exwarp_cli.io.ffmpeg import EXACT_SCALING, FfmpegError, FfmpegReader
+from exwarp_cli.io.video_reader import ClipReader, is_clip, open_clip
+from exwarp_cli.io.video_timing import (
     UNKNOWN_TIMES,
     Pacing,
     Packets,
-    meant,
-    pace,
+    find_pacing,
+    nearest_standard_rate,
     parse_packets,
     read_packets,
 )
-from exwarp_cli.io.ffmpeg import EXACT, Drain, FfmpegError
-from exwarp_cli.io.video import MATRICES, VideoWriter, to_display
+from exwarp_cli.io.video_writer import VideoWriter
 
 SIZE = (48, 32)
 H264 = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-g", "8", "-bf", "2")
@@ -108,7 +109,7 @@ class TestPackets:
     def test_only_a_bad_time_is_mended(self, bad):
         packets = self.even(bad)
         assert packets.times == tuple(range(0, 1200, 40))
-        assert pace(packets, Fraction(1000, 41)) == Pacing(Fraction(25), tuple(range(30)))
+        assert find_pacing(packets, Fraction(1000, 41)) == Pacing(Fraction(25), tuple(range(30)))
 
     def test_a_missing_time_of_reordered_frames_is_the_one_left_free(self):
         listed = self.even(count=30, ahead=2)
@@ -138,28 +139,28 @@ class TestPackets:
 class TestPace:
     def test_times_in_milliseconds_stand_for_the_exact_rate(self):
         exact = [round(1000 * i * 1001 / 24000) for i in range(200)]
-        found = pace(ticks(*exact), Fraction(24000, 1001))
+        found = find_pacing(ticks(*exact), Fraction(24000, 1001))
         assert found.rate == Fraction(24000, 1001) and not found.varies
         assert found.shown == tuple(range(200))
 
     def test_the_header_is_not_believed_against_the_times(self):
-        found = pace(ticks(*range(0, 4000, 40)), Fraction(1000))
+        found = find_pacing(ticks(*range(0, 4000, 40)), Fraction(1000))
         assert found.rate == 25 and not found.varies
 
     def test_an_unusual_constant_rate_is_kept(self):
-        found = pace(ticks(0, 700, 1400, 2100, tick=Fraction(1, 10000)), None)
+        found = find_pacing(ticks(0, 700, 1400, 2100, tick=Fraction(1, 10000)), None)
         assert found.rate == Fraction(10000, 700) and not found.varies
 
     def test_jitter_loses_and_repeats_nothing(self):
         rng = np.random.default_rng(3)
         times = [33 * i + int(rng.integers(-4, 5)) for i in range(60)]
-        found = pace(ticks(*times), Fraction(90))
+        found = find_pacing(ticks(*times), Fraction(90))
         assert found.varies and found.shown == tuple(range(60))
         assert abs(found.rate - 30) < 0.5
 
     def test_a_frame_that_was_dropped_is_bridged_by_the_one_before(self):
         times = [i * 40 for i in range(30) if i not in (7, 8)]
-        found = pace(ticks(*times), Fraction(25))
+        found = find_pacing(ticks(*times), Fraction(25))
         assert found.rate == 25 and found.varies
         assert found.shown[5:11] == (5, 6, 6, 6, 7, 8)
         assert len(found.shown) == 30 and found.repeated == 2 and found.skipped == 0
@@ -167,20 +168,20 @@ class TestPace:
     def test_jitter_beside_a_gap_does_no_more(self):
         rng = np.random.default_rng(4)
         times = [40 * i + int(rng.integers(-6, 7)) for i in range(60) if i not in (20, 21)]
-        found = pace(ticks(*times), Fraction(25))
+        found = find_pacing(ticks(*times), Fraction(25))
         bridged = [i if i < 20 else 19 if i < 22 else i - 2 for i in range(60)]
         assert found.rate == 25 and list(found.shown) == bridged
 
     def test_frames_between_the_instants_are_skipped(self):
         times = [*range(0, 800, 40), 790, *range(800, 1600, 40)]
-        found = pace(ticks(*times), Fraction(25))
+        found = find_pacing(ticks(*times), Fraction(25))
         assert found.rate == 25 and found.skipped == 1 and found.repeated == 0
 
     @pytest.mark.parametrize("rate", [Fraction(24), Fraction(24000, 1001), Fraction(60)])
     def test_missing_frames_leave_a_standard_rate(self, rate):
         """In milliseconds, the mean and the median of what is there are neither."""
         exact = [round(1000 * i / rate) for i in range(145) if i not in (40, 90)]
-        found = pace(ticks(*exact), Fraction(143, 6))
+        found = find_pacing(ticks(*exact), Fraction(143, 6))
         assert found.rate == rate and found.repeated == 2 and found.skipped == 0
 
     @pytest.mark.parametrize("rate", [24, 30, 60, 120])
@@ -192,7 +193,9 @@ class TestPace:
         kept = [i for i in range(300) if i not in gone]
         times = [round(1000 * i / rate) for i in kept]
         mean = Fraction(1000 * (len(times) - 1), times[-1])
-        found = pace(ticks(*times), {"mean": mean, "rate": Fraction(rate), "none": None}[said])
+        found = find_pacing(
+            ticks(*times), {"mean": mean, "rate": Fraction(rate), "none": None}[said]
+        )
         assert found.rate == rate and found.skipped == 0
         assert [found.shown[i] for i in kept] == list(range(len(kept)))
 
@@ -200,29 +203,29 @@ class TestPace:
         """At 240 fps, every time in ticks of 1/600 s lies near an instant."""
         rng = np.random.default_rng(3)
         times = {round(600 * (i / 60 + rng.uniform(-0.03, 0.03))) for i in range(200)}
-        found = pace(ticks(*sorted(times), tick=Fraction(1, 600)), None)
+        found = find_pacing(ticks(*sorted(times), tick=Fraction(1, 600)), None)
         assert found.rate <= 80
 
     def test_a_header_s_mean_is_the_standard_rate_it_is_near_to(self):
         times = [round(1000 * i / 24) for i in range(300)]
-        assert pace(ticks(*times), Fraction(299_000, times[-1])).rate == 24
+        assert find_pacing(ticks(*times), Fraction(299_000, times[-1])).rate == 24
 
     def test_equal_times_without_room_between_lose_no_frame(self):
         packets = parse_packets(
             "\n".join(["#tb 0: 1/25", *(f"0, {k}, {k // 2}, 1, 9, 0x0" for k in range(12))])
         )
-        assert packets.count == 12 and pace(packets, None).shown == tuple(range(12))
+        assert packets.count == 12 and find_pacing(packets, None).shown == tuple(range(12))
 
     def test_a_header_s_mean_is_no_rate_where_frames_vary(self):
         rng = np.random.default_rng(5)
         times = [round(100 / 3 * i) + int(rng.integers(-4, 5)) for i in range(60)]
-        found = pace(ticks(*times), Fraction(2983, 100))
+        found = find_pacing(ticks(*times), Fraction(2983, 100))
         assert found.rate == 30 and found.shown == tuple(range(60))
 
     def test_one_frame_and_unknown_times_take_the_header(self):
-        assert pace(ticks(0), Fraction(24)).shown == (0,)
-        assert pace(ticks(0), None).rate == 30
-        untimed = pace(Packets((), Fraction(1), (), 5), Fraction(25))
+        assert find_pacing(ticks(0), Fraction(24)).shown == (0,)
+        assert find_pacing(ticks(0), None).rate == 30
+        untimed = find_pacing(Packets((), Fraction(1), (), 5), Fraction(25))
         assert untimed.rate == 25 and untimed.shown == (0, 1, 2, 3, 4)
 
     @pytest.mark.parametrize(
@@ -230,7 +233,7 @@ class TestPace:
         [("29.96", "30000/1001"), ("23.98", "24000/1001"), ("60.001", "60"), ("17.3", "173/10")],
     )
     def test_rates_that_are_meant(self, rate, usual):
-        assert meant(Fraction(rate)) == Fraction(usual)
+        assert nearest_standard_rate(Fraction(rate)) == Fraction(usual)
 
 
 class TestOpenClip:
@@ -271,7 +274,7 @@ class TestOpenClip:
 
     def test_an_unstated_matrix_is_that_of_the_size(self, tmp_path):
         for size, matrix in (("1280x720", "bt709"), ("720x576", "smpte170m")):
-            flat = f"color=0x30a0d0:s={size},scale=out_color_matrix={matrix}:{EXACT}"
+            flat = f"color=0x30a0d0:s={size},scale=out_color_matrix={matrix}:{EXACT_SCALING}"
             path = tmp_path / f"{size}.mkv"
             ffmpeg("-f", "lavfi", "-i", f"{flat},format=yuv444p,setparams=colorspace=unknown",
                    "-frames:v", 1, "-c:v", "ffv1", path)  # fmt: skip
@@ -549,12 +552,12 @@ class TestDamage:
         whole, clip, runs = list(open_clip(good).frames()), open_clip(bad), []
         lost = []
 
-        class Counted(Drain):
+        class Counted(FfmpegReader):
             def __init__(self, options) -> None:
                 runs.append(options)
                 super().__init__(options)
 
-        monkeypatch.setattr("exwarp_cli.io.clip.Drain", Counted)
+        monkeypatch.setattr("exwarp_cli.io.video_reader.FfmpegReader", Counted)
         assert clip.count == 60
         with ClipReader(clip) as reader:
             for index in range(clip.count):
@@ -675,7 +678,7 @@ class TestFields:
     @pytest.mark.parametrize(("name", "group"), [("long.ts", 6), ("long.mov", 1)])
     def test_late_in_a_long_video_are_refused(self, tmp_path, monkeypatch, name, group):
         """Only key frames are looked at; where all are, the first ones and some later ones."""
-        monkeypatch.setattr(clip_timing, "EVERY_FRAME", 5)
+        monkeypatch.setattr(video_timing, "EVERY_FRAME", 5)
         still = ("-f", "lavfi", "-i", self.BARS.replace("r=50", "r=25"), "-frames:v", 12)
         ffmpeg(*still, "-c:v", "mpeg2video", "-g", group, tmp_path / "p.mov")
         path = tmp_path / name

@@ -12,8 +12,8 @@ import pytest
 from exwarp_cli.domain.metric import METRICS, Threshold, parse_metrics, parse_threshold
 from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.errors import InputError, QualityError, UsageError
-from exwarp_cli.io.video import to_display
-from exwarp_cli.io.vmaf import EncodedVmaf, vmaf
+from exwarp_cli.io.display_colour import to_display
+from exwarp_cli.io.ffmpeg_filters import EncodedVmafStream, compute_vmaf
 from exwarp_cli.metrics import extranet
 from exwarp_cli.metrics.flicker import error
 from exwarp_cli.pipeline.evaluation import Comparison, evaluate
@@ -142,7 +142,7 @@ def test_vmaf_is_of_the_frames_in_their_order(tmp_path: Path) -> None:
     found = evaluate(*shifted(tmp_path), measuring=measure("vmaf"))
     original = [picture(n, SIZE) for n in range(1, 5)]
     test = [to_display(p * np.float32(1 - 0.05 * n)) for n, p in enumerate(original, 1)]
-    expected = vmaf([to_display(p) for p in original], test)
+    expected = compute_vmaf([to_display(p) for p in original], test)
     assert [frame.score.vmaf for frame in found.frames] == expected
     assert found.worst.score.vmaf == min(expected)
 
@@ -175,7 +175,7 @@ def test_the_preset_counts_generated_frames(tmp_path: Path, headers: bool) -> No
         assert frame.score.psnr_db == (expected.psnr_db if expected else None)
         assert frame.score.ssim == (expected.ssim if expected else None)
         assert (frame.score.vmaf is None) == (n <= 4 or n > 10)
-    with EncodedVmaf() as stream:
+    with EncodedVmafStream() as stream:
         for n in range(5, 11):
             stream.write(to_display(truth[n]), to_display(made[n]))
         values = stream.close()

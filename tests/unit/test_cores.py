@@ -9,8 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from exwarp_cli.domain import cores
-from exwarp_cli.domain.cores import Cores
+from exwarp_cli.runtime import cores
+from exwarp_cli.runtime.cores import Cores
 
 SOON = 10.0
 """Seconds after which a wait counts as hanging; none should take a hundredth of it."""
@@ -44,7 +44,7 @@ def test_no_more_work_than_there_are_cores_for(count):
     shared, busy = Cores(count), Busy()
 
     def work() -> None:
-        with shared.taken():
+        with shared.hold():
             busy.work()
 
     side_by_side(6, work)
@@ -55,7 +55,7 @@ def test_without_a_bound_no_thread_waits():
     shared, meeting = Cores(None), threading.Barrier(6)
 
     def work() -> None:
-        with shared.taken(), shared.given_back():
+        with shared.hold(), shared.release():
             meeting.wait(SOON)
 
     side_by_side(6, work)
@@ -65,14 +65,14 @@ def test_cores_are_given_to_others_for_as_long_as_their_owner_waits():
     shared, order = Cores(1), []
 
     def work() -> None:
-        with shared.taken():
+        with shared.hold():
             order.append("other")
 
-    with ThreadPoolExecutor(1) as pool, shared.taken():
+    with ThreadPoolExecutor(1) as pool, shared.hold():
         other = pool.submit(work)
         time.sleep(0.02)
         order.append("before")
-        with shared.given_back():
+        with shared.release():
             other.result(SOON)
         order.append("after")
     assert order == ["before", "other", "after"]
@@ -83,7 +83,7 @@ def test_some_take_several_and_all_is_the_most():
 
     def work(many: int) -> Callable[[], None]:
         def run() -> None:
-            with shared.taken(many):
+            with shared.hold(many):
                 busy.work(min(many, 3))
 
         return run
@@ -99,9 +99,9 @@ def test_within_a_block_a_thread_takes_no_more():
     shared, busy = Cores(1), Busy()
 
     def work() -> None:
-        with shared.taken(), shared.taken():
+        with shared.hold(), shared.hold():
             busy.work()
-            with shared.given_back(), shared.given_back():
+            with shared.release(), shared.release():
                 time.sleep(0.002)
             busy.work()
 
@@ -112,19 +112,19 @@ def test_within_a_block_a_thread_takes_no_more():
 def test_what_fails_gives_its_cores_back():
     shared = Cores(1)
     for _ in range(2):
-        with pytest.raises(OSError, match="full"), shared.taken():
+        with pytest.raises(OSError, match="full"), shared.hold():
             raise OSError("full")
-        with pytest.raises(OSError, match="gone"), shared.taken(), shared.given_back():
+        with pytest.raises(OSError, match="gone"), shared.hold(), shared.release():
             raise OSError("gone")
 
 
 class TestOfTheProcess:
     def test_fewer_than_there_are_bound_who_works(self):
-        cores.share(2, 8)
+        cores.set_count(2, 8)
         busy = Busy()
 
         def work() -> None:
-            with cores.working():
+            with cores.hold_cores():
                 busy.work()
 
         side_by_side(5, work)
@@ -132,11 +132,11 @@ class TestOfTheProcess:
 
     @pytest.mark.parametrize(("asked", "count"), [(None, 4), (4, 4), (9, 9)])
     def test_all_cores_are_bound_enough_by_themselves(self, asked, count):
-        cores.share(asked, 4)
+        cores.set_count(asked, 4)
         meeting = threading.Barrier(10)
 
         def work() -> None:
-            with cores.working():
+            with cores.hold_cores():
                 meeting.wait(SOON)
 
         with ThreadPoolExecutor(10) as pool:
@@ -145,44 +145,44 @@ class TestOfTheProcess:
         assert cores.count() == count
 
     def test_the_same_again_keeps_what_is_taken(self):
-        cores.share(1, 8)
+        cores.set_count(1, 8)
 
         def work() -> None:
-            with cores.working():
+            with cores.hold_cores():
                 pass
 
-        with ThreadPoolExecutor(1) as pool, cores.working():
-            cores.share(1, 8)
+        with ThreadPoolExecutor(1) as pool, cores.hold_cores():
+            cores.set_count(1, 8)
             other = pool.submit(work)
             time.sleep(0.02)
             assert not other.done()
-            with cores.waiting():
+            with cores.release_cores():
                 other.result(SOON)
 
 
 def test_cores_are_left_that_no_frame_is_made_on():
     inside, gate = threading.Barrier(3), threading.Barrier(3)
-    cores.share(4, 4)
-    assert cores.left() == 4
+    cores.set_count(4, 4)
+    assert cores.spare_count() == 4
 
     def make() -> None:
-        with cores.making():
+        with cores.rendering():
             inside.wait(SOON)
             gate.wait(SOON)
 
     with ThreadPoolExecutor(2) as pool:
         made = [pool.submit(make) for _ in range(2)]
         inside.wait(SOON)
-        assert cores.left() == 2
-        cores.share(2, 2)
-        assert cores.left() == 1, "who goes on beside them has one at least"
+        assert cores.spare_count() == 2
+        cores.set_count(2, 2)
+        assert cores.spare_count() == 1, "who goes on beside them has one at least"
         gate.wait(SOON)
         for each in made:
             each.result(SOON)
-    assert cores.left() == 2
+    assert cores.spare_count() == 2
 
 
 def test_a_core_is_left_again_where_making_a_frame_fails():
-    with pytest.raises(ValueError, match="made badly"), cores.making():
+    with pytest.raises(ValueError, match="made badly"), cores.rendering():
         raise ValueError("made badly")
-    assert cores.left() == cores.count()
+    assert cores.spare_count() == cores.count()

@@ -10,7 +10,7 @@ import pytest
 
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.errors import DamagedFileError
-from exwarp_cli.io import output
+from exwarp_cli.io import generated_frames
 from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr.header import attributes_in, in_utf8, replace_non_utf8, restore_non_utf8
 from exwarp_cli.io.exr.reader import ExrFile, read_headers
@@ -52,9 +52,9 @@ def rewritten(source: Path, out: Path, *wanted: ViewLayers) -> Path:
     kept = read_template(source, wanted)
     image = Image(np.ones((3, 4, 4), np.float32), Window(0, 0, 4, 3), Window(0, 0, 4, 3))
     image_planes = {plane.key for plane in kept.colour}
-    blank = output.Plane(np.zeros((3, 4), np.float32), image.data_window)
+    blank = generated_frames.Plane(np.zeros((3, 4), np.float32), image.data_window)
     beside = {p.key: blank for p in kept.planes if p.key not in image_planes}
-    output.write_frame(out, image, kept, {output.RECIPE: "abc"}, beside)
+    generated_frames.write_frame(out, image, kept, {generated_frames.FINGERPRINT: "abc"}, beside)
     return out
 
 
@@ -112,8 +112,8 @@ class TestWriting:
         out = rewritten(single(tmp_path / "a.exr"), tmp_path / "b.exr", ViewLayers("", "", refs()))
         assert RAW in out.read_bytes()
         assert read_headers(out)[0][MANIFEST] == TEXT
-        assert output.recipe_of(out) == "abc"
-        assert output.written_attributes(out)["recipe"] == "abc"
+        assert generated_frames.read_fingerprint(out) == "abc"
+        assert generated_frames.read_facts(out)["recipe"] == "abc"
         with ExrFile(out) as file:
             assert file.header.texts[0][MANIFEST] == TEXT
 

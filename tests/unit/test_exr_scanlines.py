@@ -16,13 +16,12 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.domain import cores
 from exwarp_cli.io.exr import scanlines
-from exwarp_cli.io.exr.header import attributes_in
-from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.header import Channel, attributes_in
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.exr.scanlines import LINES, REQUIRED
 from exwarp_cli.io.frames import join_planes
+from exwarp_cli.runtime import cores
 from tests.unit.exr_files import (
     any_bits,
     box,
@@ -90,7 +89,7 @@ class TestAgainstOpenImageIO:
     @SETTINGS
     @given(PARTS, st.integers(1, 3), st.integers(0, 2**32 - 1))
     def test_any_windows_and_channels(self, tmp_path, parts, threads, seed):
-        cores.share(threads, 8)
+        cores.set_count(threads, 8)
         agree(write(tmp_path / "a.exr", parts, np.random.default_rng(seed)))
 
     @SETTINGS
@@ -134,7 +133,7 @@ class TestAgainstOpenImageIO:
         )
         found = []
         for threads in (1, 2, 5):
-            cores.share(threads, 8)
+            cores.set_count(threads, 8)
             found.append({n: a.tobytes() for n, a in agree(path).items()})
         assert found[0] == found[1] == found[2]
 
@@ -144,7 +143,7 @@ class TestAgainstOpenImageIO:
 
         monkeypatch.setattr(scanlines, "RUN_BYTES", 10_000)
         monkeypatch.setattr(scanlines.ThreadPoolExecutor, "submit", refuse)
-        cores.share(4, 8)
+        cores.set_count(4, 8)
         agree(write_single(tmp_path / "a.exr", rgba(300, 60)))
 
 

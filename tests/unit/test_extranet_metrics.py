@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.io.video import to_display
+from exwarp_cli.io.display_colour import to_display
 from exwarp_cli.metrics.display import rounded
 from exwarp_cli.metrics.extranet import score, ssim
 from tests.reference import quality, scikit

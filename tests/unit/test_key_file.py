@@ -14,8 +14,9 @@ import pytest
 
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.exr.header import MULTIPART, attributes_in
+from exwarp_cli.io.exr.writer import COMPRESSIONS
+from exwarp_cli.io.generated_frames import is_intact, read_fingerprint, seal
 from exwarp_cli.io.key_file import plan_key_file, plan_marked_file
-from exwarp_cli.io.output import COMPRESSIONS, is_intact, recipe_of, seal
 
 RATE = Fraction(96)
 
@@ -196,7 +197,7 @@ def test_marks_and_a_checksum_join_the_first_header(tmp_path, kind):
     new = {b"framesPerSecond", *own}
     kept = [[one for one in items if one[1] not in new] for items in (before, after)]
     assert kept[0] == kept[1]
-    assert is_intact(target.read_bytes()) and recipe_of(target) == "ab12"
+    assert is_intact(target.read_bytes()) and read_fingerprint(target) == "ab12"
 
 
 def test_marks_take_the_place_of_earlier_ones(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.channels import Layout, Role, detect_layout
-from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.header import Channel
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.layers import Layer, LayerKind, group_layers, select_layers
 from exwarp_cli.io.views import view_channels

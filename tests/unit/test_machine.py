@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.io import machine
+from exwarp_cli.runtime import machine
 
 GIB = 1 << 30
 MEMINFO = f"MemTotal: {32 * GIB // 1024} kB\nMemAvailable: {20 * GIB // 1024} kB\nHugePages: none\n"

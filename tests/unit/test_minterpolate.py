@@ -9,8 +9,8 @@ import pytest
 
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.errors import OutputError
-from exwarp_cli.io import minterpolate as module
-from exwarp_cli.io.minterpolate import minterpolate
+from exwarp_cli.io import ffmpeg_filters as module
+from exwarp_cli.io.ffmpeg_filters import minterpolate
 from exwarp_cli.metrics.display import encode
 
 STEP = 8
@@ -98,7 +98,7 @@ def test_a_failing_ffmpeg_is_quoted(tmp_path: Path, monkeypatch, script, said):
 
 
 def test_frames_at_other_instants_are_noticed(monkeypatch):
-    true = module._filtered
-    monkeypatch.setattr(module, "_filtered", lambda frames: true(frames)[1:])
+    true = module._run_minterpolate
+    monkeypatch.setattr(module, "_run_minterpolate", lambda frames: true(frames)[1:])
     with pytest.raises(OutputError, match="not at the instants"):
         minterpolate(None, picture(0), picture(1))

@@ -11,7 +11,7 @@ import pytest
 
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.errors import LayoutError
-from exwarp_cli.io import output
+from exwarp_cli.io import generated_frames
 from exwarp_cli.io.channels import Role, detect_layout
 from exwarp_cli.io.exr.reader import ExrFile, read_headers
 from exwarp_cli.io.exr.template import (
@@ -72,14 +72,14 @@ class TestParts:
             key: values for key, values in self.planes(kept, right, 1).items() if key[0] == "right"
         }
         out = tmp_path / "out.exr"
-        own = {output.RECIPE: "abc", "framesPerSecond": Fraction(96)}
-        output.write_frame(out, image(), kept, own, beside)
-        assert output.recipe_of(out) == "abc"
+        own = {generated_frames.FINGERPRINT: "abc", "framesPerSecond": Fraction(96)}
+        generated_frames.write_frame(out, image(), kept, own, beside)
+        assert generated_frames.read_fingerprint(out) == "abc"
         headers = read_headers(out)
         assert [h["name"] for h in headers] == [h["name"] for h in read_headers(source)]
         assert [h["view"] for h in headers] == ["left"] * 3 + ["right"] * 3
         assert [h.get("owner") for h in headers] == ["left", None, None, "right", None, None]
-        assert [output.RECIPE in h for h in headers] == [True] + [False] * 5
+        assert [generated_frames.FINGERPRINT in h for h in headers] == [True] + [False] * 5
         assert {h["framesPerSecond"] for h in headers} == {Fraction(96)}
         with ExrFile(out) as file:
             assert [p.data_window for p in file.parts] == [WINDOW] * 3 + [right] * 3
@@ -93,7 +93,9 @@ class TestParts:
 
     def test_one_view_of_them(self, source, tmp_path):
         kept = read_template(source, self.wanted(source, "right"))
-        output.write_frame(tmp_path / "o.exr", image(), kept, {}, self.planes(kept, WINDOW))
+        generated_frames.write_frame(
+            tmp_path / "o.exr", image(), kept, {}, self.planes(kept, WINDOW)
+        )
         with ExrFile(tmp_path / "o.exr") as file:
             assert [part.view for part in file.parts] == ["right"] * 3
 
@@ -102,7 +104,9 @@ class TestParts:
         source = write_single(tmp_path / "in.exr", planes, multiView=["left", "right"])
         for views in (("left",), ("right",), ("left", "right")):
             kept = read_template(source, self.wanted(source, *views))
-            output.write_frame(tmp_path / "o.exr", image(), kept, {}, self.planes(kept, WINDOW))
+            generated_frames.write_frame(
+                tmp_path / "o.exr", image(), kept, {}, self.planes(kept, WINDOW)
+            )
             with ExrFile(tmp_path / "o.exr") as file:
                 (part,) = file.parts
                 assert part.views == views
@@ -117,7 +121,7 @@ class TestParts:
             for target in kept.planes
         }
         bright = Image(np.full((*WINDOW.shape, 4), 1e5, np.float32), WINDOW, WINDOW)
-        output.write_frame(tmp_path / "o.exr", bright, kept, {}, beside)
+        generated_frames.write_frame(tmp_path / "o.exr", bright, kept, {}, beside)
         with ExrFile(tmp_path / "o.exr") as file:
             found = {c.name: file.read([c])[c][0, 0] for p in file.parts for c in p.channels}
         assert found["rgba.R"] == 65504 and np.isinf(found["z.Z"]) and found["id.X"] == 100000

@@ -11,7 +11,7 @@ import pytest
 from exwarp_cli.domain.frame import GBuffer
 from exwarp_cli.domain.motion import MotionFinding
 from exwarp_cli.io.channels import Layout, Role, detect_layout
-from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.header import Channel
 from exwarp_cli.io.frames import clean_depth, clean_stencil
 from exwarp_cli.synthesis.calibration import calibrate
 from exwarp_cli.synthesis.calibration_samples import MotionFrame

@@ -15,9 +15,9 @@ from exwarp_cli.runtime import read_registry
 from exwarp_cli.runtime.read_registry import (
     ReadRegistry,
     attach,
-    being_read,
     enable_restart,
     is_restarted,
+    report_reading,
 )
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="needs processes of POSIX")
@@ -49,19 +49,19 @@ def reported() -> Iterator[Reported]:
 
 
 def test_nothing_is_reported_without_a_watcher():
-    with being_read(Path("a.exr")):
+    with report_reading(Path("a.exr")):
         pass
     assert not is_restarted()
 
 
 def test_files_are_reported_while_they_are_read(reported):
-    with being_read(Path("a.exr")), being_read(Path("ünïcödé 帧.exr")):
+    with report_reading(Path("a.exr")), report_reading(Path("ünïcödé 帧.exr")):
         assert sorted(reported().files.values()) == [Path("a.exr"), Path("ünïcödé 帧.exr")]
     assert reported().files == {}
 
 
 def test_a_model_is_required(reported):
-    with being_read(Path("a.exr")), being_read(Path("e.onnx"), required=True):
+    with report_reading(Path("a.exr")), report_reading(Path("e.onnx"), required=True):
         known = reported()
         assert [known.files[number] for number in known.required] == [Path("e.onnx")]
     assert reported().required == set()
@@ -70,13 +70,13 @@ def test_a_model_is_required(reported):
 def test_each_reading_has_its_number(reported):
     seen = set()
     for _ in range(5):
-        with being_read(Path("a.exr")):
+        with report_reading(Path("a.exr")):
             seen |= set(reported().files)
     assert len(seen) == 5
 
 
 def test_an_error_ends_it(reported):
-    with pytest.raises(KeyError), being_read(Path("a.exr")):
+    with pytest.raises(KeyError), report_reading(Path("a.exr")):
         raise KeyError
     assert reported().files == {}
 
@@ -84,7 +84,7 @@ def test_an_error_ends_it(reported):
 def test_threads_do_not_mix_what_they_report(reported):
     def read(number: int) -> None:
         for _ in range(20):
-            with being_read(Path(f"{number:03}" * 50)):
+            with report_reading(Path(f"{number:03}" * 50)):
                 pass
 
     with ThreadPoolExecutor(4) as pool:
@@ -95,10 +95,10 @@ def test_threads_do_not_mix_what_they_report(reported):
 
 
 def test_long_names_and_any_bytes(reported):
-    with being_read(Path("x" * 10_000)):
+    with report_reading(Path("x" * 10_000)):
         assert set(str(next(iter(reported().files.values())))) == {"x"}
     odd = Path(os.fsdecode(b"\xff\xfe\n .exr"))
-    with being_read(odd):
+    with report_reading(odd):
         assert list(reported().files.values()) == [odd]
 
 
@@ -112,9 +112,9 @@ def test_a_file_that_crashed_a_library_is_not_read_again(reported):
     _, writer = os.pipe()
     attach(writer, {Path("a.exr"): "a.exr crashed it"})
     assert is_restarted()
-    with pytest.raises(DamagedFileError, match=r"a\.exr crashed it"), being_read(Path("a.exr")):
+    with pytest.raises(DamagedFileError, match=r"a\.exr crashed it"), report_reading(Path("a.exr")):
         pass
-    with being_read(Path("b.exr")):
+    with report_reading(Path("b.exr")):
         pass
 
 
@@ -122,7 +122,7 @@ def test_who_watches_may_have_ended():
     reader, writer = os.pipe()
     os.close(reader)
     attach(writer, {})
-    with being_read(Path("a.exr")):
+    with report_reading(Path("a.exr")):
         pass
     os.close(writer)
 
@@ -130,7 +130,7 @@ def test_who_watches_may_have_ended():
 def test_what_a_crashed_process_read_is_known(reported):
     child = os.fork()
     if child == 0:
-        with being_read(Path("of the child.exr")):
+        with report_reading(Path("of the child.exr")):
             os._exit(0)  # as a crash leaves it
     os.waitpid(child, 0)
     assert list(reported().files.values()) == [Path("of the child.exr")]

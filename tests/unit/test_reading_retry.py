@@ -8,16 +8,15 @@ import os
 import pytest
 
 from exwarp_cli.errors import DamagedFileError, InputError, OutputError, UnreadableError
-from exwarp_cli.io import reading_retry
-from exwarp_cli.io.atomic import atomic_copy
-from exwarp_cli.io.reading_retry import with_retries
+from exwarp_cli.io import files
+from exwarp_cli.io.files import atomic_copy, with_retries
 
 
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch) -> list[float]:
     """Record the pauses instead of making them."""
     pauses: list[float] = []
-    monkeypatch.setattr(reading_retry.time, "sleep", pauses.append)
+    monkeypatch.setattr(files.time, "sleep", pauses.append)
     return pauses
 
 
@@ -78,7 +77,7 @@ def test_a_decoder_that_hides_the_reason_does_not_hide_it_here(frame, monkeypatc
     def refuse(*_: object) -> int:
         raise system(errno.EMFILE)
 
-    monkeypatch.setattr(reading_retry.os, "open", refuse)
+    monkeypatch.setattr(files.os, "open", refuse)
     with pytest.raises(UnreadableError, match="Too many open files; raise the limit"):
         with_retries(frame, Reader(*(DamagedFileError("not an EXR") for _ in range(9))))
 
@@ -96,8 +95,8 @@ class TestCopies:
         def refuse(*_: object) -> int:
             raise system(errno.EIO)
 
-        monkeypatch.setattr("exwarp_cli.io.atomic._copied_by_system", refuse)
-        monkeypatch.setattr(reading_retry.os, "open", refuse)
+        monkeypatch.setattr("exwarp_cli.io.files._copy_by_system", refuse)
+        monkeypatch.setattr(files.os, "open", refuse)
         with pytest.raises(UnreadableError, match=r"cannot read .*a\.exr: Input/output error"):
             atomic_copy(frame, tmp_path / "b.exr")
         assert not (tmp_path / "b.exr").exists()
@@ -106,6 +105,6 @@ class TestCopies:
         def refuse(*_: object) -> int:
             raise system(errno.EIO)
 
-        monkeypatch.setattr("exwarp_cli.io.atomic._copied_by_system", refuse)
+        monkeypatch.setattr("exwarp_cli.io.files._copy_by_system", refuse)
         with pytest.raises(OutputError, match=r"cannot write .*b\.exr"):
             atomic_copy(frame, tmp_path / "b.exr")

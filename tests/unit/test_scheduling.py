@@ -11,7 +11,6 @@ import numba
 import numpy as np
 import pytest
 
-from exwarp_cli.domain import cores
 from exwarp_cli.domain.decision import Plan
 from exwarp_cli.errors import InputError
 from exwarp_cli.kernels import _row_bands
@@ -26,6 +25,7 @@ from exwarp_cli.pipeline.scheduling import (
     prefetch,
     read_depth,
 )
+from exwarp_cli.runtime import cores
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.motion_fields import reproject
@@ -255,8 +255,8 @@ class TestParallelSlots:
 
     def test_what_goes_on_meanwhile_has_the_cores_that_are_left(self):
         arrived, gate, order = threading.Semaphore(0), threading.Semaphore(0), []
-        cores.share(3, 3)
-        _row_bands.set_threads(cores.left)
+        cores.set_count(3, 3)
+        _row_bands.set_threads(cores.spare_count)
 
         def render(slot: int) -> int:
             arrived.release()
@@ -268,10 +268,10 @@ class TestParallelSlots:
             taking = threading.Thread(target=lambda: order.extend(stream))
             taking.start()
             assert arrived.acquire(timeout=SOON) and arrived.acquire(timeout=SOON)
-            assert cores.left() == 1 and _row_bands.threads() == 1
+            assert cores.spare_count() == 1 and _row_bands.threads() == 1
             gate.release(2)
             taking.join(SOON)
-        assert order == [1, 2] and cores.left() == 3
+        assert order == [1, 2] and cores.spare_count() == 3
         assert _row_bands.threads() == min(3, numba.config.NUMBA_NUM_THREADS)
 
     @pytest.mark.parametrize("how", Mode)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import Window
-from exwarp_cli.io.video import to_display
-from exwarp_cli.io.vmaf import vmaf
+from exwarp_cli.io.display_colour import to_display
+from exwarp_cli.io.ffmpeg_filters import compute_vmaf
 from exwarp_cli.metrics.flicker import error
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.scoring import IntervalScores, flicker_of, steps_of, vmaf_of
@@ -101,13 +101,13 @@ def test_slots_without_truth_are_left_out() -> None:
     assert found[2][0].flicker != whole[2][0].flicker, "nothing comes after it"
     reference = [to_display(TRUTH[i]) for i in range(3)]
     test = [reference[0], to_display(TEST[1]), to_display(TEST[2])]
-    assert [found[i][0].vmaf for i in (1, 2)] == vmaf(reference, test)[1:]
+    assert [found[i][0].vmaf for i in (1, 2)] == compute_vmaf(reference, test)[1:]
 
 
 def test_vmaf_is_of_the_interval_as_a_video() -> None:
     reference = [to_display(TRUTH[i]) for i in range(5)]
     test = [reference[0], *(to_display(TEST[i]) for i in (1, 2, 3)), reference[4]]
-    values = vmaf(reference, test)[1:4]
+    values = compute_vmaf(reference, test)[1:4]
     assert [scored()[i][0].vmaf for i in (1, 2, 3)] == values
     rows = [[TEST[1], TEST[2], TEST[3]], [TEST[3], TEST[1], TRUTH[3]]]
     assert vmaf_of(TRUTH, rows)[0] == values

@@ -11,7 +11,7 @@ from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.farm.dask_client import threads_per_worker
 from exwarp_cli.farm.dask_cluster import chunks_of
 from exwarp_cli.farm.path_options import absolute
-from exwarp_cli.io.atomic import MARK, marked
+from exwarp_cli.io.files import TEMPORARY_SUFFIX, marker_file
 from exwarp_cli.pipeline.dry_run import require_writable
 
 
@@ -54,10 +54,10 @@ def test_paths_do_not_depend_on_the_folder(tmp_path, monkeypatch):
 
 
 def test_a_mark_is_there_as_long_as_the_block(tmp_path):
-    with marked(tmp_path) as mark:
-        assert list(tmp_path.iterdir()) == [mark] and mark.name.endswith(MARK)
+    with marker_file(tmp_path) as mark:
+        assert list(tmp_path.iterdir()) == [mark] and mark.name.endswith(TEMPORARY_SUFFIX)
     assert list(tmp_path.iterdir()) == []
-    with pytest.raises(OutputError, match="does not exist"), marked(tmp_path / "none"):
+    with pytest.raises(OutputError, match="does not exist"), marker_file(tmp_path / "none"):
         pass
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.runtime.stop import StopRequested, check_stop, cleaned_up, graceful_stop
+from exwarp_cli.runtime.stop import StopRequested, check_stop, clean_up_after, graceful_stop
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
@@ -28,7 +28,7 @@ stop.STALLED_S = float(sys.argv[2])
 words = "exwarp: error: {}".format
 with stop.graceful_stop(words):
     file = Path(sys.argv[1])
-    with stop.cleaned_up(file.unlink), stop.scratch_folder() as folder:
+    with stop.clean_up_after(file.unlink), stop.scratch_folder() as folder:
         file.touch()
         (folder / "part").touch()
         print(folder, flush=True)
@@ -139,7 +139,7 @@ class TestFlag:
 
 def test_a_block_is_cleaned_up(tmp_path):
     path = tmp_path / "part"
-    with pytest.raises(KeyError), cleaned_up(path.unlink):
+    with pytest.raises(KeyError), clean_up_after(path.unlink):
         path.touch()
         raise KeyError
     assert not path.exists()

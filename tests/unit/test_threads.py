@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import OpenImageIO as oiio
 import pytest
 
-from exwarp_cli.domain import cores
 from exwarp_cli.io import ffmpeg, threads
-from exwarp_cli.io.machine import Processors
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.models import picture_network
 from exwarp_cli.pipeline.scheduling import AsyncWriter, prefetch
+from exwarp_cli.runtime import cores
+from exwarp_cli.runtime.machine import Processors
 
 
 @pytest.fixture(autouse=True)

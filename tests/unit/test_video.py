@@ -12,16 +12,8 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import OutputError, UsageError
-from exwarp_cli.io.video import (
-    Soundtrack,
-    Timecode,
-    VideoColour,
-    VideoLook,
-    VideoWriter,
-    from_display,
-    to_display,
-    video_note,
-)
+from exwarp_cli.io.display_colour import VideoColour, from_display, to_display
+from exwarp_cli.io.video_writer import Soundtrack, Timecode, VideoLook, VideoWriter, read_video_note
 
 
 def ffmpeg(*arguments: str) -> subprocess.CompletedProcess[bytes]:
@@ -232,14 +224,14 @@ class TestLook:
         path, source = tmp_path / f"a.{suffix}", self.sound(tmp_path / "s.mkv", "aac")
         note = 'exwarp {"recipe": "ab=c;d#e\\f", "method": "softsplat"}'
         self.written(path, VideoLook(sound=Soundtrack(source, ("aac",)), note=note))
-        assert video_note(path) == note
+        assert read_video_note(path) == note
         self.written(path, VideoLook())
-        assert video_note(path) is None
+        assert read_video_note(path) is None
 
     def test_there_is_no_note_where_there_is_no_video(self, tmp_path):
-        assert video_note(tmp_path / "none.mp4") is None
+        assert read_video_note(tmp_path / "none.mp4") is None
         (tmp_path / "a.mp4").write_bytes(b"no video")
-        assert video_note(tmp_path / "a.mp4") is None
+        assert read_video_note(tmp_path / "a.mp4") is None
 
     def test_silence(self, tmp_path):
         source = self.sound(tmp_path / "s.mkv", "aac")

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import InputError, LayoutError
-from exwarp_cli.io.exr.parts import Channel, Part
+from exwarp_cli.io.exr.header import Channel, Part
 from exwarp_cli.io.views import choose_view, expand_view, list_views, view_channels
 
 WINDOW = Window(0, 0, 4, 3)

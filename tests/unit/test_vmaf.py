@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import InputError, LayoutError
-from exwarp_cli.io.vmaf import LEAST, EncodedVmaf, Vmaf, vmaf
+from exwarp_cli.io.ffmpeg_filters import MIN_VMAF_SIZE, EncodedVmafStream, VmafStream, compute_vmaf
 
 INTERVALS = 3
 
@@ -36,21 +36,21 @@ def noisy(frames: list[np.ndarray], sigma: float = 12, seed: int = 2) -> list[np
 
 def test_worse_frames_score_less() -> None:
     frames = panned(4)
-    same, little, much = (vmaf(frames, noisy(frames, sigma)) for sigma in (0, 6, 40))
+    same, little, much = (compute_vmaf(frames, noisy(frames, sigma)) for sigma in (0, 6, 40))
     assert len(same) == 4
     assert min(same[1:]) > 99
     assert all(0 <= c < b - 5 < a for a, b, c in zip(same[1:], little[1:], much[1:], strict=True))
 
 
-@pytest.mark.parametrize("size", [(LEAST, 40), (35, LEAST), (31, 45)])
+@pytest.mark.parametrize("size", [(MIN_VMAF_SIZE, 40), (35, MIN_VMAF_SIZE), (31, 45)])
 def test_the_two_frames_are_cut_apart_where_they_meet(size: tuple[int, int]) -> None:
     """Equal frames are only equal if neither holds a row of the other; odd sizes too."""
     frames = panned(3, size)
-    same = vmaf(frames, frames)
+    same = compute_vmaf(frames, frames)
     assert same[0] > 97, "as much as equal frames have without motion"
     assert min(same[1:]) > 99
     spoilt = [np.concatenate([f[:-1], 255 - f[-1:]]) for f in frames]
-    assert vmaf(frames, spoilt)[0] < same[0] - 0.01
+    assert compute_vmaf(frames, spoilt)[0] < same[0] - 0.01
 
 
 def test_an_interval_alone_has_the_scores_of_the_whole_sequence() -> None:
@@ -59,53 +59,53 @@ def test_an_interval_alone_has_the_scores_of_the_whole_sequence() -> None:
     test = [
         t if i % 4 == 0 else n for i, (t, n) in enumerate(zip(truth, noisy(truth), strict=True))
     ]
-    whole = vmaf(truth, test)
+    whole = compute_vmaf(truth, test)
     for k in range(INTERVALS):
         part = slice(4 * k, 4 * k + 5)
-        assert vmaf(truth[part], test[part])[1:4] == whole[4 * k + 1 : 4 * k + 4]
+        assert compute_vmaf(truth[part], test[part])[1:4] == whole[4 * k + 1 : 4 * k + 4]
     # At the end there is no next frame, in either.
-    assert vmaf(truth[4:7], test[4:7])[1:] == vmaf(truth[:7], test[:7])[5:]
-    alone = vmaf(truth[5:8], test[5:8])
+    assert compute_vmaf(truth[4:7], test[4:7])[1:] == compute_vmaf(truth[:7], test[:7])[5:]
+    alone = compute_vmaf(truth[5:8], test[5:8])
     assert alone[0] != whole[5], "the frame before matters, so the test can fail"
 
 
 def test_the_published_procedure_is_of_encoded_videos() -> None:
     truth = panned(6, (33, 47))
     test = noisy(truth, 25)
-    with EncodedVmaf() as stream:
+    with EncodedVmafStream() as stream:
         for pair in zip(truth, test, strict=True):
             stream.write(*pair)
         found = stream.close()
     assert len(found) == 6
-    plain = vmaf(truth, test)
+    plain = compute_vmaf(truth, test)
     assert found != plain
     assert np.mean(found) == pytest.approx(np.mean(plain), abs=25)
-    with EncodedVmaf() as stream:
+    with EncodedVmafStream() as stream:
         for frame in truth:
             stream.write(frame, frame)
         assert min(stream.close()[1:]) > 99
 
 
 def test_no_frames_no_scores() -> None:
-    assert vmaf([], []) == []
-    with EncodedVmaf() as stream:
+    assert compute_vmaf([], []) == []
+    with EncodedVmafStream() as stream:
         assert stream.close() == []
 
 
-@pytest.mark.parametrize("size", [(LEAST - 1, 64), (64, LEAST - 1)])
+@pytest.mark.parametrize("size", [(MIN_VMAF_SIZE - 1, 64), (64, MIN_VMAF_SIZE - 1)])
 def test_frames_that_libvmaf_crashes_on_are_refused(size: tuple[int, int]) -> None:
     frames = [np.zeros((*size, 3), np.uint8)]
     with pytest.raises(LayoutError, match="17 pixels each way"):
-        vmaf(frames, frames)
+        compute_vmaf(frames, frames)
 
 
 def test_a_missing_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(tmp_path / "none"))
     with pytest.raises(InputError, match="ffmpeg does not start"):
-        vmaf(panned(1), panned(1))
+        compute_vmaf(panned(1), panned(1))
 
 
-@pytest.mark.parametrize("stream", [Vmaf, EncodedVmaf])
+@pytest.mark.parametrize("stream", [VmafStream, EncodedVmafStream])
 @pytest.mark.parametrize("frames", [1, 60])
 def test_a_failing_ffmpeg_is_quoted(tmp_path: Path, monkeypatch, stream, frames: int) -> None:
     fake = tmp_path / "ffmpeg"

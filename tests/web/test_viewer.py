@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
+from exwarp_cli.io.display_colour import to_display
 from exwarp_cli.io.frames import read_image
-from exwarp_cli.io.video import to_display
 from exwarp_cli.report.gallery import TRUTH
 from tests.web.conftest import NAME, STREET
 

@@ -1,4 +1,4 @@
-"""Headers of OpenEXR files: attributes as bytes, as text, and as OpenEXR's values.
+"""Headers of OpenEXR files: their attributes, parts and channels.
 
 OpenEXR's bindings only take headers whose text is all UTF-8, in and out. Other text goes through
 them as a stand-in of the same length, and its bytes are put back: in Python as lone surrogates, in
@@ -11,26 +11,52 @@ import io
 import re
 import struct
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import OpenEXR
+
+from exwarp_cli.domain.frame import Window
+
+if TYPE_CHECKING:
+    import OpenImageIO as oiio
 
 MAGIC = b"\x76\x2f\x31\x01"
 PNG = b"\x89PNG\r\n\x1a\n"
 
+# Bits of the version: tiles in a single part, long names, deep parts, several headers.
 TILED, LONG_NAMES, DEEP, MULTIPART = 0x0200, 0x0400, 0x0800, 0x1000
-"""Bits of the version: tiles in a single part, long names, deep parts, several headers."""
 
-BODY = 8
-"""Where the first header begins: after the magic number and the version."""
+BODY = 8  # where the first header begins: after the magic number and the version
 
-FIRST, LAST = 1 << 16, 1 << 26
-"""Bytes that are read for headers at first and at last. Cryptomatte's manifests take megabytes."""
+# Bytes that are read for headers at first and at last. Cryptomatte's manifests take megabytes.
+FIRST_READ, LAST_READ = 1 << 16, 1 << 26
 
+# Compressions by their number in a header.
 COMPRESSION_NAMES = ("none", "rle", "zips", "zip", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab")
-"""Names of compressions by their number in a header."""
+
+UINT, HALF, FLOAT = 0, 1, 2
+PIXEL_TYPES = {UINT: "uint", HALF: "half", FLOAT: "float"}
+
+# Bytes of an attribute, by the types that are of one size.
+ATTRIBUTE_SIZES = {
+    **dict.fromkeys((b"envmap", b"compression", b"lineOrder"), 1),
+    **dict.fromkeys((b"int", b"float"), 4),
+    **dict.fromkeys((b"double", b"rational", b"timecode", b"v2i", b"v2f"), 8),
+    **dict.fromkeys((b"v3i", b"v3f"), 12),
+    **dict.fromkeys((b"v2d", b"box2i", b"box2f"), 16),
+    b"v3d": 24,
+    b"keycode": 28,
+    b"chromaticities": 32,
+    b"m33f": 36,
+    b"m33d": 72,
+    b"m44f": 64,
+    b"m44d": 128,
+}
+
+# Type and value of each attribute of a header, by name.
+Values = Mapping[bytes, tuple[bytes, bytes]]
 
 _SIGNATURES = (
     (MAGIC, "openexr"),
@@ -51,65 +77,54 @@ _SIGNATURES = (
 )
 SIGNATURE_BYTES = max(len(signature) for signature, _ in _SIGNATURES)
 
+# Last elements of names that OpenImageIO sorts first: in a usual layer, and in one of a vector.
+_CHANNEL_ORDER = (
+    b"r red g green b blue y real imag a alpha ar ra ag ga ab ba z depth zback".split(),
+    b"r red g green b blue x y z real imag a alpha ar ra ag ga ab ba depth zback".split(),
+)
+
 _LONE_SURROGATE = re.compile("[\udc80-\udcff]")
 _STAND_IN = "\x01"
-_TEXTS = frozenset([b"string", b"stringvector"])
 
 
-def kind_of(data: bytes) -> str:
-    """Return what format a file has by its first bytes, in a few words.
+def file_format(data: bytes) -> str:
+    """Return the format of a file by its first bytes, in a few words.
 
     Checked before decoding, because OpenImageIO prints warnings for foreign data.
     """
     if not data:
         return "nothing"
-    return next((kind for magic, kind in _SIGNATURES if data.startswith(magic)), "something else")
+    return next((name for magic, name in _SIGNATURES if data.startswith(magic)), "something else")
 
 
 @dataclass(frozen=True)
 class Attribute:
-    """One attribute of a header, as it stands in a file.
+    """One attribute of a header, as it stands in a file."""
 
-    Attributes
-    ----------
-    part
-        Index of the header.
-    name, kind
-        Its name and type.
-    at, begin, end
-        Where the name begins, and where the value begins and ends.
-    """
-
-    part: int
+    part: int  # index of the header
+    # Its name and type
     name: bytes
     kind: bytes
+    # Where the name begins, and where the value begins and ends
     at: int
     begin: int
     end: int
 
 
 def attributes_in(data: bytes | memoryview) -> Iterator[Attribute]:
-    """Yield the attributes of every header.
+    """Yield the attributes of every header in a file, or in as much of it as holds all headers.
 
-    Parameters
-    ----------
-    data
-        A file, or as much of it as holds all headers.
-
-    Raises
-    ------
-    ValueError
-        When it is no OpenEXR file, or a header has no end.
+    Raises ValueError when it is no OpenEXR file, or a header has no end.
     """
     data = bytes(data)
     if data[:4] != MAGIC or len(data) < BODY:
         raise ValueError("no OpenEXR file")
-    several = bool(int.from_bytes(data[4:BODY], "little") & MULTIPART)
+    is_multipart = bool(int.from_bytes(data[4:BODY], "little") & MULTIPART)
     at, part = BODY, 0
     while True:
         if data[at : at + 1] == b"\0":
             at, part = at + 1, part + 1
-            if not several or data[at : at + 1] == b"\0":
+            if not is_multipart or data[at : at + 1] == b"\0":
                 return
         kind_at = data.index(b"\0", at) + 1
         size_at = data.index(b"\0", kind_at) + 1
@@ -124,45 +139,35 @@ def attributes_in(data: bytes | memoryview) -> Iterator[Attribute]:
 
 @dataclass(frozen=True)
 class RawHeader:
-    """The headers of a file, one for each part.
+    """The headers of a file, one for each part."""
 
-    Attributes
-    ----------
-    data
-        The file's bytes up to the chunk offset tables.
-    attributes
-        Of all parts, in the order of the file; at least one.
-    """
-
-    data: bytes
-    attributes: tuple[Attribute, ...]
+    data: bytes  # the file's bytes up to the chunk offset tables
+    attributes: tuple[Attribute, ...]  # of all parts, in the order of the file; at least one
 
     @classmethod
     def read(cls, file: BinaryIO, size: int) -> RawHeader:
-        """Read the headers of a file of `size` bytes, whatever the file's position.
+        """Read the headers of an unbuffered file of `size` bytes, from its beginning.
 
-        Raises
-        ------
-        ValueError
-            When it is no OpenEXR file, or a header has no end.
-        OSError
-            When the system does not let the file through.
+        Raises ValueError when it is no OpenEXR file, or a header has no end. Raises OSError when
+        the system does not let the file through.
         """
-        length = FIRST
+        length = FIRST_READ
         while True:
             file.seek(0)
-            data = _read_fully(file, min(length, size))
+            data = b""
+            while len(data) < min(length, size) and (piece := file.read(min(length, size))):
+                data += piece
             try:
                 attributes = tuple(attributes_in(data))
                 break
             except ValueError:
-                if length >= min(size, LAST):
+                if length >= min(size, LAST_READ):
                     raise
                 length *= 8
         if not attributes:
             raise ValueError("a header is empty")
-        several = bool(int.from_bytes(data[4:BODY], "little") & MULTIPART)
-        return cls(data[: attributes[-1].end + 1 + several], attributes)
+        is_multipart = bool(int.from_bytes(data[4:BODY], "little") & MULTIPART)
+        return cls(data[: attributes[-1].end + 1 + is_multipart], attributes)
 
     @property
     def flags(self) -> int:
@@ -176,7 +181,7 @@ class RawHeader:
 
     @property
     def part_count(self) -> int:
-        """How many parts there are."""
+        """Number of parts."""
         return self.attributes[-1].part + 1
 
     def value(self, attribute: Attribute) -> bytes:
@@ -186,10 +191,7 @@ class RawHeader:
     def by_part(self) -> list[dict[bytes, tuple[bytes, bytes]]]:
         """Return type and value of each part's attributes by name.
 
-        Raises
-        ------
-        ValueError
-            When a part has two attributes of a name.
+        Raises ValueError when a part has two attributes of a name.
         """
         headers: list[dict[bytes, tuple[bytes, bytes]]] = [{} for _ in range(self.part_count)]
         for attribute in self.attributes:
@@ -206,11 +208,11 @@ class RawHeader:
         """
         headers: tuple[dict[str, str], ...] = tuple({} for _ in range(self.part_count))
         for attribute in self.attributes:
-            text, value = headers[attribute.part], self.value(attribute)
+            texts, value = headers[attribute.part], self.value(attribute)
             if attribute.kind == b"string" and (value := value.partition(b"\0")[0]):
-                text[decode(attribute.name)] = decode(value)
+                texts[decode(attribute.name)] = decode(value)
             elif attribute.kind == b"compression" and value and value[0] < len(COMPRESSION_NAMES):
-                text[decode(attribute.name)] = COMPRESSION_NAMES[value[0]]
+                texts[decode(attribute.name)] = COMPRESSION_NAMES[value[0]]
         return headers
 
     @cached_property
@@ -220,16 +222,13 @@ class RawHeader:
         Text that is no UTF-8 keeps its bytes as lone surrogates. Attributes with such names, and
         lists of such texts, are left out.
 
-        Raises
-        ------
-        RuntimeError, ValueError, ArithmeticError
-            When OpenEXR refuses the header.
+        Raises RuntimeError, ValueError or ArithmeticError when OpenEXR refuses the header.
         """
         try:
-            return _typed(self.data)
+            return _parse_by_openexr(self.data)
         except UnicodeDecodeError:
             data, replaced = in_utf8(self.data)
-        headers = _typed(data)
+        headers = _parse_by_openexr(data)
         for (part, name), text in replaced.items():
             if text is not None:
                 headers[part][name] = text
@@ -238,16 +237,7 @@ class RawHeader:
         return headers
 
 
-def _read_fully(file: BinaryIO, size: int) -> bytes:
-    """Read so many bytes from an unbuffered file, fewer only where it ends."""
-    pieces = []
-    while size > 0 and (piece := file.read(size)):
-        pieces.append(piece)
-        size -= len(piece)
-    return b"".join(pieces)
-
-
-def _typed(data: bytes) -> tuple[dict[str, Any], ...]:
+def _parse_by_openexr(data: bytes) -> tuple[dict[str, Any], ...]:
     opaque = OpenEXR.OpaqueAttribute  # which OpenEXR cannot write back
     # From memory, so that the file is not opened once more.
     with OpenEXR.File(io.BytesIO(data), header_only=True) as file:
@@ -258,36 +248,25 @@ def _typed(data: bytes) -> tuple[dict[str, Any], ...]:
 
 
 def in_utf8(data: bytes) -> tuple[bytes, dict[tuple[int, str], str | None]]:
-    """Return a file whose headers are all UTF-8, and what that left out.
+    """Return a file whose headers are all UTF-8, and the attributes that this changed.
 
-    Parameters
-    ----------
-    data
-        The file, or all of its headers.
-
-    Returns
-    -------
-    tuple
-        The same, of the same length; and by part and name, as they are called in there, the
-        attributes that differ: their text with lone surrogates, None where text cannot hold them.
-
-    Raises
-    ------
-    ValueError
-        As :func:`attributes_in`.
+    `data` is the file, or all of its headers; the result has the same length. The changed
+    attributes are listed by part and new name, with their text in lone surrogates, or None where
+    text cannot hold them. Raises ValueError as `attributes_in` does.
     """
     out = bytearray(data)
     changed: dict[tuple[int, str], str | None] = {}
     for attribute in attributes_in(data):
         name, value = decode(attribute.name), decode(data[attribute.begin : attribute.end])
-        lossy = attribute.kind in _TEXTS and replace_non_utf8(value) != value
-        if lossy:
+        is_text = attribute.kind in (b"string", b"stringvector")
+        is_lossy = is_text and replace_non_utf8(value) != value
+        if is_lossy:
             out[attribute.begin : attribute.end] = replace_non_utf8(value).encode()
         if replace_non_utf8(name) != name:
             end = attribute.at + len(attribute.name)
             out[attribute.at : end] = replace_non_utf8(name).encode()
             changed[attribute.part, replace_non_utf8(name)] = None
-        elif lossy:
+        elif is_lossy:
             changed[attribute.part, name] = value if attribute.kind == b"string" else None
     return bytes(out), changed
 
@@ -300,14 +279,9 @@ def replace_non_utf8(text: str) -> str:
 def restore_non_utf8(
     data: bytes | memoryview, headers: Iterable[Mapping[str, object]]
 ) -> bytes | memoryview:
-    """Put back the text that a file was written without.
+    """Put the bytes back that `replace_non_utf8` replaced in a file.
 
-    Parameters
-    ----------
-    data
-        The file, written with text of :func:`replace_non_utf8`.
-    headers
-        Of each part, with text that may hold lone surrogates.
+    `headers` are those of each part, with text that may hold lone surrogates.
     """
     lost = {
         (part, name.encode()): value.encode("utf-8", "surrogateescape")
@@ -328,10 +302,7 @@ def restore_non_utf8(
 def channels_in(value: bytes) -> Iterator[tuple[bytes, int, tuple[int, int]]]:
     """Yield name, pixel type, and steps across and down of each channel of a list.
 
-    Raises
-    ------
-    ValueError
-        When the list is cut off, or bytes follow it.
+    Raises ValueError when the list is cut off, or bytes follow it.
     """
     at = 0
     while value[at : at + 1] not in (b"", b"\0"):
@@ -348,3 +319,171 @@ def channels_in(value: bytes) -> Iterator[tuple[bytes, int, tuple[int, int]]]:
 def decode(raw: bytes) -> str:
     """Return text, in which bytes that are no UTF-8 are lone surrogates."""
     return raw.decode("utf-8", "surrogateescape")
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One channel of one part."""
+
+    part: int  # index of the part in the file
+    index: int  # index of the channel in the part, in OpenImageIO's order
+    # Name with the part's name in front where the channel does not carry its layer itself, or an
+    # earlier part has a channel of that name; the part's view is not repeated in it
+    name: str
+    raw_name: str  # name as it stands in the file
+    pixel_type: str  # "half", "float" or "uint"
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of a file."""
+
+    # Position in the file, and the part's name ("" in single-part files)
+    index: int
+    name: str
+    # In OpenEXR's coordinates
+    data_window: Window
+    display_window: Window
+    channels: tuple[Channel, ...]  # in OpenImageIO's order
+    view: str  # name of the stereo view, "" where there is none
+    deep: bool  # whether the part holds deep samples
+    tiled: bool = False  # whether it is stored in tiles; of several levels the full one is read
+    # Views whose channels lie in this one part, the hero first: the attribute ``multiView``
+    views: tuple[str, ...] = ()
+
+
+def part_from_spec(index: int, spec: oiio.ImageSpec, is_multipart: bool) -> Part:
+    """Describe a part by OpenImageIO's specification."""
+
+    def text(name: str) -> str:
+        value = spec.getattribute(name)
+        return value if isinstance(value, str) else ""
+
+    name, view = text("oiio:subimagename") if is_multipart else "", text("view")
+    formats = [str(f) for f in spec.channelformats] or [str(spec.format)] * spec.nchannels
+    views = spec.getattribute("multiView")
+    if isinstance(views, str):  # a list of one string
+        views = (views,) if views else ()
+    return Part(
+        index,
+        name,
+        Window(spec.x, spec.y, spec.width, spec.height),
+        Window(spec.full_x, spec.full_y, spec.full_width, spec.full_height),
+        _make_channels(index, name, view, zip(spec.channelnames, formats, strict=True)),
+        view,
+        bool(spec.deep),
+        spec.tile_width > 0,
+        tuple(str(v) for v in views) if isinstance(views, (tuple, list)) else (),
+    )
+
+
+def part_from_header(
+    index: int, values: Values, channels: Iterable[tuple[bytes, int]], is_multipart: bool
+) -> Part:
+    """Describe a part of flat pixels by its header, as `part_from_spec` does.
+
+    Its windows are complete and valid; `channels` are name and pixel type of each. Raises
+    ValueError when texts are stored in an unusual way.
+    """
+    texts = {}
+    for name in (b"name", b"view"):
+        kind, value = values.get(name, (b"string", b""))
+        if kind != b"string" or b"\0" in value:
+            raise ValueError(f"{decode(name)} is no plain text")
+        texts[name] = decode(value)
+    if values.get(b"multiView", (b"stringvector", b""))[0] != b"stringvector":
+        raise ValueError("multiView is no list")
+    # OpenImageIO drops the attributes after a broken one.
+    if any(len(v) != ATTRIBUTE_SIZES.get(kind, len(v)) for kind, v in values.values()):
+        raise ValueError("an attribute has a wrong size")
+    lists = {n: _parse_texts(n, v) for n, (kind, v) in values.items() if kind == b"stringvector"}
+    part_name, view = texts[b"name"] if is_multipart else "", texts[b"view"]
+    ordered = ((decode(raw), PIXEL_TYPES[kind]) for raw, kind in in_openimageio_order(channels))
+    return Part(
+        index,
+        part_name,
+        window_of(values, b"dataWindow"),
+        window_of(values, b"displayWindow"),
+        _make_channels(index, part_name, view, ordered),
+        view,
+        False,
+        b"tiles" in values,
+        lists.get(b"multiView", ()),
+    )
+
+
+def _parse_texts(name: bytes, value: bytes) -> tuple[str, ...]:
+    texts, at = [], 0
+    while at + 4 <= len(value):
+        (size,) = struct.unpack_from("<I", value, at)
+        texts.append(value[at + 4 : at + 4 + size])
+        at += 4 + size
+    if at != len(value) or b"" in texts or any(b"\0" in text for text in texts):
+        raise ValueError(f"{decode(name)} is no plain list")
+    return tuple(decode(text) for text in texts)
+
+
+def window_of(values: Values, name: bytes) -> Window:
+    """Return a window of a header."""
+    left, top, right, bottom = struct.unpack("<4i", values[name][1])
+    return Window(left, top, right - left + 1, bottom - top + 1)
+
+
+def in_openimageio_order(channels: Iterable[tuple[bytes, int]]) -> list[tuple[bytes, int]]:
+    """Sort names and types of channels as OpenImageIO does: layer by layer, RGBA first.
+
+    Raises ValueError when OpenImageIO takes them for luminance and chroma, and gives them other
+    names.
+    """
+    layers: dict[bytes, dict[bytes, tuple[bytes, int]]] = {}
+    for name, kind in channels:
+        dot = name.rfind(b".") + 1
+        layers.setdefault(name[:dot], {})[name[dot:]] = name, kind
+    if {b"y", b"ry", b"by"} <= {last.lower() for layer in layers.values() for last in layer}:
+        raise ValueError("luminance and chroma")
+    ordered = []
+    for _, layer in sorted(layers.items()):
+        letters = {last.lower() for last in layer}
+        is_vector = b"x" in letters and bool(letters & {b"y", b"z"})
+        rank = {last: i for i, last in enumerate(_CHANNEL_ORDER[is_vector])}
+        names = sorted(layer, key=lambda last: (rank.get(last.lower(), len(rank)), last))
+        ordered += [layer[last] for last in names]
+    return ordered
+
+
+def with_distinct_names(parts: Iterable[Part]) -> tuple[Part, ...]:
+    """Return parts whose channels have distinct names, among those of one view."""
+    used: set[tuple[str, str]] = set()
+    distinct = []
+    for part in parts:
+        layer = _without_view(part.view, part.name)
+        clashing = {channel.name for channel in part.channels if (part.view, channel.name) in used}
+        channels = tuple(
+            replace(channel, name=f"{layer}.{channel.name}")
+            if channel.name in clashing
+            else channel
+            for channel in part.channels
+        )
+        distinct.append(replace(part, channels=channels))
+        if not part.deep:
+            used |= {(part.view, channel.name) for channel in channels}
+    return tuple(distinct)
+
+
+def _make_channels(
+    part: int, part_name: str, view: str, channels: Iterable[tuple[str, str]]
+) -> tuple[Channel, ...]:
+    """Make channels of raw names and pixel types, with the part's layer in their names."""
+    layer = _without_view(view, part_name)
+    return tuple(
+        Channel(part, i, raw if not layer or "." in raw else f"{layer}.{raw}", raw, pixel_type)
+        for i, (raw, pixel_type) in enumerate(channels)
+    )
+
+
+def _without_view(view: str, name: str) -> str:
+    """Remove a view from a part's name, where it is an element: "depth_left", "left.depth"."""
+    if not view:
+        return name
+    element = re.compile(rf"(^|[._ -]){re.escape(view)}($|[._ -])")
+    return element.sub(lambda m: m[1] if m[1] and m[2] else "", name, count=1)

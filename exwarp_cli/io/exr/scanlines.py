@@ -1,7 +1,7 @@
 """Decoding of ZIP and ZIPS: where a file's chunks lie, and the pixels of their scan-line blocks.
 
-Blocks are read, inflated and put into place side by side, of the wanted parts alone. Whatever is
-unusual or broken is left to OpenImageIO, which decides whether it can be read, and says why not.
+Blocks of the wanted parts alone are read, inflated and put into place, on several threads. Whatever
+is unusual or broken is left to OpenImageIO, which decides whether it can be read, and says why not.
 Pixels are the same, bit for bit.
 """
 
@@ -21,40 +21,47 @@ import deflate
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Window
-from exwarp_cli.io.exr.header import DEEP, LONG_NAMES, MULTIPART, TILED, RawHeader, channels_in
-from exwarp_cli.io.exr.parts import FLOAT, HALF, UINT, Values, window_of
+from exwarp_cli.io.exr.header import (
+    DEEP,
+    FLOAT,
+    HALF,
+    LONG_NAMES,
+    MULTIPART,
+    TILED,
+    UINT,
+    RawHeader,
+    Values,
+    channels_in,
+    window_of,
+)
+from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.frame_pool import pool
 
 U8 = npt.NDArray[np.uint8]
 I64 = npt.NDArray[np.int64]
+# Returns the bytes of a file from a position on, so many; fewer where it ends.
 ReadAt = Callable[[int, int], U8]
-"""Returns the bytes of a file from a position on, so many; fewer where it ends."""
 
 ZIPS, ZIP = 2, 3
+# Scan lines of a chunk by the number of its compression, as in `header.COMPRESSION_NAMES`.
 LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256)
-"""Scan lines of a chunk by the number of its compression, as in `header.COMPRESSION_NAMES`."""
 
 BYTES = {UINT: 4, HALF: 2, FLOAT: 4}
 
-MAX_RATIO = 1032
-"""Most bytes that DEFLATE makes of one. A small file gets no memory for a large image."""
+MAX_RATIO = 1032  # bytes that DEFLATE makes of one: a small file gets no memory for a large image
+MAX_CHUNK = 2**31 - 1  # bytes of a chunk's pixels, as in OpenEXR
+MAX_TILE = 1 << 16  # pixels across or down of a tile; OpenImageIO has a limit, too
 
-MAX_CHUNK = 2**31 - 1
-"""Most bytes of a chunk's pixels, as in OpenEXR."""
+RUN_BYTES = 1 << 21  # of pixels that a thread decodes at a time, or one block
 
-MAX_TILE = 1 << 16
-"""Pixels across or down of a tile, at most; OpenImageIO has a limit, too."""
-
-RUN_BYTES = 1 << 21
-"""Bytes of pixels that a thread decodes at a time, or one block."""
-
+# Bytes of any value that follow a block in memory. Near the end of its input libdeflate goes bit by
+# bit and copies byte by byte. Of ids or a constant channel so few bytes are left of a block that
+# this was all of it: it took six times as long.
 INPUT_PADDING = 64
-"""Bytes of any value that follow a block in memory."""
-# Near the end of its input libdeflate goes bit by bit and copies byte by byte. Of ids or a constant
-# channel so few bytes are left of a block that this was all of it: it took six times as long.
 
+# Type and bytes of what every header has beside channels. Without one of them OpenEXR reads no
+# pixels, or none of their compression.
 REQUIRED = {
     b"compression": (b"compression", 1),
     b"dataWindow": (b"box2i", 16),
@@ -64,37 +71,23 @@ REQUIRED = {
     b"screenWindowCenter": (b"v2f", 8),
     b"screenWindowWidth": (b"float", 4),
 }
-"""Type and bytes of what every header has beside channels. Without one of them OpenEXR reads no
-pixels, or none of their compression."""
 
-_NOTHING, _NOWHERE = np.empty(0, np.uint8), np.empty(0, np.int64)
+_NO_BYTES, _NO_OFFSETS = np.empty(0, np.uint8), np.empty(0, np.int64)
 
 
 @dataclass(frozen=True)
 class ChunkLayout:
-    """How a part of flat pixels is stored, by its header and its chunk offset table.
+    """How a part of flat pixels is stored, by its header and its chunk offset table."""
 
-    Attributes
-    ----------
-    number
-        By which its chunks name it; None in files of one part, whose chunks name none.
-    compression
-        Its number in the header.
-    window
-        The data window.
-    channels
-        Name and type of each, in the order in which they follow each other in a line.
-    tile
-        Width and height of its tiles; None where its chunks are scan lines.
-    starts, ends
-        int64 [N] of each chunk in the table's order: its beginning, and that of what follows.
-    """
-
+    # Part number in its chunks; None in files of one part, whose chunks have none
     number: int | None
-    compression: int
-    window: Window
+    compression: int  # its number in the header
+    window: Window  # the data window
+    # Name and type of each, in the order in which they follow each other in a line
     channels: Sequence[tuple[bytes, int]]
+    # Width and height of its tiles; None where its chunks are scan lines
     tile: tuple[int, int] | None
+    # int64 [N] of each chunk in the table's order: its beginning, and that of what follows
     starts: I64
     ends: I64
 
@@ -105,7 +98,7 @@ class ChunkLayout:
 
     @property
     def count(self) -> int:
-        """How many chunks there should be."""
+        """Number of chunks by the header."""
         width, height = self.tile or (self.window.width, self.lines)
         return -(-self.window.width // width) * -(-self.window.height // height)
 
@@ -126,59 +119,58 @@ def parse_layouts(header: RawHeader, read: ReadAt, size: int) -> list[ChunkLayou
     None stands for a part of deep, subsampled or mipmapped pixels, and for one with anything that
     is unusual or broken.
 
-    Raises
-    ------
-    ValueError
-        When headers or tables of chunks are broken.
+    Raises ValueError when headers or chunk offset tables are broken.
     """
-    several = header.is_multipart
-    known = MULTIPART | LONG_NAMES | (DEEP if several else TILED)
-    if header.flags & ~known != 2:
+    is_multipart = header.is_multipart
+    supported = MULTIPART | LONG_NAMES | (DEEP if is_multipart else TILED)
+    if header.flags & ~supported != 2:
         raise ValueError("the version is unknown")
     values = header.by_part()
-    flat = [_flat(part, size, header.flags) for part in values]
+    flat = [_parse_flat(part, size, header.flags) for part in values]
     counts = [0 if flat[0] is None else flat[0].count]
-    if several:
+    if is_multipart:
         counts = [_chunk_count(part) for part in values]
-    at = len(header.data)
-    begin = at + 8 * sum(counts)
-    table = read(at, begin - at).view("<u8") if begin <= size else np.empty(0, "<u8")
+    table_start = len(header.data)
+    begin = table_start + 8 * sum(counts)
+    table = np.empty(0, "<u8")
+    if begin <= size:
+        table = read(table_start, begin - table_start).view("<u8")
     if len(table) != sum(counts):
         raise ValueError("the tables of chunks are cut off")
     stops = np.append(np.sort(np.minimum(table, np.uint64(size))), np.uint64(size))
-    ends = stops[np.searchsorted(stops, table, "right").clip(max=len(table))]
+    ends = stops[np.searchsorted(stops, table, "right").clip(max=len(table))].astype(np.int64)
     layouts: list[ChunkLayout | None] = []
     for number, (layout, last) in enumerate(zip(flat, accumulate(counts), strict=True)):
         own = slice(last - counts[number], last)
-        valid = ((begin <= table[own]) & (table[own] < size)).all()
-        if layout is None or layout.count != counts[number] or not valid:
+        is_valid = ((begin <= table[own]) & (table[own] < size)).all()
+        if layout is not None and layout.count == counts[number] and is_valid:
+            part = number if is_multipart else None
+            starts = table[own].astype(np.int64)
+            layouts.append(replace(layout, number=part, starts=starts, ends=ends[own]))
+        else:
             layouts.append(None)
-            continue
-        starts, own_ends = table[own].astype(np.int64), ends[own].astype(np.int64)
-        number_in_chunks = number if several else None
-        layouts.append(replace(layout, number=number_in_chunks, starts=starts, ends=own_ends))
     return layouts
 
 
-def _flat(values: Values, size: int, flags: int) -> ChunkLayout | None:
+def _parse_flat(values: Values, size: int, flags: int) -> ChunkLayout | None:
     """Read a part's header in a file of `size` bytes; None where it is not flat or not usual.
 
-    Where the chunks lie is left empty.
+    The chunk offsets are left empty.
     """
     kind, tiles = values.get(b"type"), values.get(b"tiles")
-    names = {b"string": b"tiledimage" if tiles else b"scanlineimage"}
-    typed = kind is not None and names.get(kind[0]) == kind[1]
-    if not typed and (kind is not None or flags & MULTIPART):
-        return None
+    is_flat = kind == (b"string", b"tiledimage" if tiles else b"scanlineimage")
+    if kind is None:
+        is_flat = not flags & MULTIPART
+    channels = _parse_channels(values)
     required = {name: values.get(name, (b"", b"")) for name in REQUIRED}
-    channels = _channels(values)
-    if {n: (of, len(v)) for n, (of, v) in required.items()} != REQUIRED or channels is None:
+    has_required = {n: (k, len(v)) for n, (k, v) in required.items()} == REQUIRED
+    if not is_flat or channels is None or not has_required:
         return None
     compression, order = required[b"compression"][1][0], required[b"lineOrder"][1][0]
     window, display = window_of(values, b"dataWindow"), window_of(values, b"displayWindow")
     if compression >= len(LINES) or order > 1 or min(window.shape + display.shape) < 1:
         return None
-    line = window.width * sum(BYTES[of] for _, of in channels)
+    line = window.width * sum(BYTES[kind] for _, kind in channels)
     if line * LINES[compression] > MAX_CHUNK or line * window.height > MAX_RATIO * size:
         return None
     tile = None
@@ -190,10 +182,10 @@ def _flat(values: Values, size: int, flags: int) -> ChunkLayout | None:
             return None
     if not flags & MULTIPART and bool(flags & TILED) != (tile is not None):
         return None
-    return ChunkLayout(None, compression, window, channels, tile, _NOWHERE, _NOWHERE)
+    return ChunkLayout(None, compression, window, channels, tile, _NO_OFFSETS, _NO_OFFSETS)
 
 
-def _channels(values: Values) -> tuple[tuple[bytes, int], ...] | None:
+def _parse_channels(values: Values) -> tuple[tuple[bytes, int], ...] | None:
     """Return name and type of each channel; None where one is subsampled, or they lie unsorted."""
     kind, value = values.get(b"channels", (b"", b""))
     try:
@@ -201,14 +193,13 @@ def _channels(values: Values) -> tuple[tuple[bytes, int], ...] | None:
     except ValueError:
         return None
     names = [name for name, _, _ in channels]
-    flat = all(of in BYTES and steps == (1, 1) for _, of, steps in channels)
-    if kind != b"chlist" or not channels or not flat or names != sorted(set(names)):
+    is_flat = all(kind in BYTES and steps == (1, 1) for _, kind, steps in channels)
+    if kind != b"chlist" or not channels or not is_flat or names != sorted(set(names)):
         return None
-    return tuple((name, of) for name, of, _ in channels)
+    return tuple((name, kind) for name, kind, _ in channels)
 
 
 def _chunk_count(values: Values) -> int:
-    """Return how many chunks a header of a multi-part file says that there are."""
     kind, value = values.get(b"chunkCount", (b"", b""))
     if kind != b"int" or len(value) != 4:
         raise ValueError("no chunkCount")
@@ -219,17 +210,11 @@ def _chunk_count(values: Values) -> int:
 
 
 class FileBytes:
-    """Reads pieces of an open file at any position, from any thread.
-
-    Parameters
-    ----------
-    file
-        Unbuffered.
-    """
+    """Reads pieces of an open, unbuffered file at any position, from any thread."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
-        self._lock, self._own = Lock(), local()
+        self._lock, self._thread = Lock(), local()
 
     def read(self, start: int, size: int) -> U8:
         """Read bytes; they stay until this thread reads the next ones."""
@@ -238,69 +223,49 @@ class FileBytes:
     def read_padded(self, start: int, size: int) -> U8:
         """Read bytes likewise, and append `INPUT_PADDING` bytes of any value."""
         # Fresh memory for each run of blocks took as long as half of the reading.
-        out: U8 = getattr(self._own, "buffer", _NOTHING)
+        out: U8 = getattr(self._thread, "buffer", _NO_BYTES)
         if len(out) < size + INPUT_PADDING:
-            out = self._own.buffer = np.zeros(size + INPUT_PADDING, np.uint8)
-        got = 0
-        while got < size:
+            out = self._thread.buffer = np.zeros(size + INPUT_PADDING, np.uint8)
+        filled = 0
+        while filled < size:
             if hasattr(os, "preadv"):
-                more = os.preadv(self._file.fileno(), [out[got:size].data], start + got)
+                more = os.preadv(self._file.fileno(), [out[filled:size].data], start + filled)
             else:  # Windows
                 with self._lock:
-                    self._file.seek(start + got)
-                    piece = self._file.read(size - got)
-                out[got : got + len(piece)] = np.frombuffer(piece, np.uint8)
+                    self._file.seek(start + filled)
+                    piece = self._file.read(size - filled)
+                out[filled : filled + len(piece)] = np.frombuffer(piece, np.uint8)
                 more = len(piece)
             if not more:
                 break
-            got += more
-        return out[: got + INPUT_PADDING]
+            filled += more
+        return out[: filled + INPUT_PADDING]
 
 
 @dataclass(frozen=True)
 class ChannelRequest:
-    """Channels of one part that are decoded into one array.
+    """Channels of one part that are decoded into one array."""
 
-    Attributes
-    ----------
-    layout
-        Of the part.
-    names
-        Of channels that are all integers, or none.
-    integer
-        Whether they are integers.
-    """
-
-    layout: ChunkLayout
-    names: tuple[str, ...]
-    integer: bool
+    layout: ChunkLayout  # of the part
+    names: tuple[str, ...]  # of channels that are all integers, or none
+    integer: bool  # whether they are integers
 
 
 @dataclass(frozen=True)
 class _Destination:
-    """Where the channels of a `ChannelRequest` go.
+    """Where the channels of a `ChannelRequest` go."""
 
-    Attributes
-    ----------
-    columns
-        int64 [K, 2] as kernels want it.
-    out
-        Bits, uint32 [H, W, C].
-    """
-
+    # int64 [K, 2] as kernels want it: bytes of each channel, and its place in `out` or -1
     columns: I64
-    out: np.ndarray
+    out: np.ndarray  # Bits, uint32 [H, W, C]
 
 
 def read_blocks(file: FileBytes, requests: Sequence[ChannelRequest]) -> list[np.ndarray | None]:
     """Decode channels of parts whose layout `is_decoded_here`.
 
-    Returns
-    -------
-    list
-        Of each: float32 or uint32 [H, W, C]; None where OpenImageIO is to decide.
+    Returns float32 or uint32 [H, W, C] for each request; None where OpenImageIO is to decide.
     """
-    destinations = [_destination(request) for request in requests]
+    destinations = [_make_destination(request) for request in requests]
     by_part: dict[int | None, tuple[ChunkLayout, list[_Destination]]] = {}
     for request, destination in zip(requests, destinations, strict=True):
         if destination is not None:
@@ -315,8 +280,8 @@ def read_blocks(file: FileBytes, requests: Sequence[ChannelRequest]) -> list[np.
     ]
 
 
-def _destination(request: ChannelRequest) -> _Destination | None:
-    """Make room for channels; None where they are not as expected, or too many."""
+def _make_destination(request: ChannelRequest) -> _Destination | None:
+    """Allocate an array for channels; None where they are not as expected, or too many."""
     layout = request.layout
     kinds = dict(layout.channels)
     names = [name.encode("utf-8", "surrogateescape") for name in request.names]
@@ -334,43 +299,36 @@ def _decode(
     file: FileBytes, parts: Sequence[tuple[ChunkLayout, list[_Destination]]]
 ) -> set[int | None]:
     """Fill destinations by part; return the numbers of parts that could not be decoded."""
-    runs = [
-        _BlockRun(file, layout, destinations, chunks)
-        for layout, destinations in parts
-        for chunks in _in_runs(layout)
-    ]
+    runs: list[_BlockRun] = []
+    for layout, destinations in parts:
+        order = np.argsort(layout.starts, kind="stable")  # as they follow each other on disk
+        step = max(1, RUN_BYTES // (layout.lines * layout.window.width * sum(layout.sizes)))
+        for first in range(0, len(order), step):
+            runs.append(_BlockRun(file, layout, destinations, order[first : first + step]))
     broken: set[int | None] = set()
 
     def decode(run: _BlockRun) -> None:
-        with cores.working():
+        with cores.hold_cores():
             if run.layout.number not in broken and not run.decode():
                 broken.add(run.layout.number)
 
-    threads = min(cores.left(), len(runs))
+    threads = min(cores.spare_count(), len(runs))
     if threads > 1:
         # No thread can be started when the interpreter ends, or the system has no more.
-        with suppress(RuntimeError), ThreadPoolExecutor(threads, "exr") as pool:
+        with suppress(RuntimeError), ThreadPoolExecutor(threads, "exr") as executor:
             # A pool of its own: starting one takes a thousandth of a frame's time.
-            done = pool.map(decode, runs)
-            with cores.waiting():
-                list(done)
+            results = executor.map(decode, runs)
+            with cores.release_cores():
+                list(results)
             return broken
     for run in runs:
         decode(run)
     return broken
 
 
-def _in_runs(layout: ChunkLayout) -> Iterator[I64]:
-    """Yield the indices of blocks that are decoded at a time, as they follow each other on disk."""
-    order = np.argsort(layout.starts, kind="stable")
-    step = max(1, RUN_BYTES // (layout.lines * layout.window.width * sum(layout.sizes)))
-    for first in range(0, len(order), step):
-        yield order[first : first + step]
-
-
 @dataclass(frozen=True)
 class _BlockRun:
-    """Some blocks of a part, on their way into destinations."""
+    """Blocks of a part that one thread decodes into destinations."""
 
     file: FileBytes
     layout: ChunkLayout
@@ -378,9 +336,9 @@ class _BlockRun:
     chunks: I64
 
     def decode(self) -> bool:
-        """Decode all; False when one of them is not what it should be."""
+        """Decode all blocks; False when one of them is not what it should be."""
         try:
-            return all(self._block(int(i), data) for i, data in self._read())
+            return all(self._decode_block(int(i), data) for i, data in self._read_blocks())
         except (OSError, MemoryError):
             return False
 
@@ -389,7 +347,7 @@ class _BlockRun:
         """What stands before each block: the part's number, the first line, the bytes."""
         return struct.Struct("<2i" if self.layout.number is None else "<3i")
 
-    def _read(self) -> Iterator[tuple[int, U8]]:
+    def _read_blocks(self) -> Iterator[tuple[int, U8]]:
         """Yield each block's index, and its bytes with padding.
 
         Blocks that follow each other are read at once.
@@ -407,32 +365,32 @@ class _BlockRun:
             for i in blocks:
                 yield self.chunks[i], data[starts[i] - begin : ends[i] - begin + INPUT_PADDING]
 
-    def _block(self, index: int, data: U8) -> bool:
+    def _decode_block(self, index: int, data: U8) -> bool:
         """Decode one block with padding; False when it is not what it should be."""
+        from exwarp_cli.kernels import exr_filters  # numba: not for what reads no pixels
+
         layout, leader = self.layout, self._leader
         if len(data) < leader.size + INPUT_PADDING:
             return False
         first = index * layout.lines
         rows = min(layout.lines, layout.window.height - first)
         *number, line, size = leader.unpack_from(data.data)
-        full = rows * layout.window.width * sum(layout.sizes)
+        full_size = rows * layout.window.width * sum(layout.sizes)
         packed = data[leader.size : leader.size + size + INPUT_PADDING]
-        named = not number or number[0] == layout.number
-        if not named or line != layout.window.y + first or not 0 < size <= full:
+        is_own = not number or number[0] == layout.number
+        if not is_own or line != layout.window.y + first or not 0 < size <= full_size:
             return False
-        return len(packed) == size + INPUT_PADDING and self._place(packed, first, rows, full)
-
-    def _place(self, packed: U8, first: int, rows: int, full: int) -> bool:
-        """Write the lines of a block of `full` bytes, from the first on, to where they go."""
-        from exwarp_cli.kernels import exr_filters  # numba: not for what reads no pixels
-
-        plain = len(packed) == full + INPUT_PADDING  # it did not become smaller
-        kernel = exr_filters.read_lines if plain else exr_filters.read_predicted
-        data = packed[:full] if plain else inflate(packed, full)
-        if data is None:
+        if len(packed) != size + INPUT_PADDING:
+            return False
+        pixels: U8 | None
+        if size == full_size:  # stored uncompressed, as it did not become smaller
+            kernel, pixels = exr_filters.read_lines, packed[:full_size]
+        else:
+            kernel, pixels = exr_filters.read_predicted, inflate(packed, full_size)
+        if pixels is None:
             return False
         for destination in self.destinations:
-            kernel(data, destination.columns, destination.out[first : first + rows])
+            kernel(pixels, destination.columns, destination.out[first : first + rows])
         return True
 
 

@@ -1,6 +1,6 @@
 """What a generated frame takes over from its key frame's file: parts, channels, types, headers.
 
-The header may say how long the frame took to render, too: `render_seconds`.
+The header may also contain how long the frame took to render: `render_seconds`.
 """
 
 from __future__ import annotations
@@ -15,60 +15,42 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32, Window, broken_pixels
-from exwarp_cli.errors import InputError, LayoutError
+from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.channels import ChannelRef
-from exwarp_cli.io.exr.parts import Part
-from exwarp_cli.io.exr.reader import HeaderCache, damaged
+from exwarp_cli.io.exr.header import Part
+from exwarp_cli.io.exr.reader import HeaderCache, damaged_error
 from exwarp_cli.io.exr.writer import OutputChannel, PendingHalf
 from exwarp_cli.io.layers import Layer, LayerKind
 from exwarp_cli.io.views import list_views, view_channels
 
 HALF_MAX = 65504.0
 
-PREFIX = "exwarp:"
-"""Of ExWarp's own attributes, which tell of one generated frame."""
+PREFIX = "exwarp:"  # of ExWarp's own attributes, which describe one generated frame
 
 # Structure, which the writer sets itself; and what belongs to the source frame's own pixels.
 _NOT_CARRIED = frozenset(
     [
-        "channels",
-        "chunkCount",
-        "dataWindow",
-        "displayWindow",
-        "lineOrder",
-        "tiles",
-        "type",
-        "version",
-        "compression",
-        "view",
-        "multiView",
-        "maxSamplesPerPixel",
-        "dataHash",
-        "preview",
-        "idManifest",
-        "timeCode",
-        "keyCode",
-        "framesPerSecond",
+        *("channels", "chunkCount", "dataWindow", "displayWindow", "lineOrder", "tiles", "type"),
+        *("version", "compression", "view", "multiView", "maxSamplesPerPixel", "dataHash"),
+        *("preview", "idManifest", "timeCode", "keyCode", "framesPerSecond"),
     ]
 )
 
 PIXEL_TYPES = {"half": np.float16, "float": np.float32, "uint": np.uint32}
 
+# A channel of one view: the view's name, "" where there are none, and the channel in it.
 PlaneKey = tuple[str, ChannelRef]
-"""A channel of one view: the view's name, "" where there are none, and the channel in it."""
+
+# Attributes with the render time: Blender's, V-Ray's, and those of Cycles' render layers.
+BLENDER, VRAY = "RenderTime", "vrayInfo/rendertime"
+_CYCLES_LAYER = re.compile(r"cycles\..*\.render_time", re.DOTALL)
+_CLOCK = re.compile(r"(?:(?:(\d+):)?(\d+):)?(\d+(?:\.\d+)?)")
+_UNITS = re.compile(r"(?:(\d+)h)?\s*(?:(\d+)m)?\s*(\d+(?:\.\d+)?)s")
 
 
 @dataclass(frozen=True)
 class Plane:
-    """One channel of a generated frame.
-
-    Attributes
-    ----------
-    values
-        [H, W] of any type.
-    window
-        Where they lie.
-    """
+    """One channel of a generated frame: values [H, W] of any type, and their window."""
 
     values: np.ndarray
     window: Window
@@ -76,60 +58,37 @@ class Plane:
 
 @dataclass(frozen=True)
 class ViewLayers:
-    """What is written of one view of a shot.
+    """The layers of one view of a shot that are written."""
 
-    Attributes
-    ----------
-    view
-        Its name; "" where there are none.
-    within
-        Which view of the files it is, as in :func:`exwarp_cli.io.views.view_channels`.
-    colour
-        R, G, B and, if there, A of the beauty.
-    layers
-        Layers beside; the beauty may be among them.
-    """
-
-    view: str
-    within: str
-    colour: tuple[ChannelRef, ...]
-    layers: tuple[Layer, ...] = ()
+    view: str  # its name; "" where there are none
+    within: str  # which view of the files it is, as in :func:`exwarp_cli.io.views.view_channels`
+    colour: tuple[ChannelRef, ...]  # R, G, B and, if there, A of the beauty
+    layers: tuple[Layer, ...] = ()  # further layers; the beauty may be among them
 
     @property
     def keys(self) -> dict[PlaneKey, bool]:
         """Every channel, the beauty's first, and whether its values are bounded."""
-        found = {(self.view, ref): True for ref in self.colour}
+        bounded = {(self.view, ref): True for ref in self.colour}
         for layer in self.layers:
             for ref in layer.refs:
-                found.setdefault((self.view, ref), layer.kind is not LayerKind.DEPTH)
-        return found
+                bounded.setdefault((self.view, ref), layer.kind is not LayerKind.DEPTH)
+        return bounded
 
 
 @dataclass(frozen=True)
 class PlaneTemplate:
-    """One channel to write.
+    """One channel to write."""
 
-    Attributes
-    ----------
-    key
-        Which one it is.
-    name
-        As it stands in the file.
-    dtype
-        Pixel type: half, float or uint32.
-    bounded
-        Whether values beyond the type's range become its largest; a depth may be infinite.
-    """
-
-    key: PlaneKey
-    name: str
-    dtype: np.dtype[Any]
+    key: PlaneKey  # which one it is
+    name: str  # as it stands in the file
+    dtype: np.dtype[Any]  # pixel type: half, float or uint32
+    # Whether values beyond the type's range become its largest; a depth may be infinite
     bounded: bool
 
     def channel(self, values: np.ndarray) -> OutputChannel:
         """Return values [H, W] in the channel's type; floats for halfs are rounded later."""
         if self.dtype == np.float32 and values.dtype == np.float32 and self.bounded:
-            return within_floats(np.ascontiguousarray(values))
+            return replace_overflow(np.ascontiguousarray(values))
         if self.dtype != np.float16 or values.dtype == np.float16:
             return np.ascontiguousarray(values, dtype=self.dtype)
         if values.dtype == np.float32:
@@ -142,40 +101,20 @@ class PlaneTemplate:
 
 @dataclass(frozen=True)
 class PartTemplate:
-    """One part to write.
+    """One part to write."""
 
-    Attributes
-    ----------
-    header
-        Attributes to carry, with the part's compression.
-    planes
-        Its channels.
-    window
-        The data window of the source's part.
-    """
-
-    header: Mapping[str, Any]
-    planes: tuple[PlaneTemplate, ...]
-    window: Window
+    header: Mapping[str, Any]  # attributes to carry, with the part's compression
+    planes: tuple[PlaneTemplate, ...]  # its channels
+    window: Window  # the data window of the source's part
 
 
 @dataclass(frozen=True)
 class Template:
-    """What a generated frame takes over from its key frame's file.
+    """What a generated frame takes over from its key frame's file."""
 
-    Attributes
-    ----------
-    parts
-        In the order of the file, as far as something of them is written.
-    colour
-        The beauty of the view that leads: R, G, B and, if there, A.
-    render
-        Seconds that the key frame took to render, and the attribute that tells; None where none
-        does.
-    """
-
-    parts: tuple[PartTemplate, ...]
-    colour: tuple[PlaneTemplate, ...]
+    parts: tuple[PartTemplate, ...]  # in the order of the file, those of which something is written
+    colour: tuple[PlaneTemplate, ...]  # the beauty of the leading view: R, G, B and, if there, A
+    # Seconds that the key frame took to render, and the attribute with them; None if unknown
     render: tuple[float, str] | None = None
 
     @property
@@ -187,25 +126,20 @@ class Template:
 def read_template(
     path: Path, wanted: tuple[ViewLayers, ...], headers: HeaderCache | None = None
 ) -> Template:
-    """Read what a generated frame takes over.
+    """Read what a generated frame takes over from the file of its key frame.
+
+    Raises DamagedFileError when the header cannot be read, or a colour channel is missing. Raises
+    LayoutError when a layer is missing.
 
     Parameters
     ----------
     path
         The key frame's file.
     wanted
-        What is written of each view, the one that leads first. A channel that several of them have
+        What is written of each view, the leading one first. A channel that several of them have
         in common is the first one's.
-
     headers
         Where the file's header may be kept; None to open the file.
-
-    Raises
-    ------
-    DamagedFileError
-        When the header cannot be read, or the colour is gone.
-    LayoutError
-        When a layer is gone.
     """
     header = (headers or HeaderCache()).read(path)
     parts, attributes = header.parts, header.attributes
@@ -213,28 +147,34 @@ def read_template(
     for layers in wanted:
         channels = view_channels(parts, layers.within)
         for key, bounded in layers.keys.items():
-            channel = channels.get(key[1].name)
+            ref = key[1]
+            channel = channels.get(ref.name)
+            if channel is None and ref in layers.colour:
+                raise damaged_error(path, "its colour channels are gone")
             if channel is None:
-                raise _gone(path, key[1], layers)
+                raise LayoutError(
+                    f"{path} has no channel {ref.name!r}, which the sequence's first frame has; "
+                    "render all frames with the same passes, or leave that layer out of --layers"
+                )
             dtype = np.dtype(PIXEL_TYPES.get(channel.pixel_type, np.float32))
             plane = PlaneTemplate(key, channel.raw_name, dtype, bounded)
             placed.setdefault(channel.part, {}).setdefault(channel.index, plane)
-    views = [layers.within for layers in wanted]
-    made = tuple(
+    written_views = [layers.within for layers in wanted]
+    part_templates = tuple(
         PartTemplate(
-            _header(attributes[index], parts[index], _views(parts, index, views)),
+            _carried_header(attributes[index], parts, index, written_views),
             tuple(plane for _, plane in sorted(planes.items())),
             parts[index].data_window,
         )
         for index, planes in sorted(placed.items())
     )
-    every = {plane.key: plane for part in made for plane in part.planes}
-    colour = tuple(every[wanted[0].view, ref] for ref in wanted[0].colour)
-    return Template(made, colour, render_seconds(attributes))
+    by_key = {plane.key: plane for part in part_templates for plane in part.planes}
+    colour = tuple(by_key[wanted[0].view, ref] for ref in wanted[0].colour)
+    return Template(part_templates, colour, render_seconds(attributes))
 
 
-def quantise(pixels: Float32, template: Template) -> Float32:
-    """Round pixels to the types that the file will have, so that what is scored is what is kept.
+def quantise_colour(pixels: Float32, template: Template) -> Float32:
+    """Round pixels to the types of the file, so that scores hold for the written frame.
 
     Values beyond a type's range become its largest, not infinity.
     """
@@ -243,72 +183,44 @@ def quantise(pixels: Float32, template: Template) -> Float32:
         if plane.dtype == np.float16:
             out[..., i] = PendingHalf(pixels[..., i], plane.bounded).rounded()
         elif plane.dtype == np.float32 and plane.bounded:
-            out[..., i] = within_floats(pixels[..., i])
+            out[..., i] = replace_overflow(pixels[..., i])
     return out
 
 
-def within_floats(values: Float32) -> Float32:
-    """Return made values with the largest floats where numbers near them overflowed on the way."""
+def replace_overflow(values: Float32) -> Float32:
+    """Return generated values with the largest floats in place of infinity, and 0 for NaN."""
     if not broken_pixels(values[..., None]).any():
         return values
     return np.nan_to_num(values)
 
 
-def _gone(path: Path, ref: ChannelRef, layers: ViewLayers) -> InputError:
-    """Build the error for a frame without a channel that another one of its shot has."""
-    if ref in layers.colour:
-        return damaged(path, "its colour channels are gone")
-    return LayoutError(
-        f"{path} has no channel {ref.name!r}, which the sequence's first frame has; render all "
-        "frames with the same passes, or leave that layer out of --layers"
-    )
-
-
-def _header(header: Mapping[str, Any], part: Part, views: tuple[str, ...]) -> dict[str, Any]:
+def _carried_header(
+    header: Mapping[str, Any], parts: tuple[Part, ...], index: int, written_views: Iterable[str]
+) -> dict[str, Any]:
     """Return the attributes that go over; of the views of one part those that are written."""
-    kept = {k: v for k, v in header.items() if k not in _NOT_CARRIED and _writable(k, v)}
-    kept["compression"] = header["compression"]
+    carried = {
+        name: value
+        for name, value in header.items()
+        if name not in _NOT_CARRIED and not name.startswith(PREFIX) and (name != "name" or value)
+    }
+    carried["compression"] = header["compression"]
+    part = parts[index]
     if part.view:
-        kept["view"] = part.view
-    if views:
-        kept["multiView"] = list(views)
-    return kept
-
-
-def _views(parts: tuple[Part, ...], index: int, written: Iterable[str]) -> tuple[str, ...]:
-    """Return the views that lie in one part side by side and are written, the hero first."""
-    if parts[index].view:
-        return ()
-    views = parts[index].views or (list_views(parts) if len(parts) == 1 else ())
-    wanted = {view or (views[0] if views else "") for view in written}
-    return tuple(view for view in views if view in wanted)
-
-
-def _writable(name: str, value: object) -> bool:
-    """Whether an attribute is no other frame's own, and can be written."""
-    return not name.startswith(PREFIX) and (name != "name" or bool(value))
-
-
-BLENDER, VRAY = "RenderTime", "vrayInfo/rendertime"
-
-_LAYER = re.compile(r"cycles\..*\.render_time", re.DOTALL)
-_CLOCK = re.compile(r"(?:(?:(\d+):)?(\d+):)?(\d+(?:\.\d+)?)")
-_UNITS = re.compile(r"(?:(\d+)h)?\s*(?:(\d+)m)?\s*(\d+(?:\.\d+)?)s")
+        carried["view"] = part.view
+        return carried
+    # Views side by side in one part, the hero first.
+    views = part.views or (list_views(parts) if len(parts) == 1 else ())
+    written = {view or (views[0] if views else "") for view in written_views}
+    if kept_views := [view for view in views if view in written]:
+        carried["multiView"] = kept_views
+    return carried
 
 
 def render_seconds(headers: Iterable[Mapping[str, Any]]) -> tuple[float, str] | None:
-    """Return how many seconds a frame took to render, and the attribute that tells it.
+    """Return how many seconds a frame took to render, and the attribute that contains it.
 
-    Parameters
-    ----------
-    headers
-        Of every part of the frame's file. Parts repeat the attributes of the whole frame, so the
-        first that has one counts.
-
-    Returns
-    -------
-    float and str, or None
-        None where no attribute tells, or none is above 0.
+    None where no attribute contains it, or none is above 0. The headers are those of every part of
+    the frame's file. Parts repeat the attributes of the whole frame, so the first one counts.
     """
     listed = list(headers)
     for name in (BLENDER, VRAY):
@@ -319,11 +231,9 @@ def render_seconds(headers: Iterable[Mapping[str, Any]]) -> tuple[float, str] | 
     layers: dict[str, float] = {}
     for header in listed:
         for name, value in header.items():
-            if _LAYER.fullmatch(name) and (seconds := parse_duration(value)):
+            if _CYCLES_LAYER.fullmatch(name) and (seconds := parse_duration(value)):
                 layers.setdefault(name, seconds)
-    if not layers:
-        return None
-    return sum(layers.values()), "cycles.*.render_time"
+    return (sum(layers.values()), "cycles.*.render_time") if layers else None
 
 
 def parse_duration(value: object) -> float | None:

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any, TypeAlias
@@ -41,28 +41,22 @@ from exwarp_cli.runtime.frame_pool import pool
 U16 = npt.NDArray[np.uint16]
 U32 = npt.NDArray[np.uint32]
 
+# OpenEXR's constants, as headers have them, by name.
 COMPRESSIONS: dict[str, Any] = {
     "none": OpenEXR.NO_COMPRESSION,
     **{name: getattr(OpenEXR, f"{name.upper()}_COMPRESSION") for name in COMPRESSION_NAMES[1:]},
 }
-"""OpenEXR's constants, as headers have them, by name."""
 
+# Scan lines of a block, by the compressions that are encoded here.
 LINES: dict[Any, int] = {OpenEXR.ZIPS_COMPRESSION: 1, OpenEXR.ZIP_COMPRESSION: 16}
-"""Scan lines of a block, by the compressions that are encoded here."""
 
-TYPES = (np.dtype(np.float16), np.dtype(np.float32), np.dtype(np.uint32))
+DTYPES = (np.dtype(np.float16), np.dtype(np.float32), np.dtype(np.uint32))
 
-LEVEL = 1
-"""Of ISA-L's DEFLATE: 2 makes no smaller files, 3 takes twice the time for 1 % less."""
+LEVEL = 1  # of ISA-L's DEFLATE: 2 makes no smaller files, 3 takes twice the time for 1 % less
+FLUSHED_ALONE = 4  # bytes at the beginning of a stream; see `deflate_stream`
 
-FLUSHED_ALONE = 4
-"""Bytes at the beginning of a stream that are flushed alone; see `deflate_stream`."""
-
-_OWN_CODE = 1024
-"""Least bytes of a kind that are worth a code of their own."""
-
-_ROWS = 16
-"""Lines that are prepared at once, whole blocks of them: they stay in the processor's cache."""
+_MIN_OWN_CODE = 1024  # bytes of a kind that are worth a code of their own
+_BAND_ROWS = 16  # are prepared at once, whole blocks of them: they stay in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -74,18 +68,10 @@ class OpenExrCompression:
 
 @dataclass(frozen=True)
 class PendingHalf:
-    """A channel of halfs that is still one of floats.
+    """A channel of halfs that is still one of floats."""
 
-    Attributes
-    ----------
-    values
-        float32 [H, W], of any strides.
-    bounded
-        Whether values beyond half's range become its largest; else infinity.
-    """
-
-    values: Float32
-    bounded: bool
+    values: Float32  # float32 [H, W], of any strides
+    bounded: bool  # whether values beyond half's range become its largest; else infinity
 
     dtype = np.dtype(np.float16)
 
@@ -97,60 +83,43 @@ class PendingHalf:
     def rounded(self) -> np.ndarray:
         """Return the halfs [H, W]."""
         out = pool.empty(self.shape, np.uint16)
-        round_to_half(_bits(self.values), self.bounded, out)
+        round_to_half(_float_bits(self.values), self.bounded, out)
         return out.view(np.float16)
 
 
+# A channel [H, W] to be written, of halfs, floats or integers.
 OutputChannel: TypeAlias = np.ndarray | PendingHalf
-"""A channel [H, W] to be written, of halfs, floats or integers."""
 
 Header: TypeAlias = Mapping[str, Any]
 OutputPart: TypeAlias = tuple[Header, Mapping[str, OutputChannel]]
 Buffer: TypeAlias = bytes | bytearray | memoryview
 
 
-def scanline_structure(data: Window, display: Window) -> dict[str, Any]:
+def scanline_attributes(data: Window, display: Window) -> dict[str, Any]:
     """Return the attributes of a scan-line part with these windows."""
-    return {
-        "type": OpenEXR.scanlineimage,
-        "dataWindow": _box(data),
-        "displayWindow": _box(display),
-    }
 
+    def box(window: Window) -> tuple[np.ndarray, np.ndarray]:
+        x0, y0, x1, y1 = window.corners
+        return np.array([x0, y0], np.int32), np.array([x1, y1], np.int32)
 
-def _box(window: Window) -> tuple[np.ndarray, np.ndarray]:
-    x0, y0, x1, y1 = window.corners
-    return np.array([x0, y0], np.int32), np.array([x1, y1], np.int32)
+    return {"type": OpenEXR.scanlineimage, "dataWindow": box(data), "displayWindow": box(display)}
 
 
 def encode(parts: Sequence[OutputPart]) -> list[Buffer]:
-    """Encode a file in memory.
+    """Encode a file in memory, of header and channels [H, W] of each part.
 
-    One thread does it: frames are written side by side, which shares the cores better.
-
-    Parameters
-    ----------
-    parts
-        Header and channels [H, W] of each. The compression may be an `OpenExrCompression`.
-
-    Returns
-    -------
-    list of bytes-like
-        What the file has one after the other. The first holds the headers, and can be changed.
-
-    Raises
-    ------
-    RuntimeError, ValueError, TypeError
-        When OpenEXR refuses it.
+    A header's compression may be an `OpenExrCompression`. Returns the file in pieces; the first
+    holds the headers, and can be changed. Raises RuntimeError, ValueError or TypeError when OpenEXR
+    refuses it.
     """
     if not all(is_encoded_here(header, planes) for header, planes in parts):
         return [encode_by_openexr(parts)]
-    several = len(parts) > 1
+    is_multipart = len(parts) > 1
     bodies = [
-        _blocks(header, planes, struct.pack("<i", number) if several else b"")
+        _encode_blocks(header, planes, struct.pack("<i", number) if is_multipart else b"")
         for number, (header, planes) in enumerate(parts)
     ]
-    head = _head(parts, [len(blocks) for blocks in bodies])
+    head = _encode_headers(parts, [len(blocks) for blocks in bodies])
     blocks = [block for body in bodies for block in body]
     starts = accumulate(map(len, blocks[:-1]), initial=len(head) + 8 * len(blocks))
     head += struct.pack(f"<{len(blocks)}Q", *starts)
@@ -158,13 +127,13 @@ def encode(parts: Sequence[OutputPart]) -> list[Buffer]:
 
 
 def is_encoded_here(header: Header, planes: Mapping[str, OutputChannel]) -> bool:
-    """Whether the blocks of a part are made here; else OpenEXR makes the file."""
+    """Return whether the blocks of a part are made here; else OpenEXR makes the file."""
     if header.get("compression") not in LINES or header.get("type") != OpenEXR.scanlineimage:
         return False
     if "lineOrder" in header or not {"dataWindow", "displayWindow"} <= header.keys():
         return False
     shapes = {channel.shape for channel in planes.values()}
-    if len(shapes) != 1 or any(channel.dtype not in TYPES for channel in planes.values()):
+    if len(shapes) != 1 or any(channel.dtype not in DTYPES for channel in planes.values()):
         return False
     (shape,) = shapes
     return len(shape) == 2 and 0 not in shape
@@ -172,34 +141,34 @@ def is_encoded_here(header: Header, planes: Mapping[str, OutputChannel]) -> bool
 
 def encode_by_openexr(parts: Sequence[OutputPart]) -> memoryview:
     """Encode a file of any kind; raises as `encode`."""
-    whole = [(_with_constant(header), _rounded(planes)) for header, planes in parts]
-    if len(whole) == 1:
-        file = OpenEXR.File(*whole[0], num_threads=0)
+    complete = []
+    for header, planes in parts:
+        compression = header.get("compression")
+        if isinstance(compression, OpenExrCompression):
+            header = {**header, "compression": compression.compression}
+        arrays = {n: p.rounded() if isinstance(p, PendingHalf) else p for n, p in planes.items()}
+        complete.append((dict(header), arrays))
+    if len(complete) == 1:
+        file = OpenEXR.File(*complete[0], num_threads=0)
     else:
-        named = [OpenEXR.Part(*part, part[0].get("name", "")) for part in whole]
+        named = [OpenEXR.Part(*part, part[0].get("name", "")) for part in complete]
         file = OpenEXR.File(named, num_threads=0)
     buffer = io.BytesIO()
     file.write(buffer)
     return buffer.getbuffer()
 
 
-def _rounded(planes: Mapping[str, OutputChannel]) -> dict[str, np.ndarray]:
-    return {n: p.rounded() if isinstance(p, PendingHalf) else p for n, p in planes.items()}
-
-
-def _with_constant(header: Header) -> dict[str, Any]:
-    compression = header.get("compression")
-    if isinstance(compression, OpenExrCompression):
-        return {**header, "compression": compression.compression}
-    return dict(header)
-
-
-def _head(parts: Sequence[OutputPart], counts: Sequence[int]) -> bytearray:
+def _encode_headers(parts: Sequence[OutputPart], counts: Sequence[int]) -> bytearray:
     """Return everything before the chunk offset tables, of which each part has so many entries."""
-    plain = encode_by_openexr([_one_pixel(header, planes) for header, planes in parts])
-    out, attributes = bytearray(plain), list(attributes_in(plain))
+    # OpenEXR encodes a file of one pixel, and the window and number of chunks are put into it.
+    one_pixel_parts = []
+    for header, planes in parts:
+        corner = np.asarray(header["dataWindow"][0], np.int32)
+        pixels = {name: np.zeros((1, 1), plane.dtype) for name, plane in planes.items()}
+        one_pixel_parts.append(({**header, "dataWindow": (corner, corner.copy())}, pixels))
+    data = encode_by_openexr(one_pixel_parts)
+    out, attributes = bytearray(data), list(attributes_in(data))
     for attribute in attributes:
-        # Put the data window and the number of chunks into a header of one pixel.
         if attribute.name == b"dataWindow":
             window = np.asarray(parts[attribute.part][0]["dataWindow"], "<i4")
             out[attribute.begin : attribute.end] = window.tobytes()
@@ -208,50 +177,56 @@ def _head(parts: Sequence[OutputPart], counts: Sequence[int]) -> bytearray:
     return out[: attributes[-1].end + min(len(parts), 2)]
 
 
-def _one_pixel(header: Header, planes: Mapping[str, OutputChannel]) -> OutputPart:
-    first = np.asarray(header["dataWindow"][0], np.int32)
-    pixels = {name: np.zeros((1, 1), plane.dtype) for name, plane in planes.items()}
-    return {**header, "dataWindow": (first, first.copy())}, pixels
-
-
-def _blocks(
+def _encode_blocks(
     header: Header, planes: Mapping[str, OutputChannel], part_number: bytes
 ) -> list[Buffer]:
-    """Make a part's blocks from the top, each of which begins with the part's number."""
-    step, top = LINES[header["compression"]], int(header["dataWindow"][0][1])
-    source = ScanlineSource([planes[name] for name in sorted(planes, key=str.encode)], _ROWS)
+    """Encode a part's blocks from the top, each of which begins with the part's number."""
+    # Halfs stay floats until their rows are due. So a frame is rounded, filtered and compressed
+    # band by band, while it is in the processor's cache: half the time that passes over whole
+    # frames take, and 50 MB less memory at 1920x1080.
+    channels = [planes[name] for name in sorted(planes, key=str.encode)]
+    height, width = channels[0].shape
+    line_size = width * sum(channel.dtype.itemsize for channel in channels)
+    block_size = LINES[header["compression"]] * line_size
+    halfs = np.empty((min(_BAND_ROWS, height), width), np.uint16)
+    lines = np.empty((len(halfs), line_size // 2), np.uint16)
+    filtered = np.empty(lines.nbytes, np.uint8)
+    top = int(header["dataWindow"][0][1])
     blocks: list[Buffer] = []
-    for y, data in zip(range(0, source.height, step), _deflated(source, step), strict=True):
-        size, plain = sum(map(len, data)), source.line_size * min(step, source.height - y)
-        # What is as large as its pixels is taken for the pixels themselves.
-        if size >= plain:
-            size, data = plain, [_uncompressed(source, y, step)]
-        blocks.append(b"".join([part_number, struct.pack("<ii", top + y, size), *data]))
+    for y in range(0, height, _BAND_ROWS):
+        band = lines[: height - y]
+        _fill_lines(channels, y, halfs, band)
+        predict(band.reshape(-1), block_size // 2, filtered)
+        for start in range(0, band.nbytes, block_size):
+            data = filtered.data[start : min(start + block_size, band.nbytes)]
+            half = len(data) // 2
+            # Even and odd bytes with a code each: 6 % smaller, at no cost.
+            deflated = deflate_stream(
+                *((data[:half], data[half:]) if half >= _MIN_OWN_CODE else (data,))
+            )
+            size, row = sum(map(len, deflated)), start // line_size
+            if size >= len(data):  # readers take a block of that size for the pixels themselves
+                size = len(data)
+                deflated = [band[row : row + size // line_size].tobytes()]
+            leader = struct.pack("<ii", top + y + row, size)
+            blocks.append(b"".join([part_number, leader, *deflated]))
     return blocks
 
 
-def _uncompressed(source: ScanlineSource, y: int, step: int) -> bytes:
-    """Return the bytes of a block's lines as they are."""
-    out = np.empty((min(step, source.height - y), source.line_size // 2), np.uint16)
-    source.put(y, out)
-    return out.tobytes()
+def _fill_lines(channels: Iterable[OutputChannel], top: int, halfs: U16, lines: U16) -> None:
+    """Write rows from `top` on as a file has them uncompressed: in each, channel after channel.
 
-
-def _deflated(source: ScanlineSource, step: int) -> Iterator[list[bytes]]:
-    """Yield blocks of so many lines, filtered and deflated."""
-    plain = np.empty((min(_ROWS, source.height), source.line_size // 2), np.uint16)
-    filtered = np.empty(plain.nbytes, np.uint8)
-    block = step * source.line_size
-    for y in range(0, source.height, _ROWS):
-        band = plain[: source.height - y]
-        source.put(y, band)
-        predict(band.reshape(-1), block // 2, filtered)
-        for start in range(0, band.nbytes, block):
-            data = filtered.data[start : min(start + block, band.nbytes)]
-            half = len(data) // 2
-            # Even and odd bytes with a code each: 6 % smaller, at no cost.
-            pieces = (data[:half], data[half:]) if half >= _OWN_CODE else (data,)
-            yield deflate_stream(*pieces)
+    `lines` are pairs of bytes [rows, N], `halfs` is scratch memory [rows or more, W].
+    """
+    column, rows = 0, slice(top, top + len(lines))
+    for channel in channels:
+        if isinstance(channel, PendingHalf):
+            pairs = halfs[: len(lines)]
+            round_to_half(_float_bits(channel.values[rows]), channel.bounded, pairs)
+        else:
+            pairs = np.ascontiguousarray(channel[rows]).view(np.uint16)
+        lines[:, column : column + pairs.shape[1]] = pairs
+        column += pairs.shape[1]
 
 
 def deflate_stream(*pieces: memoryview) -> list[bytes]:
@@ -267,53 +242,5 @@ def deflate_stream(*pieces: memoryview) -> list[bytes]:
     return [*out, stream.flush()]
 
 
-class ScanlineSource:
-    """Gives the rows of channels of one shape, in their order and types.
-
-    Halfs stay floats until their rows are due. So a frame is rounded, filtered and compressed block
-    by block, while it is in the processor's cache: half the time that passes over whole frames
-    take, and 50 MB less memory at 1920x1080.
-
-    Parameters
-    ----------
-    channels
-        Of one shape [H, W].
-    step
-        How many rows are asked for at most.
-    """
-
-    def __init__(self, channels: Sequence[OutputChannel], step: int) -> None:
-        height, width = channels[0].shape
-        self.height: int = height
-        self.width: int = width
-        self._channels = channels
-        self._memory = np.empty((min(step, height), width), np.uint16)
-
-    @property
-    def line_size(self) -> int:
-        """Bytes of a scan line."""
-        return int(self.width * sum(channel.dtype.itemsize for channel in self._channels))
-
-    def put(self, top: int, out: U16) -> None:
-        """Write rows as a file has them uncompressed: in each a channel after the other.
-
-        Parameters
-        ----------
-        top
-            The first.
-        out
-            Pairs of bytes [rows, `line_size` / 2], written.
-        """
-        at, rows = 0, slice(top, top + len(out))
-        for channel in self._channels:
-            if isinstance(channel, PendingHalf):
-                pairs = self._memory[: len(out)]
-                round_to_half(_bits(channel.values[rows]), channel.bounded, pairs)
-            else:
-                pairs = np.ascontiguousarray(channel[rows]).view(np.uint16)
-            out[:, at : at + pairs.shape[1]] = pairs
-            at += pairs.shape[1]
-
-
-def _bits(values: Float32) -> U32:
+def _float_bits(values: Float32) -> U32:
     return np.ascontiguousarray(values).view(np.uint32)

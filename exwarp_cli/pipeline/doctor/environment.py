@@ -20,8 +20,8 @@ from packaging.requirements import Requirement
 import exwarp_cli
 from exwarp_cli import __version__
 from exwarp_cli.domain.wording import enumerated, first_line, size_text
-from exwarp_cli.io.machine import look_at, memory, processors, temporary_folder
 from exwarp_cli.pipeline.doctor.checkup import CheckResult, Finding, failure, warning
+from exwarp_cli.runtime.machine import look_at, memory, processors, temporary_folder
 
 LEAST_MEMORY = 4 << 30  # for 1920x1080 by a network; 3.7 GiB were measured
 LEAST_MEMORY_WITHOUT_NETWORK = 1 << 30  # the same for s6 and softsplat

@@ -13,9 +13,9 @@ from pathlib import Path
 
 from exwarp_cli.domain.wording import counted, enumerated, first_line, size_text
 from exwarp_cli.errors import ExwarpError, InputError
-from exwarp_cli.io.machine import Folder, cached_files, look_at
 from exwarp_cli.pipeline.doctor.checkup import CheckResult, Finding, failure, warning
 from exwarp_cli.runtime.compilation import compilation
+from exwarp_cli.runtime.machine import Folder, cached_files, look_at
 
 FOLDER_VARIABLE = "NUMBA_CACHE_DIR"  # names the folder of compiled kernels
 LEAST_FREE = 64 << 20  # bytes of disk, several times what compiled kernels take

@@ -25,7 +25,7 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.domain.wording import counted, enumerated
 from exwarp_cli.errors import ExwarpError
 from exwarp_cli.io.exr.reader import ExrFile
-from exwarp_cli.io.exr.writer import COMPRESSIONS, encode_by_openexr, scanline_structure
+from exwarp_cli.io.exr.writer import COMPRESSIONS, encode_by_openexr, scanline_attributes
 from exwarp_cli.pipeline.doctor.checkup import CheckResult, failure
 from exwarp_cli.pipeline.progress import NoProgress
 from exwarp_cli.pipeline.run import upsample
@@ -106,7 +106,7 @@ def write_shot(folder: Path) -> None:
     folder.mkdir()
     window = Window(0, 0, WIDTH, HEIGHT)
     header: dict[str, Any] = {
-        **scanline_structure(window, window),
+        **scanline_attributes(window, window),
         "compression": COMPRESSIONS["zip"],
         "framesPerSecond": Fraction(24),
     }

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from exwarp_cli.accel.mac_array import MacArray, schedule
 from exwarp_cli.accel.quantised_mlp import PAPER_SIZES
-from exwarp_cli.io.atomic import atomic_write_text, make_folder, remove_leftovers
+from exwarp_cli.io.files import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.report.csv_tables import escape_formula, format_csv
 from exwarp_cli.report.folder import PAGE_FILE

@@ -14,11 +14,10 @@ from typing import Any
 from exwarp_cli import __version__
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import UsageError
-from exwarp_cli.io.atomic import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.exr.reader import read_headers
 from exwarp_cli.io.exr.template import render_seconds
-from exwarp_cli.io.machine import processors
+from exwarp_cli.io.files import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.messages import other_extrapolator
 from exwarp_cli.pipeline.progress import NoProgress, Progress
@@ -37,6 +36,7 @@ from exwarp_cli.research.bench.subjects import (
     load_networks,
 )
 from exwarp_cli.research.bench.systems import SLOTS, BenchSettings
+from exwarp_cli.runtime.machine import processors
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.runtime.worker_pool import follow_parent, run_tasks, send_message
 

@@ -13,10 +13,10 @@ from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, UsageError
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
-from exwarp_cli.io.footage import digest_of, picture
-from exwarp_cli.io.output import quantised
+from exwarp_cli.io.ffmpeg_filters import require_vmaf_size
+from exwarp_cli.io.footage import digest_frame, read_sequence_picture
+from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.io.sequences import find_sequence
-from exwarp_cli.io.vmaf import require_size
 from exwarp_cli.models.interpolator import OnnxInterpolator, load_interpolator
 from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import OnnxExtrapolator, load_extrapolator
@@ -219,7 +219,7 @@ class OpenedSubject:
         self.source = open_source(subject.source)
         keys = self.source.keys
         if "vmaf" in settings.metrics:
-            require_size(keys.display.height, keys.display.width, keys.sequence.pattern)
+            require_vmaf_size(keys.display.height, keys.display.width, keys.sequence.pattern)
         self._truth = find_truth(subject.truth, self.source)
         self.policy = require_state(load_policy(subject.policy))
         self.restart()
@@ -264,7 +264,7 @@ class OpenedSubject:
         canvas, display = interval.key.image.data_window, self.source.keys.display
 
         def finish(pixels: Float32) -> Float32:
-            return place(quantised(pixels, inputs.metadata.template), canvas, display)
+            return place(quantise_picture(pixels, inputs.metadata.template), canvas, display)
 
         return SystemFrames(interval, finish, self.networks.imported, self.networks.interpolators)
 
@@ -274,14 +274,14 @@ class OpenedSubject:
         for index in range(FACTOR + 1):
             number = self._truth_number(key, index)
             if number is not None:
-                image = picture(self._truth[0], number, self.source.keys.view)
+                image = read_sequence_picture(self._truth[0], number, self.source.keys.view)
                 frames[index] = image.on(image.display_window).pixels
         return frames
 
     def truth_digests(self, key: int) -> list[str]:
         """Return digests of what the ground truth's frames depend on."""
         numbers = [self._truth_number(key, index) for index in range(FACTOR + 1)]
-        return [digest_of(self._truth[0], n) for n in numbers if n is not None]
+        return [digest_frame(self._truth[0], n) for n in numbers if n is not None]
 
     def masks(self, interval: Interval) -> dict[int, Bool]:
         """Return the holes of W at slots 1 to 3, on the display window."""

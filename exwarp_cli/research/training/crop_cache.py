@@ -21,8 +21,8 @@ from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.domain.frame import Float32, Window
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError
-from exwarp_cli.io.atomic import make_folder, output_error
 from exwarp_cli.io.dataset import RenderedScene, SceneManifest
+from exwarp_cli.io.files import make_folder, output_error
 from exwarp_cli.research.training.augmentation import Look, Variant, draw_look
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.research.training.training_settings import ExtrapolatorSettings

@@ -27,7 +27,7 @@ from torch.nn import functional
 
 from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.errors import DamagedFileError, LayoutError, OutputExistsError, UsageError
-from exwarp_cli.io.atomic import make_folder
+from exwarp_cli.io.files import make_folder
 from exwarp_cli.research.training.onnx_export import export_extrapolator
 from exwarp_cli.research.training.resumable_training import read_tensors
 

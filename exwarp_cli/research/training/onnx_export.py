@@ -23,7 +23,7 @@ from exwarp_cli.accel.fixed_point import MOST_ACTIVATION
 from exwarp_cli.accel.quantised_mlp import OUTPUTS, QuantisedMlp, Requantisation
 from exwarp_cli.domain.extrapolator import EXTRAPOLATES
 from exwarp_cli.domain.network import TIME, NetworkInterface
-from exwarp_cli.io.atomic import atomic_write_bytes
+from exwarp_cli.io.files import atomic_write_bytes
 from exwarp_cli.models.model_file import INTERFACE_KEY, STRIDE_KEY
 
 # The exporter's own, so that nothing is converted; onnxruntime runs it since 1.14.

@@ -25,9 +25,8 @@ import numpy.typing as npt
 from exwarp_cli.domain.decision import NODES, Features
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
-from exwarp_cli.io.atomic import atomic_write_bytes, make_folder
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
-from exwarp_cli.io.machine import processors
+from exwarp_cli.io.files import atomic_write_bytes, make_folder
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import OnnxExtrapolator, load_extrapolator
@@ -37,6 +36,7 @@ from exwarp_cli.policy.features import observe
 from exwarp_cli.policy.state import INPUTS, KEYS_BACK, Surroundings
 from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.scene_clip import SceneClip
+from exwarp_cli.runtime.machine import processors
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.runtime.worker_pool import follow_parent, run_tasks
 

@@ -23,7 +23,7 @@ from exwarp_cli.accel.kernel import MlpKernel
 from exwarp_cli.accel.quantised_mlp import QuantisedMlp
 from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.errors import DamagedFileError, InputError
-from exwarp_cli.io.atomic import atomic_write_text, make_folder
+from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.models.model_file import CHECKSUMS
 from exwarp_cli.models.policy_files import SHIPPED_POLICY, policy_name_without, save_network
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION

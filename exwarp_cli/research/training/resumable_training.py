@@ -20,16 +20,16 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from exwarp_cli.domain import cores
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
-from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
 from exwarp_cli.io.dataset import RenderedScene, split_scenes
-from exwarp_cli.io.output import file_digest
+from exwarp_cli.io.files import atomic_path, atomic_write_text, make_folder
+from exwarp_cli.io.generated_frames import file_digest
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.models.model_file import read_file_bytes
 from exwarp_cli.pipeline.scheduling import prefetch
 from exwarp_cli.research.training.crop_cache import CachedArrays, is_complete
 from exwarp_cli.research.training.training_settings import ExtrapolatorSettings, LookAheadSettings
+from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.stop import check_stop
 
 CHECKPOINT = "checkpoint.pt"

@@ -24,7 +24,7 @@ from exwarp_cli.accel.kernel import MlpKernel
 from exwarp_cli.accel.quantised_mlp import QuantisedMlp
 from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.tiles import REWARP, TILE_STATE
-from exwarp_cli.io.atomic import atomic_write_text, make_folder
+from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, save_network
 from exwarp_cli.policy.state import INPUTS
 from exwarp_cli.policy.tile_state import DECIDED, tile_paths

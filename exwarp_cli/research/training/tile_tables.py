@@ -17,8 +17,8 @@ from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.tiles import REWARP, TILE_FEATURES
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import UsageError
-from exwarp_cli.io.atomic import make_folder
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
+from exwarp_cli.io.files import make_folder
 from exwarp_cli.metrics.display import encode
 from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import OnnxExtrapolator

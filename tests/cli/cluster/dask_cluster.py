@@ -11,10 +11,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from exwarp_cli.io.atomic import Held
+from exwarp_cli.io.files import ResourceOwner
 
 
-class DaskCluster(Held):
+class DaskCluster(ResourceOwner):
     """A scheduler without workers, until they are started; a context manager."""
 
     def __init__(self, folder: Path) -> None:

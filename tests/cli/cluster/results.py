@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from exwarp_cli.io.atomic import MARK
+from exwarp_cli.io.files import TEMPORARY_SUFFIX
 from tests.cli import shots
 from tests.cli.reports import album, rows, unmeasured
 
@@ -17,7 +17,7 @@ def agree(one: Path, other: Path) -> None:
     assert shots.names(one) == shots.names(other)
     for name in ("frames", "holes"):
         assert shots.contents(one / name) == shots.contents(other / name)
-        assert not [n for n in shots.names(other / name) if MARK in n]
+        assert not [n for n in shots.names(other / name) if TEMPORARY_SUFFIX in n]
     if (one / "a.mp4").exists():
         assert (one / "a.mp4").read_bytes() == (other / "a.mp4").read_bytes()
     if (one / "report").exists():

@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from exwarp_cli.io.atomic import MARK, _host
+from exwarp_cli.io.files import TEMPORARY_SUFFIX, host_name
 from tests.cli import shots
 from tests.cli.cluster.dask_cluster import DaskCluster
 from tests.cli.cluster.results import KEYS, agree
@@ -64,7 +64,7 @@ class TestLosses:
         assert psutil.wait_procs(family, timeout=10)[1] == []
         if stop != signal.SIGKILL:
             assert "--skip-existing goes on" in err and "Traceback" not in err
-            assert not [name for name in shots.names(out) if MARK in name]
+            assert not [name for name in shots.names(out) if TEMPORARY_SUFFIX in name]
         assert exwarp("upsample", keys, "-o", out, *how, "--skip-existing").code == 0
         assert exwarp("upsample", keys, "-o", tmp_path / "whole", *how).code == 0
         assert shots.contents(out) == shots.contents(tmp_path / "whole")
@@ -76,7 +76,7 @@ class TestLosses:
             await_frames(process, out, 1)
             (worker,) = worker_processes(process)
             worker.suspend()
-            begun = out / f".shot.0009.exr.{_host()}-{worker.pid}-99{MARK}"
+            begun = out / f".shot.0009.exr.{host_name()}-{worker.pid}-99{TEMPORARY_SUFFIX}"
             begun.touch()
             process.send_signal(signal.SIGINT)
             _, err = process.communicate(timeout=60)

@@ -132,9 +132,9 @@ class TestRefusals:
 
         def show() -> None:
             from exwarp_cli.farm import dask_worker
-            from exwarp_cli.io.atomic import shows
+            from exwarp_cli.io.files import is_visible
 
-            dask_worker.shows = shows
+            dask_worker.shows = is_visible
 
         with changed(farm, hide, show):
             result = self.run(exwarp, keys, tmp_path / "out", "--cluster", farm)

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from exwarp_cli.errors import MissingExtraError
-from exwarp_cli.io.machine import Folder, Memory, Processors
 from exwarp_cli.models import model_file, picture_network
 from exwarp_cli.pipeline.doctor import environment, libraries
+from exwarp_cli.runtime.machine import Folder, Memory, Processors
 from tests.cli.doctor.judging import failed, healthy, warned
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import UsageError
-from exwarp_cli.io.machine import Folder
 from exwarp_cli.kernels import _compile
 from exwarp_cli.pipeline.doctor import libraries, self_test
 from exwarp_cli.runtime.compilation import compilation
+from exwarp_cli.runtime.machine import Folder
 from exwarp_cli.synthesis import warp
 from tests.cli.doctor.judging import failed, healthy, warned
 

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from exwarp_cli import __version__
-from exwarp_cli.io.machine import Folder
 from exwarp_cli.pipeline.doctor import checkup, environment
 from exwarp_cli.pipeline.doctor.checkup import SCHEMA, CheckResult
+from exwarp_cli.runtime.machine import Folder
 from tests.cli.doctor.judging import ESCAPE, NAMES, failed, warned
 
 

@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 
 from exwarp_cli import cli
 from exwarp_cli.errors import InputError
+from exwarp_cli.io.generated_frames import is_intact
 from exwarp_cli.io.key_file import plan_key_file
-from exwarp_cli.io.output import is_intact
 from tests.cli import shots
 from tests.faults.fuzz.damage import DAMAGES, FOLDERS, Draw, draw_shot, files
 from tests.faults.fuzz.memory import (

@@ -1,7 +1,7 @@
-"""The standard streams of the process, made fit for whatever is printed.
+"""The standard streams of the process, made safe for whatever is printed.
 
 The caller of the command decides where they lead: nowhere, to a disk that is full, to a program
-that reads the first lines and goes, to a terminal that lacks characters.
+that reads the first lines and ends, to a terminal that lacks characters.
 """
 
 from __future__ import annotations
@@ -18,51 +18,44 @@ from exwarp_cli.errors import OutputError, ReaderGoneError
 
 STDOUT, STDERR = 1, 2
 
-_quiet = threading.RLock()
+_silencing = threading.RLock()  # the descriptor belongs to all threads
 
 
 class StandardOutput(io.FileIO):
-    """Standard output whose failures are no failures to write just any file.
+    """Standard output whose failures tell it from any other file.
 
-    What is printed after the first failure is lost, too, in silence.
+    After the first failure everything else that is printed is dropped.
     """
 
     def __init__(self) -> None:
         super().__init__(STDOUT, "w", closefd=False)
-        self._lost = False
+        self._has_failed = False
 
     def write(self, data: Any, /) -> Any:
         """Write bytes.
 
-        Raises
-        ------
-        ReaderGoneError
-            When the reader has ended: the user knows it.
-        OutputError
-            When they cannot be written for another reason.
+        Raises ReaderGoneError when the reader has ended; its user knows that. Raises OutputError
+        when they cannot be written for another reason.
         """
-        if self._lost:
+        if self._has_failed:
             return memoryview(data).nbytes
         try:
             return super().write(data)
         except BrokenPipeError as error:
-            self._lost = True
+            self._has_failed = True
             raise ReaderGoneError from error
         except OSError as error:
-            self._lost = True
+            self._has_failed = True
             raise OutputError(
                 f"cannot write to the standard output: {error.strerror}; send it elsewhere"
             ) from error
 
 
 class StandardError(io.FileIO):
-    """Standard error that loses what it cannot write.
-
-    Messages and progress go there. A full disk or a reader that has ended must not stop the work.
-    """
+    """Standard error that drops what it cannot write: messages must not stop the work."""
 
     def __init__(self) -> None:
-        # Its own descriptor, so that `quiet_libraries` does not silence ExWarp itself.
+        # Its own descriptor, so that `silence_libraries` does not silence ExWarp itself.
         super().__init__(os.dup(STDERR), "w")
 
     def write(self, data: Any, /) -> Any:
@@ -74,43 +67,43 @@ class StandardError(io.FileIO):
 
 
 def prepare_streams() -> None:
-    """Open what is closed, and take over standard output and standard error."""
+    """Open what is closed, and replace standard output and standard error."""
     _open_closed()
     if os.name == "nt":
         return  # a console of Windows is no file
-    sys.stdout = _taken_over(sys.stdout, StandardOutput)
-    sys.stderr = _taken_over(sys.stderr, StandardError)
+    sys.stdout = _replace_stream(sys.stdout, StandardOutput)
+    sys.stderr = _replace_stream(sys.stderr, StandardError)
 
 
 @contextmanager
-def quiet_libraries() -> Iterator[None]:
+def silence_libraries() -> Iterator[None]:
     """Drop what libraries in C write to standard error within a block.
 
-    Lines that Python prints there are kept, if `prepare_streams` has taken over the stream.
+    Lines that Python prints there are kept, if `prepare_streams` has replaced the stream.
     With EXWARP_DEBUG=1 nothing is dropped.
     """
     if os.environ.get("EXWARP_DEBUG", "0") not in ("", "0"):
         yield
         return
-    with _quiet:  # the descriptor belongs to all threads
+    with _silencing:
         try:
-            kept = os.dup(STDERR)
+            saved = os.dup(STDERR)
         except OSError:  # closed, or no descriptor is left
             yield
             return
         try:
             with suppress(OSError):
-                nowhere = os.open(os.devnull, os.O_WRONLY)
-                os.dup2(nowhere, STDERR)
-                os.close(nowhere)
+                null = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(null, STDERR)
+                os.close(null)
             yield
         finally:
-            os.dup2(kept, STDERR)
-            os.close(kept)
+            os.dup2(saved, STDERR)
+            os.close(saved)
 
 
-def _taken_over(stream: Any, kind: type[StandardOutput | StandardError]) -> Any:
-    """Return a text stream over a file of ours, with the encoding of the usual one."""
+def _replace_stream(stream: Any, kind: type[StandardOutput | StandardError]) -> Any:
+    """Return a text stream over a file of `kind`, with the encoding of the old one."""
     if not isinstance(stream, io.TextIOWrapper):
         return stream
     encoding, errors = stream.encoding, stream.errors
@@ -133,6 +126,6 @@ def _open_closed() -> None:
     while (number := os.open(os.devnull, os.O_RDWR)) <= STDERR:
         os.set_inheritable(number, True)
     os.close(number)
-    # Of a stream that is closed Python's own object is None.
+    # Python's own object of a closed stream is None.
     sys.stdout = sys.stdout or os.fdopen(STDOUT, "w", closefd=False)
     sys.stderr = sys.stderr or os.fdopen(STDERR, "w", closefd=False)

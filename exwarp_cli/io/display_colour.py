@@ -1,0 +1,179 @@
+"""Colour between scene-linear light and displays: primaries, the sRGB curve, and video's labels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.frame import Float32, UInt8
+
+UInt16 = npt.NDArray[np.uint16]
+Float64 = npt.NDArray[np.float64]
+
+# x and y of red, green, blue and white, as OpenEXR's attribute ``chromaticities`` has them.
+REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+
+# Chromaticities of colour spaces by their names.
+COLOUR_SPACES = {
+    "ACEScg": (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767),
+    "ACES2065-1": (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767),
+    "Rec. 2020": (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290),
+    "P3-D65": (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, 0.3127, 0.3290),
+}
+
+TOLERANCE = 5e-4  # between equal chromaticities: headers hold rounded ones
+
+# From XYZ to cone responses (Lam 1985; as in ICC.1:2010, annex E).
+BRADFORD: Float64 = np.array(
+    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+)
+
+HALF_MAX = 65504.0  # replaces infinity before channels are mixed
+
+MAX_PIXEL_ASPECT = 255  # that a video is labelled with; its inverse is the smallest
+
+# Matrices of Y'CbCr as files are labelled, with the names that the filter ``scale`` has.
+MATRICES = {
+    "bt709": "bt709",
+    "smpte170m": "smpte170m",
+    "bt470bg": "bt470",
+    "fcc": "fcc",
+    "smpte240m": "smpte240m",
+    "bt2020nc": "bt2020",
+}
+
+
+@dataclass(frozen=True)
+class VideoColour:
+    """How a video's numbers mean colour: ffmpeg's names, as the encoder is to label them."""
+
+    matrix: str = "bt709"  # of Y'CbCr, one of `MATRICES`
+    # By ffmpeg's names, "unknown" among them
+    primaries: str = "bt709"
+    transfer: str = "iec61966-2-1"
+    full_range: bool = False  # whether 0 to 255 are used, else 16 to 235
+
+    @property
+    def range(self) -> str:
+        """The range by the name that filters take."""
+        return "pc" if self.full_range else "tv"
+
+
+@dataclass(frozen=True)
+class Primaries:
+    """The colours of a file's red, green and blue."""
+
+    name: str  # of the colour space, for a message
+    # Matrix by rows, from the file's R, G, B to those of Rec. 709.
+    to_rec709: tuple[tuple[float, ...], ...]
+
+    def converted(self, pixels: Float32) -> Float32:
+        """Return float32 [H, W, 3] with Rec. 709 primaries, scene-linear as `pixels` [H, W, 3+].
+
+        Unlike the input's, no value is NaN or infinite: NaN becomes 0.
+        """
+        finite = np.nan_to_num(pixels[..., :3], nan=0.0, posinf=HALF_MAX, neginf=-HALF_MAX)
+        mixed: Float32 = finite @ np.array(self.to_rec709, np.float32).T
+        return mixed
+
+
+def primaries_of(header: Mapping[str, Any]) -> Primaries | None:
+    """Read the primaries of an EXR header; None for Rec. 709.
+
+    Neutral is what ``adoptedNeutral`` says, else the white of the chromaticities; by Bradford's
+    adaptation it becomes neutral in Rec. 709. None also for a header without chromaticities, where
+    OpenEXR assumes Rec. 709, and for chromaticities that no colours can have.
+    """
+    chromaticities = _finite_numbers(header.get("chromaticities"), 8)
+    if chromaticities is None:
+        return None
+    neutral = _finite_numbers(header.get("adoptedNeutral"), 2)
+    if neutral is None or not neutral[1] > 0:
+        neutral = chromaticities[6:]
+    if np.allclose([*chromaticities[:6], *neutral], REC709, rtol=0, atol=TOLERANCE):
+        return None
+    try:
+        to_xyz, from_xyz = _rgb_to_xyz(chromaticities), np.linalg.inv(_rgb_to_xyz(np.array(REC709)))
+        before, after = BRADFORD @ _xyz(*neutral), BRADFORD @ _xyz(*REC709[6:])
+        adaptation = np.asarray(np.linalg.inv(BRADFORD) @ np.diag(after / before) @ BRADFORD)
+        matrix = from_xyz @ adaptation @ to_xyz
+    except np.linalg.LinAlgError:
+        return None
+    if not np.isfinite(matrix).all():
+        return None
+    listed = " ".join(f"{value:.4g}" for value in chromaticities)
+    name = f"the chromaticities {listed}"
+    for space, numbers in COLOUR_SPACES.items():
+        if np.allclose(chromaticities, numbers, rtol=0, atol=TOLERANCE):
+            name = space
+            break
+    return Primaries(name, tuple(tuple(map(float, row)) for row in matrix))
+
+
+def _finite_numbers(value: object, count: int) -> Float64 | None:
+    """Return an attribute's numbers; None unless they are finite and so many."""
+    try:
+        numbers = np.array(value, np.float64).ravel()
+    except (TypeError, ValueError):
+        return None
+    return numbers if numbers.shape == (count,) and np.isfinite(numbers).all() else None
+
+
+def _rgb_to_xyz(chromaticities: Float64) -> Float64:
+    """Return the matrix from R, G, B to XYZ, where white has Y = 1 (SMPTE RP 177)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        red, green, blue, white = (_xyz(x, y) for x, y in chromaticities.reshape(4, 2))
+        columns = np.stack([red, green, blue], axis=-1)
+    if not np.isfinite([*columns.ravel(), *white]).all():
+        raise np.linalg.LinAlgError
+    return columns * np.linalg.solve(columns, white)
+
+
+def _xyz(x: float, y: float) -> Float64:
+    """Return XYZ with Y = 1."""
+    return np.array([x / y, 1.0, (1.0 - x - y) / y])
+
+
+def parse_pixel_aspect(ratio: object) -> Fraction:
+    """Read a header's width of a pixel by its height; 1 for what no pixel can have."""
+    limit = MAX_PIXEL_ASPECT
+    if not isinstance(ratio, (int, float)) or not 1 / limit <= ratio <= limit:
+        return Fraction(1)
+    # A float32 of 16/15 is no exact fraction; videos hold one of small numbers.
+    return Fraction(ratio).limit_denominator(limit)
+
+
+def to_display(pixels: Float32, exposure_stops: float = 0.0) -> UInt8:
+    """Turn scene-linear colour into 8-bit sRGB [H, W, 3], rounded half up (IEC 61966-2-1).
+
+    `pixels` are float32 [H, W, 3 or more] with Rec. 709 primaries; channels past the third are
+    dropped. NaN and negative infinity become 0, positive infinity 255. `exposure_stops` are factors
+    of two to brighten by before the curve.
+    """
+    with np.errstate(over="ignore"):  # brightened beyond float32 is white all the same
+        linear = pixels[..., :3] * np.float32(2.0**exposure_stops)
+    linear = np.nan_to_num(linear, copy=False, nan=0.0, posinf=1.0, neginf=0.0).clip(0.0, 1.0)
+    codes = SRGB.to_code(linear)
+    rounded: UInt8 = np.floor(codes * np.float32(255.0) + np.float32(0.5)).astype(np.uint8)
+    return rounded
+
+
+def from_display(codes: UInt8 | UInt16) -> Float32:
+    """Turn sRGB codes, uint8 or uint16, into scene-linear float32, 0 to 1 (IEC 61966-2-1).
+
+    For 8 bits it is the inverse of `to_display`. The type's largest value is white.
+    """
+    linear: Float32 = _linear_table(codes.dtype.itemsize)[codes]
+    return linear
+
+
+@cache
+def _linear_table(size: int) -> Float32:
+    return SRGB.to_linear(np.linspace(0, 1, 256**size, dtype=np.float32))

@@ -1,0 +1,386 @@
+"""Generated frames: writing them, and telling intact ones from damaged, edited or foreign files.
+
+A generated frame carries a checksum of its file and a fingerprint: a digest of all sources and
+settings that it depends on. So damage shows without decoding, whatever the compression, and a run
+knows whether a frame is the one that it would write.
+
+A checksum that holds proves that a file is ExWarp's, byte for byte. Where it does not hold, the
+pixels decide: a file that decodes was edited, a file that does not was damaged. Formats without
+room for a checksum have the program's name at most, which edits in other programs replace.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from fractions import Fraction
+from functools import reduce
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from exwarp_cli.domain.frame import Bool, Float32, Image, Window, place
+from exwarp_cli.domain.timeline import parsed_rate
+from exwarp_cli.errors import DamagedFileError, InputError, OutputError, UsageError
+from exwarp_cli.io.exr.header import MAGIC, replace_non_utf8, restore_non_utf8
+from exwarp_cli.io.exr.reader import damaged_error, read_headers
+from exwarp_cli.io.exr.template import PREFIX, Plane, PlaneKey, Template, quantise_colour
+from exwarp_cli.io.exr.writer import (
+    COMPRESSIONS,
+    Buffer,
+    OpenExrCompression,
+    OutputPart,
+    encode,
+    scanline_attributes,
+)
+from exwarp_cli.io.files import (
+    CHECKSUM_DIGITS,
+    CHECKSUM_NAME,
+    CHECKSUM_ZEROS,
+    atomic_write_bytes,
+    compute_checksum,
+    new_checksum,
+    with_retries,
+)
+from exwarp_cli.io.frames import read_image
+from exwarp_cli.io.sequences import EXR
+from exwarp_cli.io.shot_files import require_sound
+from exwarp_cli.io.stills import (
+    SEALED,
+    StillTemplate,
+    has_seal,
+    parse_still_facts,
+    quantise_still,
+    read_still,
+    still_facts,
+    write_still,
+)
+
+CHECKSUM = f"{PREFIX}{CHECKSUM_NAME}"
+FINGERPRINT = f"{PREFIX}recipe"
+
+# Attributes of generated frames: numbers and digests of the key frames on both sides; and the run's
+# method, which a single frame's method may differ from.
+KEY_FRAMES = "keyFrames"
+REQUESTED_METHOD = "requestedMethod"
+FACTS = ("kind", "method", REQUESTED_METHOD, KEY_FRAMES)
+
+# Compressions that OpenEXR can make, too; see `io.exr.writer` for what that takes.
+OPENEXR_COMPRESSIONS = {
+    f"{name}:4": OpenExrCompression(COMPRESSIONS[name]) for name in ("zips", "zip", "pxr24")
+}
+
+# What a generated frame takes over from its key frame's file.
+FrameTemplate: TypeAlias = Template | StillTemplate
+
+_CHECKSUM_PATTERN = re.compile(
+    re.escape(CHECKSUM.encode() + b"\0string\0" + CHECKSUM_DIGITS.to_bytes(4, "little"))
+)
+_PROGRAM_NAME = re.compile(rb"ExWarp \d")
+_NAME_RANGE = 4096  # bytes from both ends in which a format keeps the program's name
+
+
+def frame_rate(header: Mapping[str, Any]) -> Fraction | None:
+    """Return framesPerSecond from a header, of any type; None when absent or not positive."""
+    return parsed_rate(header.get("framesPerSecond"))
+
+
+def parse_compression(name: str | None) -> Any:
+    """Return OpenEXR's constant for a compression, maybe an `OpenExrCompression`; None for None.
+
+    Raises UsageError when the name is not known.
+    """
+    if name is None:
+        return None
+    compressions = COMPRESSIONS | OPENEXR_COMPRESSIONS
+    if name not in compressions:
+        raise UsageError(f"--compression {name} is not one of {', '.join(compressions)}")
+    return compressions[name]
+
+
+def write_picture(
+    path: Path,
+    image: Image,
+    template: FrameTemplate,
+    attributes: Mapping[str, Any],
+    extra_planes: Mapping[PlaneKey, Plane] | None = None,
+) -> list[Buffer]:
+    """Write a generated frame, whole or not at all; return its bytes, piece by piece.
+
+    The suffix names the format of the template, the colour is scene-linear, and the folder exists.
+    Attributes are as for `write_frame`; stills keep those with `PREFIX` alone, and have no extra
+    planes. Raises OutputError when it cannot be written.
+    """
+    if isinstance(template, StillTemplate):
+        own = {k[len(PREFIX) :]: v for k, v in attributes.items() if k.startswith(PREFIX)}
+        return write_still(path, image, template, own)
+    return write_frame(path, image, template, attributes, extra_planes)
+
+
+def write_frame(
+    path: Path,
+    image: Image,
+    template: Template,
+    attributes: Mapping[str, Any],
+    extra_planes: Mapping[PlaneKey, Plane] | None = None,
+) -> list[Buffer]:
+    """Write a generated EXR, whole or not at all; return its bytes, piece by piece.
+
+    Each part covers what its source's did; see `filled_window`. Raises OutputError when it cannot
+    be written.
+
+    Parameters
+    ----------
+    path
+        Target; its folder exists.
+    image
+        Colour [H, W, C] of the leading view, with C the number of the template's colour channels.
+    template
+        From the key frame's file.
+    attributes
+        Header attributes that replace or join the template's. Those with `PREFIX` stand in the
+        first part.
+    extra_planes
+        Every other channel that the template has.
+    """
+    planes = dict(extra_planes or {})
+    for i, plane in enumerate(template.colour):
+        planes[plane.key] = Plane(image.pixels[..., i], image.data_window)
+    own = {name: value for name, value in attributes.items() if name.startswith(PREFIX)}
+    shared = {name: value for name, value in attributes.items() if name not in own}
+    parts: list[OutputPart] = []
+    for part in template.parts:
+        # Bring the channels of a part onto one window, in their types.
+        members = {plane: planes[plane.key] for plane in part.planes}
+        window = filled_window(members.values(), part.window)
+        channels = {
+            target.name: target.channel(place(plane.values, plane.window, window))
+            for target, plane in members.items()
+        }
+        structure = scanline_attributes(window, image.display_window)
+        parts.append(({**part.header, **shared, **structure}, channels))
+    return _write_exr(path, parts, own)
+
+
+def write_mask(
+    path: Path, mask: Bool, windows: tuple[Window, Window], attributes: Mapping[str, Any]
+) -> list[Buffer]:
+    """Write a hole mask as one half channel named ``holes``: 1 in holes, else 0.
+
+    The windows are data and display. Its bytes are returned, piece by piece.
+    """
+    header = {"compression": COMPRESSIONS["zips"], **attributes, **scanline_attributes(*windows)}
+    return _write_exr(path, [(header, {"holes": mask.astype(np.float16)})], {})
+
+
+def _write_exr(path: Path, parts: list[OutputPart], own: Mapping[str, Any]) -> list[Buffer]:
+    """Encode in memory, with `own` attributes in the first part, seal, and write."""
+    header, channels = parts[0]
+    parts[0] = {**header, **own, CHECKSUM: CHECKSUM_ZEROS}, channels
+    utf8_parts = [
+        ({k: replace_non_utf8(v) if isinstance(v, str) else v for k, v in header.items()}, channels)
+        for header, channels in parts
+    ]
+    try:
+        head, *pieces = encode(utf8_parts)
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise OutputError(f"cannot encode {path}: {error}; try another --compression") from error
+    head = restore_non_utf8(memoryview(head), (header for header, _ in parts))
+    sealed = seal(head, *pieces)
+    atomic_write_bytes(path, *sealed)
+    return sealed
+
+
+def seal(head: Buffer, *rest: Buffer) -> list[Buffer]:
+    """Put the checksum of an encoded file into its header; the file is in pieces.
+
+    The header is in the first piece, which is changed in place if it can be.
+    """
+    start = _find_checksum(head)
+    if start is None:
+        raise ValueError("no place for the checksum")
+    sealed = memoryview(head)
+    if sealed.readonly:
+        sealed = memoryview(bytearray(head))
+    digits = compute_checksum((sealed, *rest)).encode()
+    sealed[start : start + CHECKSUM_DIGITS] = digits
+    return [sealed, *rest]
+
+
+def is_intact(data: bytes) -> bool:
+    """Return whether a file's bytes are those that :func:`seal` produced."""
+    start = _find_checksum(data)
+    if start is None:
+        return False
+    view, end = memoryview(data), start + CHECKSUM_DIGITS
+    pieces = (view[:start], CHECKSUM_ZEROS.encode(), view[end:])
+    return compute_checksum(pieces).encode() == view[start:end]
+
+
+def _find_checksum(data: Buffer) -> int | None:
+    # Anywhere: a Cryptomatte's manifest, which comes before it, may be megabytes long.
+    match = _CHECKSUM_PATTERN.search(data)
+    if match is None or match.end() + CHECKSUM_DIGITS > len(data):
+        return None
+    return match.end()
+
+
+def read_string_attribute(data: bytes, name: str) -> str | None:
+    """Return a string attribute from the bytes of an EXR file; None without it."""
+    mark = name.encode() + b"\0string\0"
+    at = data.find(mark)
+    if at < 0:
+        return None
+    begin = at + len(mark) + 4
+    size = int.from_bytes(data[begin - 4 : begin], "little")
+    return data[begin : begin + size].decode("utf-8", "replace")
+
+
+def read_fingerprint(path: Path) -> str | None:
+    """Return the fingerprint of an undamaged generated frame; None for anything else."""
+    if not _is_exr(path):
+        fingerprint = read_facts(path).get("recipe")
+        return fingerprint if isinstance(fingerprint, str) else None
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    return read_string_attribute(data, FINGERPRINT) if is_intact(data) else None
+
+
+def read_facts(path: Path) -> dict[str, Any]:
+    """Return the ``exwarp:`` attributes of a frame, without the prefix; {} if it has none."""
+    if not _is_exr(path):
+        return still_facts(path) or {}
+    header = read_headers(path)[0]
+    return {k[len(PREFIX) :]: v for k, v in header.items() if k.startswith(PREFIX)}
+
+
+def file_digest(path: Path) -> str:
+    """Digest a file's bytes, hexadecimal, by the algorithm of generated files' checksums.
+
+    Raises DamagedFileError when there is no such file. Raises UnreadableError when the system does
+    not let it through.
+    """
+
+    def digest() -> str:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, new_checksum).hexdigest()
+
+    try:
+        return with_retries(path, digest)
+    except OSError as error:
+        raise damaged_error(path, str(error.strerror)) from error
+
+
+def filled_window(planes: Iterable[Plane], source: Window) -> Window:
+    """Return the window of nonzero pixels, or the whole one if their source filled its own.
+
+    A key frame that holds only an object's bounding box stays that small when it is moved. The
+    planes are those of one part; `source` is that part's data window in the key frame.
+    """
+    planes = tuple(planes)
+    window = reduce(Window.union, (plane.window for plane in planes))
+    if source == window:
+        return window
+    filled = np.zeros(window.shape, np.bool_)
+    for plane in planes:
+        filled |= place(plane.values != 0, plane.window, window)
+    rows, columns = np.flatnonzero(filled.any(axis=1)), np.flatnonzero(filled.any(axis=0))
+    if rows.size == 0:
+        return Window(window.x, window.y, 1, 1)
+    return Window(
+        window.x + int(columns[0]),
+        window.y + int(rows[0]),
+        int(columns[-1] - columns[0]) + 1,
+        int(rows[-1] - rows[0]) + 1,
+    )
+
+
+def read_picture(path: Path, view: str = "") -> Image:
+    """Read the colour of one file; see `read_image` and `read_still`."""
+    return read_image(path, view) if _is_exr(path) else read_still(path)[0]
+
+
+def quantise_picture(pixels: Float32, template: FrameTemplate) -> Float32:
+    """Round pixels to the precision of the file, so that scores hold for the written frame."""
+    if isinstance(template, StillTemplate):
+        return quantise_still(pixels, template)
+    return quantise_colour(pixels, template)
+
+
+def _is_exr(path: Path) -> bool:
+    return path.suffix.lower() in EXR
+
+
+class FileState(Enum):
+    """What a file's bytes say of who wrote them."""
+
+    # ExWarp wrote it, byte for byte; or so says its name in a format without checksums.
+    INTACT = "intact"
+    # ExWarp wrote it, and its pixels do not decode; or it is empty.
+    DAMAGED = "damaged"
+    # ExWarp wrote it, and another program changed it since.
+    EDITED = "edited"
+    # Nothing in it is ExWarp's.
+    FOREIGN = "foreign"
+
+
+@dataclass(frozen=True)
+class Authorship:
+    """Who wrote a file, with those of its `FACTS` that it has, without the prefix."""
+
+    state: FileState
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+def find_authorship(path: Path) -> Authorship | None:
+    """Find out who wrote a file; None if there is no file.
+
+    Raises UnreadableError when the system does not let the file through.
+    """
+    try:
+        data = with_retries(path, path.read_bytes)
+    except IsADirectoryError:
+        return Authorship(FileState.FOREIGN)
+    except OSError:  # there is none, or the path is wrong, which is reported when it is written
+        return None
+    if not data.strip(b"\0"):
+        # After a power cut files are empty, or have their length and no content.
+        return Authorship(FileState.DAMAGED)
+    is_authentic, facts = _read_claim(path, data)
+    if facts is None:
+        return Authorship(FileState.FOREIGN)
+    if is_authentic:
+        return Authorship(FileState.INTACT, facts)
+    try:
+        if _is_exr(path):
+            require_sound((path,))
+        else:
+            read_still(path)
+    except DamagedFileError:
+        return Authorship(FileState.DAMAGED, facts)
+    except InputError:  # never ExWarp's: deep, subsampled, other channels, EXR under that name
+        pass
+    return Authorship(FileState.EDITED, facts)
+
+
+def _read_claim(path: Path, data: bytes) -> tuple[bool, dict[str, Any] | None]:
+    """Return whether a file is as ExWarp wrote it, and its facts; None if it is foreign."""
+    if _is_exr(path):
+        if not data.startswith(MAGIC):
+            return False, None
+        texts = {name: read_string_attribute(data, f"{PREFIX}{name}") for name in FACTS}
+        facts = {name: text for name, text in texts.items() if text is not None}
+        is_authentic = is_intact(data)
+        has_claim = is_authentic or facts or read_string_attribute(data, CHECKSUM) is not None
+        return is_authentic, facts if has_claim else None
+    if path.suffix.lower() in SEALED:
+        still = parse_still_facts(data)
+        return still is not None, still if still is not None or not has_seal(data) else {}
+    ends = data[:_NAME_RANGE] + data[-_NAME_RANGE:]
+    return True, {} if _PROGRAM_NAME.search(ends) else None

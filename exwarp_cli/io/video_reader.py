@@ -1,0 +1,474 @@
+"""Reading plain video: what a file holds, and its frames as scene-linear colour.
+
+The ffmpeg that imageio-ffmpeg ships comes without ffprobe. Its format ``framecrc`` lists every
+packet's time without decoding one, and its filter ``showinfo`` prints what the decoder knows of the
+first frame; both have kept their form for many years.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from exwarp_cli.domain.frame import Float32, require_size
+from exwarp_cli.domain.settings import SourceSettings
+from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.io.display_colour import MATRICES, VideoColour, from_display
+from exwarp_cli.io.ffmpeg import EXACT_SCALING, FfmpegError, FfmpegReader, run_ffmpeg
+from exwarp_cli.io.files import ResourceOwner, system_failure, with_retries
+from exwarp_cli.io.video_timing import (
+    IN_ORDER,
+    ON_DAMAGE,
+    Pacing,
+    Packets,
+    find_pacing,
+    first_interlaced,
+    frame_info,
+    intact_frames,
+    read_packets,
+)
+from exwarp_cli.io.video_writer import Soundtrack, Timecode, VideoLook
+
+# Suffixes of the videos that are read, in lower case.
+CLIPS = (
+    *(".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mxf", ".mpg", ".mpeg", ".ts", ".mts"),
+    *(".m2ts", ".flv", ".wmv", ".gif", ".apng", ".y4m"),
+)
+_PICTURES = (".gif", ".apng")  # of videos that may be single pictures, too
+
+# From as many rows on, a video that does not name its matrix has that of BT.709, else BT.601.
+HD_ROWS = 720
+
+# Filter that makes one frame of two fields, and leaves frames alone that are progressive.
+DEINTERLACE = "bwdif=mode=send_frame:deint=interlaced"
+
+# The usual decoders of the two drop alpha silently.
+_ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}
+_HDR = {"smpte2084": "PQ", "arib-std-b67": "HLG"}
+_INDEXED = ("mov,mp4", "matroska")  # containers whose table of frames seeking can rely on
+_REBASED = "mpeg"  # program and transport streams: ffmpeg starts what it reads of them at 0
+_ALPHA = re.compile(r"(yuva|gbra|rgba|bgra|argb|abgr|ya)[0-9a-z]*")
+_RGB = re.compile(r"gbr|rgb|bgr|argb|abgr|0rgb|0bgr|pal8|x2rgb|x2bgr")
+_DEEP = re.compile(r"(9|10|12|14|16|32|48|64)(le|be)")
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A video that was looked into."""
+
+    path: Path
+    # Of its frames as players show them, turned upright, in pixels
+    width: int
+    height: int
+    pacing: Pacing  # frame rate, and which of the file's frames is shown at each instant of it
+    look: VideoLook  # its colour, pixel aspect and sound, for a video made of it
+    has_alpha: bool  # whether it has an alpha channel
+    deep: bool  # whether it has more than 8 bits a channel; then 16 are decoded
+    _packets: Packets
+    _is_indexed: bool
+    _decoder: tuple[str, ...] = ()
+    _is_deinterlaced: bool = False
+    _full_alpha: int = 255
+
+    @property
+    def rate(self) -> Fraction:
+        """Frames per second, exactly."""
+        return self.pacing.rate
+
+    @property
+    def count(self) -> int:
+        """Number of frames at this rate."""
+        return len(self.pacing.shown)
+
+    @property
+    def reading(self) -> tuple[str, ...]:
+        """Names of what its frames depend on beside the file."""
+        names = {"alpha": self.has_alpha, "deinterlaced": self._is_deinterlaced}
+        return tuple(name for name, applies in names.items() if applies)
+
+    def sound(
+        self, start: Fraction | int = 0, stop: Fraction | int | None = None
+    ) -> Soundtrack | None:
+        """Return the sound that goes with the frames [start, stop); None where it is silent."""
+        sound = self.look.sound
+        if sound is None:
+            return None
+        length = None if stop is None else (stop - start) / self.rate
+        return replace(sound, start=sound.start + start / self.rate, length=length)
+
+    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Float32]:
+        """Decode the frames [start, stop), one at a time: float32 [H, W, 3 or 4], 0 to 1.
+
+        They are scene-linear by the sRGB curve, the inverse of `to_display`. With alpha, they are
+        premultiplied. Pixels are the same wherever decoding starts. Raises DamagedFileError when
+        the video cannot be decoded, or ends early.
+        """
+        shown = self.pacing.shown[start : self.count if stop is None else stop]
+        if not shown:
+            return
+        first = self._packets.cut(shown[0]) if self._packets.times else shown[0]
+        decoded = (first or 0) - 1
+        ahead: deque[tuple[int, bytes]] = deque()
+        try:
+            with FfmpegReader(self._options(first)) as ffmpeg:
+                for index, source in enumerate(shown, start=start):
+                    # A B-frame is not known to be sound before the frame after it is.
+                    needed = self._packets.last_needed(source)
+                    while decoded < needed:
+                        data = ffmpeg.read(self._frame_size)
+                        if data is None:
+                            why = f"it ends after {index} of {self.count} frames"
+                            raise damaged_clip(self.path, why)
+                        decoded += 1
+                        ahead.append((decoded, data))
+                    while ahead[0][0] < source:
+                        ahead.popleft()
+                    yield self._to_light(ahead[0][1])
+        except FfmpegError as error:
+            raise damaged_clip(self.path, str(error)) from error
+
+    def begins_group(self, index: int) -> bool:
+        """Return whether a frame is the first that is decoded after a seek, or of the file."""
+        first = self._first_needed(self.pacing.shown[index])
+        return first <= 0 or self._key_before(first) == first
+
+    def _first_needed(self, source: int) -> int:
+        """Return the first of the file's frames that one of them is made from."""
+        return (self._packets.cut(source) or 0) - self._is_deinterlaced
+
+    def intact_frames(self, start: int = 0) -> Iterator[Float32 | None]:
+        """Decode the frames from `start` on as `frames` does, over damage.
+
+        Yields None for a frame that damage affects: for one that cannot be decoded, and for those
+        after it up to the next key frame.
+        """
+        shown = self.pacing.shown[start:]
+        begin = self._key_before(self._first_needed(shown[0])) or 0
+        seek = ["-ss", f"{float(self._packets.time(begin)):.6f}"] if begin else []
+        options = [*ON_DAMAGE, *seek, *self._decoding_options("")]
+        with FfmpegReader(options) as ffmpeg:
+            intact = intact_frames(ffmpeg, self._frame_size, self._packets, begin, self.rate)
+            decoded, data = -1, b""
+            for source in shown:
+                while decoded < source:
+                    decoded, data = next(intact, (self._packets.count, b""))
+                yield None if decoded > source else self._to_light(data)
+
+    def _options(self, first: int | None) -> list[str]:
+        """Return what makes ffmpeg write the file's frames from `first` on; None for all."""
+        # A field is judged by the frame before, too.
+        key = None if first is None else self._key_before(first - self._is_deinterlaced)
+        seek = None if key is None else self._packets.time(key)
+        begin = [] if seek is None else ["-ss", f"{float(seek):.6f}"]
+        if first is None:
+            cut = "null,"
+        elif self._packets.times:
+            # Half a frame before its time, as both are rounded.
+            half = max(self._packets.least_step, self._packets.tick) / 2
+            since = self._packets.time(first) - (seek or 0) - half
+            cut = f"trim=start={max(float(since), 0):.6f},"
+        else:
+            cut = f"trim=start_frame={first},"
+        return ["-xerror", *begin, *self._decoding_options(cut)]
+
+    def _decoding_options(self, cut: str) -> list[str]:
+        """Return what makes ffmpeg write full-range RGB, after filters that choose frames."""
+        names = ("rgb48le", "rgba64le") if self.deep else ("rgb24", "rgba")
+        pixels = names[self.has_alpha]
+        fields = f"{DEINTERLACE}," if self._is_deinterlaced else ""
+        conversion = (
+            f"scale={self.width}:{self.height}:in_color_matrix={MATRICES[self.look.colour.matrix]}:"
+            f"out_range=pc:{EXACT_SCALING},format={pixels}"
+        )
+        return [
+            *(*IN_ORDER, *self._decoder, "-i", f"file:{self.path}", "-map", "0:V:0"),
+            *("-vf", f"{fields}{cut}{conversion}", "-fps_mode", "passthrough"),
+            *("-f", "rawvideo", "-pix_fmt", pixels, "-"),
+        ]
+
+    @property
+    def _dtype(self) -> np.dtype[Any]:
+        return np.dtype("<u2" if self.deep else "u1")
+
+    @property
+    def _frame_size(self) -> int:
+        """Bytes of a decoded frame."""
+        return self.width * self.height * (3 + self.has_alpha) * self._dtype.itemsize
+
+    def _to_light(self, data: bytes) -> Float32:
+        """Turn sRGB codes into scene-linear light, premultiplied if there is alpha."""
+        codes = np.frombuffer(data, self._dtype)
+        codes = codes.reshape(self.height, self.width, 3 + self.has_alpha)
+        light = from_display(codes[..., :3])
+        if not self.has_alpha:
+            return light
+        alpha = np.minimum(codes[..., 3:] / np.float32(self._full_alpha), 1)
+        return np.concatenate([light * alpha, alpha], axis=-1)
+
+    def _key_before(self, first: int) -> int | None:
+        """Return the key frame to seek to before a frame; None to decode from the start.
+
+        What is shown before a key frame but comes after it in the file, an open group of pictures,
+        needs the key frame before; by the order of showing it is behind that one.
+        """
+        keys = self._packets.keys
+        before = bisect_right(keys, first) - 1
+        if not self._is_indexed or before < 1 or self._packets.least_step <= 0:
+            return None
+        return keys[before]
+
+
+class ClipReader(ResourceOwner):
+    """Frames of a video by their index, cheaply as long as that grows; a context manager."""
+
+    def __init__(self, clip: Clip) -> None:
+        self._clip = clip
+        self._next = 0
+        self._frames: Iterator[Float32 | None] | None = None
+        self._last: tuple[int, Float32] | None = None
+        self._damaged: set[int] = set()
+        self._is_damaged = False
+
+    def _open(self, stack: ExitStack) -> None:
+        stack.callback(self._stop_decoding)
+
+    def read(self, index: int) -> Float32:
+        """Return a frame as `Clip.frames` yields it.
+
+        Raises DamagedFileError when the video ends early, or cannot be decoded there. Raises
+        UnreadableError when the system does not let it through.
+        """
+        return with_retries(self._clip.path, partial(self._read, index))
+
+    def _read(self, index: int) -> Float32:
+        """Return a frame, decoded on from the last one or from the key frame before."""
+        if self._last is not None and self._last[0] == index:
+            return self._last[1]
+        clip = self._clip
+        why = f"frame {index + 1} of {clip.count} is damaged, or builds on a damaged one"
+        if index in self._damaged:
+            raise damaged_clip(clip.path, why)
+        try:
+            frame = self._decode(index)
+        except DamagedFileError as error:
+            self._stop_decoding()
+            if self._is_damaged or system_failure(clip.path, error) is not None:
+                raise
+            # Once there is damage, ffmpeg decodes on over it, and does not begin at each frame.
+            self._is_damaged = True
+            frame = self._decode(index)
+        if frame is None:
+            damage = damaged_clip(clip.path, why)
+            if system_failure(clip.path, damage) is None:
+                self._damaged.add(index)
+            else:
+                self._stop_decoding()  # the end of what was read is not the end of the file
+            raise damage
+        self._last = index, frame
+        return frame
+
+    def _decode(self, index: int) -> Float32 | None:
+        """Return a frame, or None if damage affects it; raises DamagedFileError at first damage."""
+        if self._frames is None or index < self._next:
+            self._stop_decoding()
+            clip = self._clip
+            # Inside a group of pictures, ffmpeg hands out frames before it stops at earlier damage.
+            is_checked = self._is_damaged or not clip.begins_group(index)
+            self._frames = clip.intact_frames(index) if is_checked else clip.frames(index)
+            self._next = index
+        for frame in self._frames:
+            self._next += 1
+            if self._next > index:
+                return frame
+        raise IndexError(f"{self._clip.path} has no frame {index}")
+
+    def _stop_decoding(self) -> None:
+        if self._frames is not None:
+            self._frames.close()  # type: ignore[attr-defined]  # a generator
+        self._frames = None
+
+
+def is_clip(spec: str) -> bool:
+    """Return whether a path or pattern of the user is a video, not a sequence of images."""
+    path = Path(spec)
+    suffix = path.suffix.lower()
+    if suffix in _PICTURES and set("#%") & set(path.name):
+        return False  # a pattern of single pictures
+    return suffix in CLIPS and not path.is_dir()
+
+
+def open_clip(path: Path, scan: str = SourceSettings.scan) -> Clip:
+    """Look into a video.
+
+    `scan`, out of `SCANS`, is how it is read if it is interlaced, at its first frame or later.
+
+    Raises InputError when there is no such file, or it is HDR, sound alone, or interlaced with
+    `scan` "auto". Raises DamagedFileError when it cannot be read as video, and UnreadableError when
+    the system does not let it through.
+    """
+    return with_retries(path, partial(_open_clip, path, scan))
+
+
+def _open_clip(path: Path, scan: str) -> Clip:
+    if not path.is_file():
+        raise InputError(f"there is no video {path}; check the path")
+    try:
+        packets = read_packets(path)
+        decoder, info = _first_frame_info(path)
+    except FfmpegError as error:
+        _require_picture(path)
+        raise damaged_clip(path, str(error)) from error
+    input_info = _input_part(info)
+    container = re.search(r"^Input #0, (\S+), from", info, re.MULTILINE)
+    frame = re.search(
+        r"showinfo.* fmt:(?P<fmt>\S+) .*sar:(?P<sar>\d+/\d+) s:(?P<w>\d+)x(?P<h>\d+) "
+        r"i:(?P<scan>\S)",
+        info,
+    )
+    if container is None or frame is None:
+        raise damaged_clip(path, "no frame can be decoded")
+    pixels, width, height = frame["fmt"], int(frame["w"]), int(frame["h"])
+    colour = _parse_colour(path, info, height, pixels)
+    is_indexed = container[1].startswith(_INDEXED)
+    if scan == "auto":
+        is_interlaced = frame["scan"] in "TB"
+        since = Fraction(0) if is_interlaced else first_interlaced(path, packets, is_indexed)
+        if since is not None:
+            raise _interlaced_error(path, since)
+    require_size(path, height, width)
+    codecs, subtitles = (_track_codecs(input_info, kind) for kind in ("Audio", "Subtitle"))
+    sound = None
+    if codecs or subtitles:
+        picture_start, sound_start = _rebased_starts(container[1], input_info)
+        start = max(picture_start + packets.time(0), Fraction(0))
+        sound = Soundtrack(path, codecs, start, None, sound_start, subtitles)
+    rate = re.search(r"showinfo.*frame_rate: (\d+)/([1-9]\d*)", info)
+    pacing = find_pacing(packets, Fraction(int(rate[1]), int(rate[2])) if rate else None)
+    code = re.search(r"^\s*timecode\s*: (\S+)", input_info, re.MULTILINE | re.IGNORECASE)
+    timecode = None if code is None else Timecode(code[1], pacing.rate)
+    num, den = map(int, frame["sar"].split("/"))
+    aspect = Fraction(num, den) if num and den else Fraction(1)
+    depth = _DEEP.search(pixels)
+    # What full alpha is decoded to: the filter ``scale`` shifts 10 or 12 bits up to 16.
+    bits = min(int(depth[1]), 16) if depth else 8
+    full_alpha = ((1 << bits) - 1) << (16 - bits) if depth else 255
+    return Clip(
+        path,
+        width,
+        height,
+        pacing,
+        VideoLook(colour, aspect, sound, timecode=timecode),
+        _ALPHA.fullmatch(pixels) is not None,
+        depth is not None,
+        packets,
+        is_indexed,
+        decoder,
+        scan == "deinterlace",
+        full_alpha,
+    )
+
+
+def damaged_clip(path: Path, why: str) -> DamagedFileError:
+    """Build the error for a video that cannot be decoded."""
+    return DamagedFileError(f"cannot read the video {path}: {why}; export it again")
+
+
+def _interlaced_error(path: Path, since: Fraction) -> InputError:
+    begin = f" from {float(since):.2f} s on" if since else ""
+    return InputError(
+        f"the video {path} is interlaced{begin}, and frames are upsampled here, not fields; give "
+        "--scan deinterlace, or --scan progressive if both fields show one instant (PsF)"
+    )
+
+
+def _require_picture(path: Path) -> None:
+    """Refuse a file of sound alone; raises InputError."""
+    with suppress(FfmpegError):
+        _, info = run_ffmpeg(["-v", "info", "-i", f"file:{path}", "-f", "ffmetadata", "-"])
+        streams = re.findall(r"^\s*Stream #0:.*", _input_part(info), re.MULTILINE)
+        # A cover is no video.
+        has_video = any(": Video: " in line and "(attached pic)" not in line for line in streams)
+        if streams and not has_video:
+            raise InputError(f"{path} holds no picture, only sound; name a video or frames")
+
+
+def _first_frame_info(path: Path) -> tuple[tuple[str, ...], str]:
+    """Return the options that choose a decoder, and what ffmpeg prints about the first frame."""
+    info = frame_info(path, "-frames:v", "1")
+    video = re.search(r"Stream #0:.*?: Video: (\w+)", info)
+    name = _ALPHA_DECODERS.get(video[1]) if video else None
+    if name is None or not re.search(r"^\s*alpha_mode\s*: 1", _input_part(info), re.MULTILINE):
+        return (), info
+    decoder = ("-c:v", name)
+    try:
+        return decoder, frame_info(path, "-frames:v", "1", input_options=decoder)
+    except FfmpegError as error:
+        raise FfmpegError(f"its alpha needs ffmpeg with the decoder {name}") from error
+
+
+def _input_part(info: str) -> str:
+    """Return what ffmpeg prints about the input, without the output."""
+    return info.partition("Stream mapping:")[0].partition("Output #0")[0]
+
+
+def _track_codecs(input_info: str, kind: str) -> tuple[str, ...]:
+    """Return the codecs of a kind of tracks, in the order of the file."""
+    line = rf"^\s*Stream #0:(\d+).*?: {kind}: (\w+)"
+    streams = re.findall(line, input_info, re.MULTILINE)
+    # A transport stream lists a track once for each program that has it.
+    by_index = {int(index): codec for index, codec in streams}
+    return tuple(by_index[index] for index in sorted(by_index))
+
+
+def _rebased_starts(container: str, input_info: str) -> tuple[Fraction, Fraction]:
+    """Return seconds from a file's first time to those of picture and sound that ffmpeg makes 0.
+
+    They are 0 where ffmpeg keeps the times.
+    """
+    zero = Fraction(0)
+    begin = re.search(r"^  Duration: .*\bstart: (-?[\d.]+)", input_info, re.MULTILINE)
+    if not container.startswith(_REBASED) or begin is None:
+        return zero, zero
+    starts: dict[str, list[Fraction]] = {"Video": [], "Audio": []}
+    streams = re.findall(r"^\s*Stream #0:.*?: (Video|Audio): (.*)$", input_info, re.MULTILINE)
+    for kind, line in streams:
+        start = re.search(r", start (-?[\d.]+)", line)
+        starts[kind].append(Fraction(start[1] if start else 0) - Fraction(begin[1]))
+    # One picture is read alone, all sounds together.
+    return next(iter(starts["Video"]), zero), min(starts["Audio"], default=zero)
+
+
+def _parse_colour(path: Path, info: str, rows: int, pixels: str) -> VideoColour:
+    """Return what the colour codes mean, with the usual guesses where the file does not say.
+
+    Raises InputError for colour that is not read.
+    """
+    tags = dict(re.findall(r"\b(color_\w+):(\S+)", info.replace(":reserved", ":unknown")))
+    transfer = tags.get("color_trc", "unknown")
+    if transfer in _HDR:
+        raise InputError(
+            f"the video {path} is HDR ({_HDR[transfer]}), and only SDR video is read; convert "
+            "it to SDR first, or give the frames as OpenEXR"
+        )
+    matrix, full_range = tags.get("color_space", "unknown"), tags.get("color_range") == "pc"
+    if matrix == "gbr" or _RGB.match(pixels):
+        matrix, full_range = "bt709", False  # it has neither, and the video made of it needs both
+    elif matrix == "unknown":
+        matrix = "bt709" if rows >= HD_ROWS else "smpte170m"
+    elif matrix not in MATRICES:
+        raise InputError(
+            f"the video {path} has the colour matrix {matrix}, which is not known here; "
+            "convert it to BT.709 first"
+        )
+    primaries = tags.get("color_primaries", "unknown")
+    return VideoColour(matrix, primaries, transfer, full_range or pixels.startswith("yuvj"))

@@ -1,0 +1,402 @@
+"""Writing a video of the result: H.264 in MP4 or QuickTime, with another video's sound.
+
+What a container takes, and what ffmpeg can decode, is tried out before the video is begun: a track
+that fails would end the video, with all frames that are made for it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from exwarp_cli.domain.frame import Float32, UInt8
+from exwarp_cli.errors import OutputError, UsageError
+from exwarp_cli.io.display_colour import MATRICES, Primaries, VideoColour
+from exwarp_cli.io.ffmpeg import (
+    EXACT_SCALING,
+    RAW_INPUT,
+    FfmpegError,
+    FfmpegWriter,
+    pad_to_even,
+    run_ffmpeg,
+)
+from exwarp_cli.io.files import atomic_path
+
+# ffmpeg's name of the container by file suffix.
+CONTAINERS = {".mp4": "mp4", ".mov": "mov"}
+
+# Codecs that are copied into each container as they are, since players of it know them.
+COPIED_AUDIO: Mapping[str, frozenset[str]] = {
+    "mp4": frozenset({"aac", "ac3", "alac", "eac3", "flac", "mp3", "opus"}),
+    "mov": frozenset({"aac", "ac3", "alac", "eac3", "mp3", "pcm_s16le", "pcm_s24le", "pcm_s16be"}),
+}
+
+# Subtitles whose styles the two containers have no room for.
+STYLED_SUBTITLES = frozenset({"ass", "ssa"})
+
+# Kinds of tracks, as ffmpeg's options call them.
+SOUND, SUBTITLES = "a", "s"
+
+# Constant rate factor of libx264, 0 to 51: at 16 the eye sees no difference from the frames.
+QUALITY_CRF = 16
+
+# Frames per second that a timecode track of MP4 and QuickTime can count.
+MAX_TIMECODE_RATE = 255
+
+_COPY = "copy"
+_TIMECODE = re.compile(r"(\d\d):(\d\d):(\d\d)([:;.])(\d+)")
+_DAY_S = 24 * 3600
+
+
+@dataclass(frozen=True)
+class Timecode:
+    """The timecode of a frame."""
+
+    # ``HH:MM:SS:FF``; with a semicolon or a point before the frames where numbers are dropped
+    text: str
+    rate: Fraction  # frames per second that it counts
+    # Frames, or parts of one, from the one that has this timecode to the one that is meant
+    later: Fraction = Fraction(0)
+
+    def convert(self, rate: Fraction) -> str | None:
+        """Return the timecode at another rate; None if it cannot be counted there.
+
+        At four times the rate, frame 7 of a second becomes frame 28.
+        """
+        match, base, own_base = _TIMECODE.fullmatch(self.text), round(rate), round(self.rate)
+        if match is None or base > MAX_TIMECODE_RATE:
+            return None
+        drops = match[4] != ":"
+        # Numbers are dropped at 29.97 and its multiples alone.
+        if drops and (rate.denominator != 1001 or base % 30 or own_base % 30):
+            return None
+        hours, minutes, seconds, frames = (int(match[group]) for group in (1, 2, 3, 5))
+        minutes += 60 * hours
+        count = (60 * minutes + seconds) * own_base + frames
+        if drops:  # some in each minute but every tenth
+            count -= own_base // 15 * (minutes - minutes // 10)
+        return _format_timecode(int((count + self.later) * rate / self.rate), base, drops)
+
+
+def _format_timecode(count: int, base: int, drops: bool) -> str:
+    """Return the timecode after `count` frames since midnight, at `base` frames per second."""
+    if drops:
+        dropped = base // 15
+        tens, remainder = divmod(count, 600 * base - 9 * dropped)
+        # The first of ten minutes drops nothing.
+        minutes = 1 + (remainder - 60 * base) // (60 * base - dropped)
+        count += dropped * (9 * tens + (0 if remainder < 60 * base else minutes))
+    seconds, frames = divmod(count, base)
+    hours, seconds = divmod(seconds % _DAY_S, 3600)
+    sign = ";" if drops else ":"
+    return f"{hours:02}:{seconds // 60:02}:{seconds % 60:02}{sign}{frames:02}"
+
+
+@dataclass(frozen=True)
+class Track:
+    """A track of a video."""
+
+    kind: str  # `SOUND` or `SUBTITLES`
+    index: int  # among the tracks of its kind, from 0
+    codec: str  # by ffmpeg's name
+
+    @property
+    def name(self) -> str:
+        """Its name in messages, counted from 1."""
+        kind = "sound" if self.kind == SOUND else "subtitle"
+        return f"{kind} track {self.index + 1} ({self.codec})"
+
+
+# Tracks that go into the new video, each with the encoder's name and options.
+EncodedTracks = Sequence[tuple[Track, tuple[str, ...]]]
+
+
+@dataclass(frozen=True)
+class Soundtrack:
+    """The sound and the subtitles that a video takes over from another."""
+
+    path: Path
+    codecs: tuple[str, ...]  # of its audio streams, by ffmpeg's names; empty where it is silent
+    start: Fraction = Fraction(0)  # seconds from its beginning to the first frame that is written
+    length: Fraction | None = None  # seconds to take; None for all
+    # Seconds from its beginning to its sound, where ffmpeg drops that time; else 0
+    begins: Fraction = Fraction(0)
+    subtitles: tuple[str, ...] = ()  # codecs of its subtitles, by ffmpeg's names
+
+    @property
+    def delay(self) -> Fraction:
+        """Seconds of silence to put before it."""
+        return max(self.begins - self.start, Fraction(0))
+
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        """Its tracks, sound first."""
+        kinds = ((SOUND, self.codecs), (SUBTITLES, self.subtitles))
+        return tuple(
+            Track(kind, index, codec)
+            for kind, codecs in kinds
+            for index, codec in enumerate(codecs)
+        )
+
+    @property
+    def input_options(self) -> list[str]:
+        """ffmpeg's options that read the part of the other video which is taken over."""
+        options = ["-ss", f"{float(self.start):.6f}"] if self.start > 0 else []
+        if self.length is not None:
+            options += ["-t", f"{float(self.length):.6f}"]
+        if self.delay:
+            options += ["-itsoffset", f"{float(self.delay):.6f}"]
+        return [*options, "-i", f"file:{self.path}"]
+
+
+@dataclass(frozen=True)
+class VideoLook:
+    """The properties of a video beside its size and rate."""
+
+    # The default suits rendered frames on a display
+    colour: VideoColour = field(default_factory=VideoColour)
+    pixel_aspect: Fraction = Fraction(1)  # width of a pixel by its height
+    sound: Soundtrack | None = None  # none for a silent video
+    note: str = ""  # what the video was made of, kept as its comment; see `read_video_note`
+    primaries: Primaries | None = None  # those of the frames that it shows; None for Rec. 709.
+    timecode: Timecode | None = None  # of the first frame; None without
+    remarks: tuple[str, ...] = ()  # messages to the user about what the video lacks
+
+    def display(self, pixels: Float32) -> Float32:
+        """Return scene-linear colour [H, W, 3 or more] with the primaries of a display."""
+        return pixels if self.primaries is None else self.primaries.converted(pixels)
+
+
+def require_container(path: Path) -> None:
+    """Refuse a video whose suffix names no container that is written; raises UsageError."""
+    if path.suffix.lower() not in CONTAINERS:
+        raise UsageError(
+            f"the video {path} is neither .mp4 nor .mov; choose a name with one of the two"
+        )
+
+
+def read_video_note(path: Path) -> str | None:
+    """Return the note of a video; None without one, and for what cannot be read as a video.
+
+    A video that `VideoWriter` put in place is complete, so the note alone identifies a good one.
+    """
+    if not path.is_file():
+        return None
+    try:
+        metadata, _ = run_ffmpeg(["-i", f"file:{path}", "-f", "ffmetadata", "-"])
+    except FfmpegError:
+        return None
+    comment = re.search(r"^comment=(.*)$", metadata.decode("utf-8", "replace"), re.MULTILINE)
+    return None if comment is None else re.sub(r"\\(.)", r"\1", comment[1])
+
+
+class VideoWriter:
+    """Writes frames to a video, ``.mp4`` or ``.mov``, that appears when it is complete.
+
+    A context manager: leaving it without an error puts the video in place, with one discards it.
+    The folder must exist. Frames of odd size are padded by repeating the last column or row, since
+    4:2:0 video has even sizes only. The frame rate is kept exactly as a `Fraction`; of a float, the
+    nearest fraction.
+
+    Raises UsageError for another suffix, or a frame rate that is not positive. Raises OutputError
+    when ffmpeg is missing or fails, or the video cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        width: int,
+        height: int,
+        fps: Fraction | float,
+        look: VideoLook | None = None,
+    ) -> None:
+        require_container(path)
+        if not 0 < fps < float("inf"):
+            raise UsageError(f"the frame rate {fps} of the video is not a positive number")
+        self._path = path
+        self._container = CONTAINERS[path.suffix.lower()]
+        self._shape = (height, width, 3)
+        self._rate = Fraction(fps).limit_denominator(100_000)
+        self._look = look or VideoLook()
+        # The timecode at the video's rate; None without, and if it cannot count that rate.
+        self._timecode = self._look.timecode and self._look.timecode.convert(self._rate)
+        self._stack = ExitStack()
+        self._count = 0
+        self._tracks: EncodedTracks = ()
+        self._track_remarks: tuple[str, ...] = ()
+
+    def __enter__(self) -> VideoWriter:
+        with ExitStack() as stack:
+            temporary = stack.enter_context(atomic_path(self._path))
+            temporary.touch()  # a bad folder shows here, with its reason
+            if self._look.sound is not None:
+                self._tracks, self._track_remarks = plan_tracks(self._look.sound, self._container)
+            try:
+                self._ffmpeg = stack.enter_context(FfmpegWriter(self._options(temporary)))
+            except FfmpegError as error:
+                raise OutputError(
+                    f"cannot write the video {self._path}: {error}; reinstall the "
+                    "package imageio-ffmpeg, or run without the video"
+                ) from error
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if error is not None:
+            self._stack.__exit__(kind, error, trace)
+            return
+        with self._stack:
+            try:
+                self._ffmpeg.close()
+            except FfmpegError as failure:
+                raise self._write_error(failure) from failure
+            if self._count == 0:
+                raise OutputError(
+                    f"the video {self._path} would have no frames; choose frames to write, or run "
+                    "without the video"
+                )
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the video lacks, or has in another form than the input; complete once entered."""
+        remarks = (*self._look.remarks, *self._track_remarks)
+        if self._look.timecode is None or self._timecode is not None:
+            return remarks
+        rate = f"{float(self._rate):g}"
+        why = f"the timecode is left out of the video, as it cannot count {rate} frames a second"
+        return (*remarks, why)
+
+    def write(self, frame: UInt8) -> None:
+        """Append a frame, uint8 [H, W, 3] in display encoding; raises OutputError."""
+        if frame.shape != self._shape or frame.dtype != np.uint8:
+            raise ValueError(f"expected uint8 {self._shape}, got {frame.dtype} {frame.shape}")
+        try:
+            self._ffmpeg.write(pad_to_even(frame))
+        except FfmpegError as error:
+            raise self._write_error(error) from error
+        self._count += 1
+
+    def _options(self, target: Path) -> list[str]:
+        height, width, _ = self._shape
+        look, colour = self._look, self._look.colour
+        source = RAW_INPUT.format(
+            width=width + width % 2, height=height + height % 2, rate=self._rate
+        )
+        # Turn sRGB codes into the video's colour, and say so: the encoder labels it with that.
+        filters = (
+            f"scale=out_color_matrix={MATRICES[colour.matrix]}:out_range={colour.range}:"
+            f"{EXACT_SCALING},setparams=range={colour.range}:colorspace={colour.matrix}:"
+            f"color_primaries={colour.primaries}:color_trc={colour.transfer},"
+            f"setsar={look.pixel_aspect.numerator}/{look.pixel_aspect.denominator}"
+        )
+        sound_in: list[str] = []
+        sound_out: list[str] = []
+        # The other video's own timecode counts its own rate.
+        timecode = ["-metadata", f"timecode={self._timecode or ''}"]
+        if look.sound is not None and self._tracks:
+            sound_in = look.sound.input_options
+            mapping = _track_options(self._tracks, 1)
+            sound_out = ["-map", "0:v", *mapping, "-map_metadata", "1", *timecode]
+        elif self._timecode:
+            sound_out = timecode
+        return [
+            *source.split(),
+            *sound_in,
+            *("-vf", filters, "-c:v", "libx264", "-crf", str(QUALITY_CRF)),
+            *("-pix_fmt", "yuv420p"),
+            *sound_out,
+            *(("-metadata", f"comment={look.note}") if look.note else ()),
+            *("-movflags", "+faststart", "-f", self._container, f"file:{target}"),
+        ]
+
+    def _write_error(self, error: FfmpegError) -> OutputError:
+        return OutputError(
+            f"cannot write the video {self._path}: {error}; "
+            "check the folder and the space on the disk, or run without the video"
+        )
+
+
+def plan_tracks(sound: Soundtrack, container: str) -> tuple[EncodedTracks, tuple[str, ...]]:
+    """Find out how each track can go into a container, "mp4" or "mov", by trying.
+
+    Returns the tracks that go along, and a sentence for each one that is not copied.
+    """
+    first = [(track, _encoders(track, container)[0]) for track in sound.tracks]
+    if not first or _can_encode(sound, first, container):  # nearly always: it is read once
+        encoded = first
+    else:
+        choices = [(track, _choose_encoder(sound, track, container)) for track in sound.tracks]
+        encoded = [(track, encoder) for track, encoder in choices if encoder is not None]
+    encoders = dict(encoded)
+    remarks = (_remark(sound, track, encoders.get(track), container) for track in sound.tracks)
+    return encoded, tuple(filter(None, remarks))
+
+
+def _encoders(track: Track, container: str) -> list[tuple[str, ...]]:
+    """Return the encoders to try, the best first."""
+    if track.kind == SUBTITLES:
+        return [("mov_text",)]
+    copied = [(_COPY,)] if track.codec in COPIED_AUDIO[container] else []
+    # AAC has 8 channels at most here; PCM has any number, but is not usual in MP4.
+    pcm = [("pcm_s24le",)] if container == "mov" else []
+    return [*copied, ("aac", "256k"), *pcm]
+
+
+def _choose_encoder(sound: Soundtrack, track: Track, container: str) -> tuple[str, ...] | None:
+    for encoder in _encoders(track, container):
+        if _can_encode(sound, [(track, encoder)], container):
+            return encoder
+    return None
+
+
+def _can_encode(sound: Soundtrack, tracks: EncodedTracks, container: str) -> bool:
+    """Write tracks to nowhere, and return True if that succeeds."""
+    options = (*sound.input_options, *_track_options(tracks, 0))
+    try:
+        run_ffmpeg([*options, "-f", container, f"file:{os.devnull}"])
+    except FfmpegError:
+        return False
+    return True
+
+
+def _track_options(tracks: EncodedTracks, source: int) -> list[str]:
+    """Return ffmpeg's options for the output, by the number of the input."""
+    options: list[str] = []
+    counts = {SOUND: 0, SUBTITLES: 0}
+    for track, (encoder, *rate) in tracks:
+        place = f"{track.kind}:{counts[track.kind]}"
+        counts[track.kind] += 1
+        options += ["-map", f"{source}:{track.kind}:{track.index}", f"-c:{place}", encoder]
+        options += [f"-b:{place}", *rate] if rate else []
+    return options
+
+
+def _remark(
+    sound: Soundtrack, track: Track, encoder: tuple[str, ...] | None, container: str
+) -> str | None:
+    """Return the message about a track that is not copied; None if it needs none."""
+    name = f"{track.name} of {sound.path}"
+    if encoder is None:
+        fits_mov = container == "mp4" and _choose_encoder(sound, track, "mov") is not None
+        better = "; a video named .mov can hold it" if fits_mov else ""
+        return f"{name} is left out of the video, as it cannot be copied or encoded again{better}"
+    if track.kind == SUBTITLES:
+        return f"{name} keeps its text alone" if track.codec in STYLED_SUBTITLES else None
+    if encoder == (_COPY,):
+        return None
+    is_usual = track.codec in COPIED_AUDIO[container]
+    why = "it is damaged" if is_usual else f"players of .{container} do not know it"
+    return f"{name} is encoded again as {encoder[0]}, since {why}"

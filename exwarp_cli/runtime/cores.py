@@ -1,0 +1,120 @@
+"""The cores that this process uses, and which of its threads may work on them.
+
+Threads that read ahead, render frames and write behind are as many as keep all cores busy. Where a
+command may use fewer cores than there are, each thread takes a core for what it computes, and
+releases it while it waits for other threads or for a disk. With one core, three threads worked at a
+time without that.
+
+A kernel's threads count as the one that started them, and so do OpenImageIO's. ffmpeg is another
+process: the thread that feeds it keeps its core until ffmpeg has taken a frame.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from threading import Condition, get_ident, local
+
+
+class Cores:
+    """A number of cores, None for no limit, which threads hold while they work."""
+
+    def __init__(self, count: int | None) -> None:
+        self.count, self._free = count, count or 0
+        self._changed = Condition()
+        self._thread = local()
+
+    @contextmanager
+    def hold(self, count: int = 1) -> Iterator[None]:
+        """Wait for so many cores, or all there are, and hold them in the block.
+
+        A thread that holds some already keeps to these.
+        """
+        if self.count is None or self._held:
+            yield
+            return
+        self._take(min(count, self.count))
+        try:
+            yield
+        finally:
+            self._give_back()
+
+    @contextmanager
+    def release(self) -> Iterator[None]:
+        """Let other threads work on this thread's cores, if it holds any, within the block.
+
+        The thread must hold no lock that these may want: they could wait for each other.
+        """
+        count = self._held
+        if not count:
+            yield
+            return
+        self._give_back()
+        try:
+            yield
+        finally:
+            self._take(count)
+
+    @property
+    def _held(self) -> int:
+        return int(getattr(self._thread, "held", 0))
+
+    def _take(self, count: int) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._free >= count)
+            self._thread.held = count
+            self._free -= count
+
+    def _give_back(self) -> None:
+        with self._changed:
+            self._free += self._held
+            self._changed.notify_all()
+            self._thread.held = 0
+
+
+_count: int | None = None
+_cores = Cores(None)
+# Threads that render a frame each. Adding and removing one needs no lock.
+_rendering: set[int] = set()
+
+
+def set_count(count: int | None, usable: int) -> None:
+    """Set how many cores this process uses: `count`, or all `usable` ones for None."""
+    global _count, _cores
+    _count = count or usable
+    limit = _count if _count < usable else None
+    if limit != _cores.count:  # else what threads hold stays valid
+        _cores = Cores(limit)
+
+
+def count() -> int:
+    """Return how many cores this process uses, and so how many threads a library may have."""
+    return _count or os.cpu_count() or 1
+
+
+def spare_count() -> int:
+    """Return how many cores no thread keeps busy that renders a frame, at least 1."""
+    # On two cores with two such threads, reading and features on two threads more took 3 % more
+    # processor time: each time that another thread gets a core, it fills the cache anew.
+    return max(1, count() - len(_rendering))
+
+
+@contextmanager
+def rendering() -> Iterator[None]:
+    """Count this thread as one that renders a frame, and keeps a core busy, in the block."""
+    _rendering.add(get_ident())
+    try:
+        yield
+    finally:
+        _rendering.discard(get_ident())
+
+
+def hold_cores(count: int = 1) -> AbstractContextManager[None]:
+    """Return a block in which this thread works; it waits for cores first."""
+    return _cores.hold(count)
+
+
+def release_cores() -> AbstractContextManager[None]:
+    """Return a block in which this thread waits, and other threads may have its cores."""
+    return _cores.release()
