@@ -81,12 +81,14 @@ class AxisMap:
 
     def _scaled(self, raw: Float32) -> Float32:
         """Read plain displacements: in a third of the time that passes over the frame take."""
-        from exwarp_cli.kernels import vectors  # numba: not for `exwarp --help`
+        from exwarp_cli.kernels import raw_channels  # numba: not for `exwarp --help`
 
         out: Float32 = pool.empty((*raw.shape[:-1], 2), np.float32)
         rows = np.ascontiguousarray(raw, np.float32).reshape(-1, raw.shape[-1])
         scales = np.float32(self.x_scale), np.float32(self.y_scale)
-        vectors.scale_vectors(rows, (self.x_channel, self.y_channel), scales, out.reshape(-1, 2))
+        raw_channels.scale_vectors(
+            rows, (self.x_channel, self.y_channel), scales, out.reshape(-1, 2)
+        )
         return out
 
     def write(self, displacement: Float32, raw: Float32) -> Float32:

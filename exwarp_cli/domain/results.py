@@ -51,10 +51,10 @@ class Score:
         0 to 100 (equal, up to its temporal part); of whole frames only.
     flicker
         Change in time that the ground truth does not have, in display levels of 0 to 255; 0 is
-        best. See `exwarp_cli.metrics.flicker`.
+        best. See `exwarp_cli.metrics.temporal`.
     pulse
         Per cent by which the frame is sharper (positive) or softer (negative) than ground truth; of
-        whole frames only. See `exwarp_cli.metrics.pulse`.
+        whole frames only. See `exwarp_cli.metrics.temporal`.
     """
 
     psnr_db: float | None = None
@@ -124,7 +124,7 @@ class FrameRecord:
         were not rendered, and where none tells.
     key_pulse
         Per cent by which a generated frame without ground truth is sharper or softer than the two
-        key frames around it; None where not measured. See `exwarp_cli.metrics.pulse`.
+        key frames around it; None where not measured. See `exwarp_cli.metrics.temporal`.
     risk
         How wrong a generated frame is expected to be; None where nothing tells.
     trial

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Float32, Int32
 from exwarp_cli.errors import DamagedFileError
-from exwarp_cli.kernels import ranked
+from exwarp_cli.kernels import raw_channels
 
 if TYPE_CHECKING:
     from exwarp_cli.io.cryptomatte import Cryptomatte
@@ -62,7 +62,7 @@ def surfaces(ranks: Float32, rounded: bool = False) -> Int32:
     """
     bits, shares = _both(ranks)
     out = np.empty(bits.shape[:2], np.int32)
-    ranked.write_surfaces(bits, shares, LEAD, rounded, out)
+    raw_channels.write_dominant_ids(bits, shares, LEAD, rounded, out)
     return out
 
 
@@ -85,7 +85,7 @@ def dynamic_stencil(ranks: Float32, dynamic: Collection[int], rounded: bool = Fa
     bits, shares = _both(ranks)
     out = np.empty(bits.shape[:2], np.int32)
     moving = np.array(sorted(dynamic), np.int32)
-    ranked.write_moving(bits, shares, LEAD, rounded, moving, out)
+    raw_channels.write_moving_ids(bits, shares, LEAD, rounded, moving, out)
     return out
 
 
@@ -113,13 +113,13 @@ def by_depth(ids: Int32, depth: Float32) -> Int32:
     instead gave 37.78, 34.85 and 37.05, 34.55: edges got wider, and found no inside.
     """
     out = np.empty_like(ids)
-    ranked.write_by_depth(ids, depth, out)
+    raw_channels.write_ids_by_depth(ids, depth, out)
     return out
 
 
 def identity(bits: int, rounded: bool = False) -> int:
     """Return the id that `surfaces` gives to the bits of a hash."""
-    return int(ranked.identity(np.uint32(bits), rounded))
+    return int(raw_channels.decode_id(np.uint32(bits), rounded))
 
 
 def require_sound(ranks: Float32, where: str) -> None:
@@ -133,7 +133,7 @@ def require_sound(ranks: Float32, where: str) -> None:
         takes two.
     """
     bits = _both(ranks)[0][..., 0].ravel()
-    known = bits[(bits & ranked.MAGNITUDE) != 0]
+    known = bits[(bits & raw_channels.MAGNITUDE) != 0]
     distinct = np.unique(known[:: max(1, known.size // SAMPLES)])
     exponent = distinct & EXPONENT
     lossy = ((distinct & HALF_TAIL) == 0) | (exponent == 0) | (exponent == EXPONENT)

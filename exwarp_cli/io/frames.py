@@ -335,26 +335,26 @@ def cleaned(depth: Float32, normal: Float32 | None) -> tuple[Float32, bool]:
     Background is written as 0, 1e10, infinity or NaN; Unreal marks it by the normal (-1, -1, -1).
     The second value tells whether there are normals, all of them finite.
     """
-    from exwarp_cli.kernels import depths  # numba: not for what only lists channels
+    from exwarp_cli.kernels import raw_channels  # numba: not for what only lists channels
 
     out: Float32 = pool.empty(depth.shape, np.float32)
     flat, far = np.ascontiguousarray(depth, np.float32).reshape(-1), np.float32(FAR)
     if normal is None:
-        depths.known_depths(flat, far, out.reshape(-1))
+        raw_channels.write_depths(flat, far, out.reshape(-1))
         return out, False
     normals = np.ascontiguousarray(normal, np.float32).reshape(-1)
-    return out, depths.known_unmarked(flat, normals, far, out.reshape(-1))
+    return out, raw_channels.write_depths_by_normal(flat, normals, far, out.reshape(-1))
 
 
 def clean_stencil(ids: np.ndarray) -> Int32:
     """Return ids, uint32 or float32, as int32; -1 where a fraction tells of mixed ones."""
     if ids.dtype == np.uint32:
         return (ids & np.uint32(0x7FFFFFFF)).astype(np.int32)
-    from exwarp_cli.kernels.ids import whole_ids  # numba: not for what only lists channels
+    from exwarp_cli.kernels.raw_channels import round_ids  # numba: not for what only lists channels
 
     # Passes over the frame took 15 times as long.
     out: Int32 = pool.empty(ids.shape, np.int32)
-    whole_ids(np.ascontiguousarray(ids, np.float32).reshape(-1), out.reshape(-1))
+    round_ids(np.ascontiguousarray(ids, np.float32).reshape(-1), out.reshape(-1))
     return out
 
 

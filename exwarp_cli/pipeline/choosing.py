@@ -82,10 +82,10 @@ def by_tiles(policy: PolicyFile, effort: float) -> Chooser:
 
     `effort` is the share of the area that is extrapolated on the scenes that it learned from.
     """
-    from exwarp_cli.policy.tile_state import TilePolicy, price_of
+    from exwarp_cli.policy.state import TilePolicy, interpolate_price
 
     settled = {0.0: "S6", 1.0: "S3"}.get(effort)
-    learned = TilePolicy(policy.network, price_of(policy.efforts, effort))
+    learned = TilePolicy(policy.network, interpolate_price(policy.efforts, effort))
 
     def choose(inputs: IntervalInputs, interval: Interval) -> Chosen:
         tiles = interval.tiles
@@ -120,7 +120,7 @@ def by_truth(judge: Judge, display: Window) -> Chooser:
             as_written = partial(quantised, template=inputs.metadata.template)
             scores = outcomes_of(interval, truth, display, as_written)
             path = tuple(PATHS)[int(best(scores))]
-            outputs = scores[..., 0] if by_psnr else outcomes.rewards(scores)
+            outputs = scores[..., 0] if by_psnr else outcomes.choice_rewards(scores)
             decisions = tuple(
                 Decision(node, choice, outputs=_pair(outputs[NODES.index(node)]))
                 for node, choice in PATHS[path].choices.items()
@@ -164,12 +164,14 @@ def outcomes_of(
     float64 [5, 2, 2]
         As `exwarp_cli.policy.outcomes` has it.
     """
-    from exwarp_cli.metrics.display import encode  # numba: only an oracle measures while it decides
+    from exwarp_cli.metrics.display import (
+        encode_display,  # numba: only an oracle measures while it decides
+    )
     from exwarp_cli.metrics.registry import METRICS
     from exwarp_cli.policy.outcomes import METRICS as JUDGED
 
     canvas = interval.key.image.data_window
-    encoded = {slot: encode(pixels) for slot, pixels in truth.items()}
+    encoded = {slot: encode_display(pixels) for slot, pixels in truth.items()}
     found: dict[tuple[str, str], list[float]] = {}
     for node in NODES:
         for choice in CHOICES:
@@ -180,7 +182,7 @@ def outcomes_of(
             pixels = take(_path_through(node, choice), interval, slot).pixels
             if as_written is not None:
                 pixels = as_written(pixels)
-            made = encode(place(pixels, canvas, display or canvas))
+            made = encode_display(place(pixels, canvas, display or canvas))
             found[node, choice] = [METRICS[name](encoded[slot], made).overall() for name in JUDGED]
     return np.array([[found[node, choice] for choice in CHOICES] for node in NODES])
 

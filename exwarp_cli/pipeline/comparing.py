@@ -24,10 +24,10 @@ from exwarp_cli.io.output import facts_in
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.io.video import to_display
 from exwarp_cli.io.vmaf import EncodedVmaf, Vmaf
-from exwarp_cli.metrics import extranet
-from exwarp_cli.metrics.display import rounded
-from exwarp_cli.metrics.flicker import error, of_frames, transition
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.metrics import extranet_scores
+from exwarp_cli.metrics.display import round_display
+from exwarp_cli.metrics.registry import score_frame
+from exwarp_cli.metrics.temporal import compare_with_previous, display_error, frame_flicker
 from exwarp_cli.pipeline.motion_finding import find_motion
 from exwarp_cli.synthesis.geometry import matched, reproject, settle_motion
 
@@ -169,7 +169,7 @@ class SequenceScores(Held):
 
     def add(self, pair: Pair) -> Scores:
         """Score the next frame by what needs no later one."""
-        overall, inside = score(pair.truth, pair.test, pair.mask, self._names)
+        overall, inside = score_frame(pair.truth, pair.test, pair.mask, self._names)
         if self._vmaf is not None:
             self._vmaf.write(to_display(pair.truth), to_display(pair.test))
         if self._flow is not None:
@@ -186,7 +186,7 @@ class SequenceScores(Held):
             values = self._vmaf.close()
             found = [(replace(s, vmaf=v), h) for (s, h), v in zip(found, values, strict=True)]
         if self._flow is not None:
-            flickers = of_frames([*self._into, None])
+            flickers = frame_flicker([*self._into, None])
             found = [(replace(s, flicker=v), h) for (s, h), v in zip(found, flickers, strict=True)]
         return found
 
@@ -198,15 +198,15 @@ class SequenceScores(Held):
     def _transition(self, flow: Flow, pair: Pair) -> tuple[float | None, float | None]:
         """Return what changes into a frame, over all pixels and in holes."""
         motion = flow.into(pair.reference)
-        before, self._error = self._error, error(pair.truth, pair.test)
+        before, self._error = self._error, display_error(pair.truth, pair.test)
         if motion is None or before is None:
             return None, None
-        found = transition(self._error, before, *motion)
+        found = compare_with_previous(self._error, before, *motion)
         return found.mean(), None if pair.mask is None else found.within(pair.mask)
 
 
 class ExtranetScores(Held):
-    """Scores as ExtraNet's release takes them: see `exwarp_cli.metrics.extranet`.
+    """Scores as ExtraNet's release takes them: see `exwarp_cli.metrics.extranet_scores`.
 
     VMAF is of H.264 videos of both sequences, rendered frames and all.
 
@@ -246,11 +246,11 @@ class ExtranetScores(Held):
     def add(self, pair: Pair) -> Scores:
         """Score the next frame, if it counts, and append it to the videos."""
         index = len(self._scores)
-        shown, judged = rounded(pair.truth), rounded(pair.test)
+        shown, judged = round_display(pair.truth), round_display(pair.test)
         same = bool((shown == judged).all())
         counts = not same if self._generated is None else self._generated[index]
         self._counted += counts
-        found = extranet.score(pair.truth, pair.test) if counts else Score()
+        found = extranet_scores.score_like_extranet(pair.truth, pair.test) if counts else Score()
         found = Score(
             psnr_db=found.psnr_db if "psnr_db" in self._names else None,
             ssim=found.ssim if "ssim" in self._names else None,

@@ -296,16 +296,16 @@ class Gate:
         return self._known[1]
 
     def _predict(self, material: TrialMaterial) -> Trial:
-        from exwarp_cli.metrics.display import encode
-        from exwarp_cli.metrics.psnr import measure
+        from exwarp_cli.metrics.display import encode_display
+        from exwarp_cli.metrics.registry import measure_psnr
 
         interval = self._builder.build(material.around)
         lookahead, count = self._method.lookahead, len(interval.times)
         slot = count // 2 + 1 if lookahead else count
         canvas = interval.key.image.data_window
-        truth = encode(material.truth.on(self._display).pixels)
+        truth = encode_display(material.truth.on(self._display).pixels)
         cheap, dear = (
-            measure(truth, encode(place(pixels, canvas, self._display)))
+            measure_psnr(truth, encode_display(place(pixels, canvas, self._display)))
             for pixels in predict_both_ways(interval, slot, lookahead)
         )
         if lookahead:

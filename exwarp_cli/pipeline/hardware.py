@@ -7,8 +7,8 @@ from dataclasses import replace
 from importlib import resources
 from itertools import pairwise
 
-from exwarp_cli.accel import verilog
-from exwarp_cli.accel.mac_array import MacArray, missing_words, resident_words, schedule
+from exwarp_cli.accelerator import verilog
+from exwarp_cli.accelerator.mac_array import MacArray, missing_words, resident_words, schedule
 from exwarp_cli.errors import UsageError
 
 CACHE = 20 * 1024

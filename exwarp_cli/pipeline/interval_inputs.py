@@ -36,7 +36,7 @@ from exwarp_cli.pipeline.rendered_frames import (
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.shots import UnreadableFrames
 from exwarp_cli.pipeline.source import FrameOf, Source
-from exwarp_cli.policy.state import KEYS_BACK
+from exwarp_cli.policy.state import OLDER_KEYS
 from exwarp_cli.synthesis.interval import QUARTERS
 from exwarp_cli.synthesis.methods import Judge, Method
 
@@ -414,7 +414,7 @@ class IntervalReader:
         instants = [slot for pair in around for slot in pair if slot is not None]
         # Recipes hold the files of a warp's history.
         back = (
-            KEYS_BACK
+            OLDER_KEYS
             if self._observes
             else self._back(lookahead)
             if self._method.extrapolates
@@ -493,7 +493,7 @@ class IntervalReader:
 
     def _starts(self, key: int) -> range:
         """Return the indices of the key frames whose features a state at this one holds."""
-        return range(self.shots.begin(key, KEYS_BACK), key + 1) if self._observes else range(0)
+        return range(self.shots.begin(key, OLDER_KEYS), key + 1) if self._observes else range(0)
 
     def _observe(self, key: int) -> tuple[PolicyObservation, ...]:
         """Return the instants of key frames that no earlier interval brought along."""
@@ -505,7 +505,7 @@ class IntervalReader:
                 now = self.shots.within(index, self.store.get_shape(Slot(index, 0)))
                 observed.append(PolicyObservation(index, now, before))
                 self.observed_keys |= {index}
-        self.observed_keys = frozenset(i for i in self.observed_keys if i > key - KEYS_BACK)
+        self.observed_keys = frozenset(i for i in self.observed_keys if i > key - OLDER_KEYS)
         return tuple(observed)
 
     def _instant_before(self, key: int) -> Slot | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from exwarp_cli.accel.fixed_point import to_fixed
+from exwarp_cli.accelerator.fixed_point import to_fixed
 from exwarp_cli.domain.decision import NODES, SLOTS, Features
 from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
@@ -15,8 +15,8 @@ from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader, PolicyObservation
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.source import open_source
-from exwarp_cli.policy.features import Shapes, compare
-from exwarp_cli.policy.state import KEYS_BACK, Surroundings
+from exwarp_cli.policy.features import FrameStatistics, compare
+from exwarp_cli.policy.state import OLDER_KEYS, StateHistory
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interval import Interval
@@ -43,7 +43,7 @@ class Observer:
         self._span = FACTOR if setting == "key" else 1
         self._starts: dict[int, Features] = {}
         self._begin = 0
-        self._last: Shapes | None = None
+        self._last: FrameStatistics | None = None
 
     def surroundings(
         self,
@@ -52,7 +52,7 @@ class Observer:
         slots: Sequence[GBuffer],
         settled: GBuffer | None = None,
         read: Sequence[GBuffer] = (),
-    ) -> Surroundings:
+    ) -> StateHistory:
         """Return what the states of an interval are made of.
 
         Parameters
@@ -88,22 +88,22 @@ class Observer:
             )
             now_on = (start, self._seen(first, times[0], 1), self._seen(second, first, 1))
             self._last = None  # the next key frame is compared with slot 3
-        older = range(key - 1, max(key - KEYS_BACK, self._begin) - 1, -1)
+        older = range(key - 1, max(key - OLDER_KEYS, self._begin) - 1, -1)
         before_it = tuple(self._starts[i] for i in older)
-        self._starts = {i: found for i, found in self._starts.items() if i > key - KEYS_BACK}
-        return Surroundings(now_on, before_it)
+        self._starts = {i: found for i, found in self._starts.items() if i > key - OLDER_KEYS}
+        return StateHistory(now_on, before_it)
 
     def _seen(self, now: GBuffer, before: GBuffer | None, span: int) -> Features:
         """Return the features of an instant, of which the one before is mostly known."""
         found = None if before is None else self._shapes(before)
-        self._last = Shapes(now)
+        self._last = FrameStatistics(now)
         return compare(now, self._last, found, span)
 
-    def _shapes(self, gbuffer: GBuffer) -> Shapes:
+    def _shapes(self, gbuffer: GBuffer) -> FrameStatistics:
         known = self._last
-        return known if known is not None and known.are_of(gbuffer) else Shapes(gbuffer)
+        return known if known is not None and known.are_of(gbuffer) else FrameStatistics(gbuffer)
 
-    def of(self, inputs: IntervalInputs, interval: Interval) -> Surroundings:
+    def of(self, inputs: IntervalInputs, interval: Interval) -> StateHistory:
         """Return what the states of an interval are made of that was read and staged.
 
         Motion settled on another window than the display's differs in its last digits, as other

@@ -17,7 +17,13 @@ from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.video import to_display
 from exwarp_cli.io.vmaf import require_size, vmaf
-from exwarp_cli.metrics.flicker import Transition, error, flicker, landing, transition
+from exwarp_cli.metrics.temporal import (
+    Transition,
+    compare_with_previous,
+    compare_with_rendered,
+    display_error,
+    interval_flicker,
+)
 from exwarp_cli.synthesis.interval import Interval
 
 if TYPE_CHECKING:
@@ -86,12 +92,12 @@ def flicker_of(
         if slot not in errors or (slot > 1 and slot - 1 not in errors):
             return None
         before = errors.get(slot - 1)
-        return transition(errors[slot], before, steps.fields[slot], steps.hidden[slot])
+        return compare_with_previous(errors[slot], before, steps.fields[slot], steps.hidden[slot])
 
     slots = sorted(steps.fields)
     last = errors.get(slots[-1]) if steps.followed else None
-    transitions = [*map(into, slots), None if last is None else landing(last)]
-    return flicker(transitions, [masks.get(slot) for slot in slots])
+    transitions = [*map(into, slots), None if last is None else compare_with_rendered(last)]
+    return interval_flicker(transitions, [masks.get(slot) for slot in slots])
 
 
 def vmaf_of(truth: Mapping[int, Float32], rows: Sequence[Sequence[Float32]]) -> list[list[float]]:
@@ -195,13 +201,13 @@ class IntervalScores:
         mask
             bool [H, W], the slot's holes; None without motion.
         """
-        from exwarp_cli.metrics.registry import score  # its kernels are not for every run
+        from exwarp_cli.metrics.registry import score_frame  # its kernels are not for every run
 
-        self._scores[slot] = score(truth, test, mask, self._names)
+        self._scores[slot] = score_frame(truth, test, mask, self._names)
         if mask is not None:
             self._masks[slot] = mask
         if self._steps is not None:
-            self._errors[slot] = error(truth, test)
+            self._errors[slot] = display_error(truth, test)
         if "vmaf" in self._names:
             self._shown[slot] = (to_display(truth), to_display(test))
         return self._scores[slot]

@@ -11,7 +11,7 @@ from exwarp_cli.domain.results import FrameRecord
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.footage import picture
-from exwarp_cli.metrics.pulse import between, mean_gradient, pulse
+from exwarp_cli.metrics.temporal import interpolate_gradient, mean_gradient, pulse
 from exwarp_cli.pipeline.source import Source
 
 
@@ -64,7 +64,7 @@ class KeyedPulses:
     def _pulse(self, slot: Slot, gradient: float) -> float:
         after = None if slot.key in self._last_of_shot else self._after(slot.key + 1)
         time = float(self._source.timeline.time(slot))
-        return pulse(gradient, between(self._keys[slot.key], after, time))
+        return pulse(gradient, interpolate_gradient(self._keys[slot.key], after, time))
 
     def _after(self, key: int) -> float | None:
         """Return the gradient of a next key frame; read it if the run did not, else None."""

@@ -31,7 +31,7 @@ from exwarp_cli.io.output import (
     compression_of,
     quantised,
 )
-from exwarp_cli.metrics.pulse import mean_gradient
+from exwarp_cli.metrics.temporal import mean_gradient
 from exwarp_cli.pipeline.frame_writer import FrameWriter
 from exwarp_cli.pipeline.interval_builder import PreparedInterval
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs

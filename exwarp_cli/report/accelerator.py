@@ -8,7 +8,7 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from exwarp_cli.accel.mac_array import COMPARE_CYCLES, PAPER_LATENCY_NS, Schedule
+from exwarp_cli.accelerator.mac_array import COMPARE_CYCLES, PAPER_LATENCY_NS, Schedule
 
 SCHEMA = "exwarp.cycles/1"
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, UInt8
-from exwarp_cli.metrics.display import PEAK, encode
+from exwarp_cli.metrics.display import PEAK, encode_display
 
 WEBP, PNG = "image/webp", "image/png"
 """Media types of colour and errors, and of masks."""
@@ -146,7 +146,9 @@ def error_picture(reference: Float32, test: Float32, room: int, longest: int = L
     longest
         Longest side of the picture, pixels.
     """
-    apart = np.abs(encode(reference) - encode(test)).mean(axis=-1) / np.float32(PEAK)
+    apart = np.abs(encode_display(reference) - encode_display(test)).mean(axis=-1) / np.float32(
+        PEAK
+    )
     grey = _bytes(np.sqrt(_shrunk(apart, longest)))
     return _webp(np.repeat(grey[..., None], 3, axis=-1), room, 0)
 

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli import __version__
-from exwarp_cli.accel.fixed_point import MOST_ACTIVATION, from_fixed
-from exwarp_cli.accel.mac_array import COMPARE_CYCLES
+from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION, from_fixed
+from exwarp_cli.accelerator.mac_array import COMPARE_CYCLES
 from exwarp_cli.domain.decision import CHOICES
 from exwarp_cli.pipeline.accelerator import Decided, Trace
 from exwarp_cli.report.frames_csv import table
@@ -90,8 +90,8 @@ def trace_lines(trace: Trace) -> Iterator[str]:
         if k < len(found.activations):
             values = found.activations[k]
             yield f"  int8   {_first(values)}"
-            zeros, most = int((values == 0).sum()), int((values == MOST_ACTIVATION).sum())
-            yield f"  {zeros} are 0, {most} saturate at {MOST_ACTIVATION}"
+            zeros, most = int((values == 0).sum()), int((values == MAX_ACTIVATION).sum())
+            yield f"  {zeros} are 0, {most} saturate at {MAX_ACTIVATION}"
     warp, extrapolate = found.outputs.tolist()
     yield f"outputs: warp {warp}, extrapolate {extrapolate}"
     yield f"decision: {CHOICES[int(found.choices)]}, {COMPARE_CYCLES} cycle"

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
-from exwarp_cli.kernels import project
+from exwarp_cli.kernels import projection
 from exwarp_cli.synthesis.resection import Camera as Camera
 from exwarp_cli.synthesis.resection import fit
 
@@ -187,7 +187,7 @@ def seen_by(scene: Scene, camera: Camera) -> Float32:
         Pixels; NaN for what lies behind the camera.
     """
     out = np.empty((*scene.depth.shape, 2), np.float32)
-    project.rigid(*_sight(scene, camera), np.zeros((0, 0), np.bool_), False, out)
+    projection.write_rigid_motion(*_sight(scene, camera), np.zeros((0, 0), np.bool_), False, out)
     return out
 
 
@@ -207,7 +207,7 @@ def place_still(
     kept
         Whether it is kept for what lies behind the camera.
     """
-    project.rigid(*_sight(scene, camera), still, kept, motion)
+    projection.write_rigid_motion(*_sight(scene, camera), still, kept, motion)
 
 
 def standing(scene: Scene, camera: Camera, step: Float32, tolerance: float) -> Bool:
@@ -223,7 +223,7 @@ def standing(scene: Scene, camera: Camera, step: Float32, tolerance: float) -> B
         Of either component.
     """
     out = np.empty(scene.depth.shape, np.bool_)
-    project.standing(*_sight(scene, camera), step, np.float32(tolerance), out)
+    projection.mark_static(*_sight(scene, camera), step, np.float32(tolerance), out)
     return out
 
 

@@ -8,7 +8,7 @@ from exwarp_cli.domain.extrapolator import Tile
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.lookahead import LOOKS_AHEAD, LookAheadNetwork
 from exwarp_cli.domain.network import NetworkPictures
-from exwarp_cli.kernels import candidates
+from exwarp_cli.kernels import blend
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.warp import Warped, as_shown
 
@@ -121,4 +121,4 @@ class Candidates:
         before, after, lit_before, lit_after = (side.pixels for side in self._sides)
         sides = before, after, lit_before, lit_after
         given = weights.astype(np.float32)
-        candidates.mix_candidates(self._mixed, sides, given, corner, out)
+        blend.mix_candidates(self._mixed, sides, given, corner, out)

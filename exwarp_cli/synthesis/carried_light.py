@@ -13,7 +13,7 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, broken_pixels
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.kernels.edges import find_edges
+from exwarp_cli.kernels.silhouettes import find_edges
 from exwarp_cli.synthesis.coverage import Coverage
 from exwarp_cli.synthesis.geometry import SlotField, depth_of, moved_on, reproject, unmatched
 from exwarp_cli.synthesis.history import Past, lit_alike

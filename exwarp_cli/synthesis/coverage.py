@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
 from exwarp_cli.kernels import blend
-from exwarp_cli.kernels.edges import APART, find_moving_edges
+from exwarp_cli.kernels.silhouettes import MOTION_GAP, find_moving_edges
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.geometry import SlotField, moved_on
 from exwarp_cli.synthesis.warp import Mover
@@ -231,7 +231,7 @@ class Coverage:
 
 def _differs(way: Float32, centre: Float32) -> Bool:
     """Return which of some pixels, bool [N], move otherwise than their centre, [N, 2] each."""
-    same = (np.abs(way - centre) <= APART) | (np.isnan(way) & np.isnan(centre))
+    same = (np.abs(way - centre) <= MOTION_GAP) | (np.isnan(way) & np.isnan(centre))
     return np.asarray(~(same[:, 0] & same[:, 1]))
 
 
@@ -252,7 +252,7 @@ def _colour_at(place: _Place, codes: Sequence[Float32]) -> tuple[Float32, Bool]:
     second, second_lost = rest[0]
     # A source that is not finite, or outside its frame, leaves all to the other one.
     share = np.where(lost, np.float32(1), np.where(second_lost, np.float32(0), place.share))
-    blend.mix(first, second, share, first)
+    blend.mix_frames(first, second, share, first)
     return first, place.seen & ~(lost & second_lost)
 
 
@@ -262,7 +262,7 @@ def _share_of_second(before: SlotField, after: SlotField, time: float) -> tuple[
     depth: Float32 = pool.empty(before.depth.shape, np.float32)
     hole: Bool = pool.empty(before.depth.shape, np.bool_)
     sides = [(side.depth, side.hole, side.fringe) for side in (before, after)]
-    blend.weigh(*sides, np.float32(time), share, depth, hole)
+    blend.write_later_weights(*sides, np.float32(time), share, depth, hole)
     return share, hole
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from exwarp_cli.domain.extrapolator import HISTORY, INPUTS, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.kernels import _row_bands, planes
-from exwarp_cli.kernels._row_bands import Share, rows_of
+from exwarp_cli.kernels import _row_bands, network_planes
+from exwarp_cli.kernels._row_bands import Band, band_slice
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import SMOOTH, LookBack, Past, lit_alike
@@ -98,12 +98,12 @@ class SlotInputs:
         materials = _plane(known.roughness), _plane(known.metallic)
         frames = tuple((frame.pixels, frame.visible) for frame in self.frames)
         defaults = UNKNOWN_DEPTH, UNKNOWN_ROUGHNESS, UNKNOWN_METALLIC
-        planes.spread(
+        network_planes.write_input_planes(
             frames, self.filled, (*surface, *materials), defaults, np.float32(self.median),
             (top, left), made,
         )  # fmt: skip
         self.scratch.page_out()  # before the network takes its memory
-        _row_bands.run(_encode, (made.reshape(len(made), -1),), _row_bands.threads())
+        _row_bands.run_bands(_encode, (made.reshape(len(made), -1),), _row_bands.threads())
         ends = np.cumsum(list(INPUTS.values()))[:-1]
         warped, mask, features, history = np.split(made, ends)
         return NetworkInputs(warped, mask, features, history, self.time)
@@ -162,7 +162,7 @@ class Prepared:
         """Turn the network's answer, float32 [3, H, W], into scene-linear colour [H, W, C]."""
         out: Float32 = pool.empty(self.warped.shape, np.float32)
         modulation = NO_VECTORS if self.modulation is None else self.modulation
-        planes.join(decode(answer), modulation, self.warped, out)
+        network_planes.write_network_frame(decode(answer), modulation, self.warped, out)
         hold_within(out, self.sources)
         return out
 
@@ -223,9 +223,9 @@ def prepare(
     return Prepared(inputs, modulation, warped, sources)
 
 
-def _encode(made: Float32, share: Share) -> None:
+def _encode(made: Float32, share: Band) -> None:
     """Encode the colour of a network's planes [C, N], of a share of their pixels."""
-    part = made[:, rows_of(made.shape[1], share)]
+    part = made[:, band_slice(made.shape[1], share)]
     for first, count in COLOUR_PLANES:
         for line in part[first : first + count]:
             encode_in_place(line)
@@ -288,13 +288,13 @@ def modulation_of(gbuffer: GBuffer) -> Float32 | None:
     if gbuffer.albedo is None or gbuffer.specular is None:
         return None
     total: Float32 = pool.empty(gbuffer.albedo.shape, np.float32)
-    _row_bands.run(_modulate, (gbuffer.albedo, gbuffer.specular, total), _row_bands.threads())
+    _row_bands.run_bands(_modulate, (gbuffer.albedo, gbuffer.specular, total), _row_bands.threads())
     return total
 
 
-def _modulate(albedo: Float32, specular: Float32, out: Float32, share: Share) -> None:
+def _modulate(albedo: Float32, specular: Float32, out: Float32, share: Band) -> None:
     """Write the modulation of a share of the rows."""
-    rows = rows_of(len(out), share)
+    rows = band_slice(len(out), share)
     np.add(albedo[rows], specular[rows], out=out[rows])
     np.clip(out[rows], np.float32(DARKEST), np.float32(BRIGHTEST), out=out[rows])
 
@@ -309,7 +309,7 @@ def demodulated(frame: KeyFrame) -> Float32 | None:
         return None
     out = np.empty_like(pixels)
     surface = np.ascontiguousarray(gbuffer.albedo), np.ascontiguousarray(gbuffer.specular)
-    planes.demodulate(pixels, *surface, (DARKEST, BRIGHTEST), out)
+    network_planes.divide_by_albedo(pixels, *surface, (DARKEST, BRIGHTEST), out)
     return out
 
 
@@ -327,13 +327,13 @@ def decode(coded: Float32) -> Float32:
     """Return the linear values that :func:`encode` was given."""
     out: Float32 = pool.empty(coded.shape, np.float32)
     given = np.ascontiguousarray(coded).reshape(-1)
-    _row_bands.run(_decode, (given, out.reshape(-1)), _row_bands.threads())
+    _row_bands.run_bands(_decode, (given, out.reshape(-1)), _row_bands.threads())
     return out
 
 
-def _decode(coded: Float32, out: Float32, share: Share) -> None:
+def _decode(coded: Float32, out: Float32, share: Band) -> None:
     """Write the linear values of a share of those that are given, both flat."""
-    some = rows_of(coded.size, share)
+    some = band_slice(coded.size, share)
     _signed(np.expm1, coded[some], out[some])
 
 

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, combine_3x3
-from exwarp_cli.kernels import edges, holes, settling, splat
+from exwarp_cli.kernels import holes, silhouettes, splat
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.camera import (
     Scene,
@@ -68,7 +68,7 @@ class SlotField:
         if self.source is None:
             return np.zeros(self.depth.shape, np.bool_)
         out: Bool = pool.empty(self.depth.shape, np.bool_)
-        edges.find_fringe(self.field, self.depth, self.source, out)
+        silhouettes.find_ghosts(self.field, self.depth, self.source, out)
         return out
 
     @cached_property
@@ -111,13 +111,13 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
     scene, vectors = scene_of(gbuffer), (gbuffer.to_previous, gbuffer.to_next)
     depth, stencil = depth_of(gbuffer), stencil_of(gbuffer)
     edge: Bool = pool.empty(depth.shape, np.bool_)
-    edges.find_edges(depth, stencil, edge)
+    silhouettes.find_edges(depth, stencil, edge)
     position = _NOWHERE if scene is None else _flat(scene.position)
     surfaces = position, depth, stencil, edge
     given = tuple(_NOWHERE if way is None else _flat(way) for way in vectors)
     found = tuple(pool.empty(way.shape, np.float32) for way in given)
     cameras = cameras_around(scene, vectors, gbuffer.stencil)
-    settling.settle(given, surfaces, cameras, np.float32(STATIC_TOLERANCE), found)
+    silhouettes.clean_vectors(given, surfaces, cameras, np.float32(STATIC_TOLERANCE), found)
     bend = move_rigidly(gbuffer, scene, cameras, found)
     before, after = (
         None if way is None else settled.reshape(way.shape)
@@ -281,7 +281,7 @@ def unmatched(slot: GBuffer, key: GBuffer, field: Float32, count: int) -> Bool:
     depths = depth, depth_of(key)
     cosine = math.cos(min(count * TURN_PER_SLOT + _turn_of(normals), math.pi))
     limits = np.float32(cosine), *_steps_of(depths, positions)
-    holes.mark(field, depths, stencils, positions, normals, limits, hole)
+    holes.mark_holes(field, depths, stencils, positions, normals, limits, hole)
     return hole
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, Int32, KeyFrame, Window
-from exwarp_cli.kernels import cells
+from exwarp_cli.kernels import frame_statistics
 
 CELLS = 128
 """Cells along a frame's longer side."""
@@ -133,7 +133,7 @@ def _light(pixels: Float32, window: Window, display: Window, size: int) -> Float
     )
     height, width, channels = pixels.shape
     light = np.empty((len(rows) // len(offsets), len(columns) // len(offsets)), np.float32)
-    cells.mean_roots(
+    frame_statistics.mean_square_roots(
         np.ascontiguousarray(pixels).reshape(height, width * channels), channels,
         np.where(inside_rows, rows, -1), np.where(inside, columns, -1), len(offsets), light,
     )  # fmt: skip

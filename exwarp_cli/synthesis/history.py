@@ -12,9 +12,8 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.kernels import surface
-from exwarp_cli.kernels.follow import follow, follow_shown
-from exwarp_cli.kernels.surface import go_on
+from exwarp_cli.kernels import point_motion
+from exwarp_cli.kernels.point_motion import fill_predicted, follow_points, follow_visible
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.camera import Camera, Index, Scene, camera_by, place_still, scene_of
 from exwarp_cli.synthesis.geometry import SlotField, depth_of, moved_on, stands_still, unmatched
@@ -268,13 +267,13 @@ def _reprojected(slot: int, back: SlotField, between: BetweenKeys) -> LookBack:
         assert older is not None
         between.scratch.page_out()
         led, missed = pool.empty(moved.shape, np.float32), pool.empty(lost.shape, np.bool_)
-        follow_shown(step.motion, stencil_of(newer), gone, moved, lost, led, missed)
+        follow_visible(step.motion, stencil_of(newer), gone, moved, lost, led, missed)
         moved, lost = led, missed
         if older.has_motion:
             motion = _predicted_motion(step, count + time, camera, count > 1)
             between.scratch.page_out()
             predicted = moved_on(older, motion).field
-            go_on(predicted, moved, lost)
+            fill_predicted(predicted, moved, lost)
             sources.append((older, predicted))
         fields.append(moved)
         hidden.append(lost)
@@ -325,7 +324,7 @@ def _rendered(
         # frames were up to 1.4 dB further from the truth where things move.
         # Depth tells a hidden point only where something else foretells its motion.
         ids = stencil_of(newer), stencil_of(surface)
-        follow(step.motion, ids, UNCOMPARED, EXACT, np.float32(0), UNFORESEEN, moved)
+        follow_points(step.motion, ids, UNCOMPARED, EXACT, np.float32(0), UNFORESEEN, moved)
         placed = _placed(moved, here, step, surface)
         fields.append(placed)
         hidden.append(unmatched(surface, older, placed, slot + FACTOR * count))
@@ -405,7 +404,7 @@ def _take_over(
         return np.ascontiguousarray(array)
 
     here = {name: getattr(gbuffer, name) for name in SHOWN}
-    surface.take_over(
+    point_motion.copy_surface(
         field,
         tuple(given(name, here) for name in NEAREST),
         tuple(given(name, here).reshape(-1) for name in SMOOTH),

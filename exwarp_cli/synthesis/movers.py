@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
-from exwarp_cli.kernels import edges
+from exwarp_cli.kernels import silhouettes
 from exwarp_cli.synthesis.camera import Scene, scene_of, seen_by
 from exwarp_cli.synthesis.geometry import STATIC_TOLERANCE, depth_of, stands_still
 from exwarp_cli.synthesis.trajectory import stencil_of
@@ -67,7 +67,7 @@ def moving(now: GBuffer, before: GBuffer | None, raw: GBuffer | None) -> Bool | 
     if raw is not None and raw.to_previous is not None:
         depth = depth_of(raw)
         edge = np.empty(depth.shape, np.bool_)
-        edges.find_edges(depth, stencil_of(raw), edge)
+        silhouettes.find_edges(depth, stencil_of(raw), edge)
         # At edges a vector is a mixture, or the nearest inside's; one of them may be wrong.
         found = _away(raw.to_previous, rigid, SLOW) & (found | ~edge)
     return np.asarray(found & ~now.background)

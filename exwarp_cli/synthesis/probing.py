@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.motion import AxisMap
-from exwarp_cli.kernels import lookup, misses
+from exwarp_cli.kernels import gather
 from exwarp_cli.synthesis.sampling import (
     FEW_MOVE,
     GRID,
@@ -113,7 +113,7 @@ class Probe:
                 for loss, shift in zip(losses[:, index], shifts, strict=True):
                     _count_depths(xy, shift, there, wanted, tolerance, loss, self.resting)
             else:
-                misses.count_misses_of(xy, shifts, there, wanted, tolerance, index, losses)
+                gather.write_shifted_losses(xy, shifts, there, wanted, tolerance, index, losses)
         weights = self.weights if self.weight > 0 else None
         return np.asarray(np.average(losses.mean(axis=2), axis=1, weights=weights))
 
@@ -373,9 +373,9 @@ def _count_depths(
     """Write how far depths are from those found, as the camera has moved meanwhile."""
     target = xy + shift.astype(np.float64)
     found = np.empty_like(depth)
-    lookup.look_up(there, target, found)
+    gather.sample_points(there, target, found)
     wanted = depth if resting else _depth_later(depth, found, xy, tolerance)
-    lookup.count_misses(found, wanted, tolerance, losses)
+    gather.write_point_losses(found, wanted, tolerance, losses)
 
 
 def _depth_later(depth: F64, found: F64, xy: F64, tolerance: F64) -> F64:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels import resection
+from exwarp_cli.kernels import projection
 
 F64 = npt.NDArray[np.float64]
 
@@ -99,10 +99,10 @@ def fit(points: F64, pixels: F64, movers: bool = False) -> Camera | None:
         if unit is None:
             return None
         matrix = from_unit @ unit @ to_unit
-        resection.write_errors(points @ matrix.T, pixels, errors)
+        projection.write_projection_errors(points @ matrix.T, pixels, errors)
         middle = _median(errors)
         limit = max(4.0 * middle, INLIER_FLOOR)
-        inside, same = resection.mark_inliers(errors, limit, inliers)
+        inside, same = projection.mark_inliers(errors, limit, inliers)
         if inside < MIN_SAMPLES or not math.isfinite(middle):
             return None
         if count and same:
@@ -110,7 +110,7 @@ def fit(points: F64, pixels: F64, movers: bool = False) -> Camera | None:
         # Without this doubt an object on a sixth of the points drags the camera with it: it pulls
         # the first fit so far that it stays within four median errors.
         depths = unit_points @ unit[2]
-        resection.write_weights(errors, inliers, depths, max(middle, INLIER_FLOOR), weights)
+        projection.write_inlier_weights(errors, inliers, depths, max(middle, INLIER_FLOOR), weights)
     camera = Camera(matrix, _median(errors[inliers]))
     return camera if camera.median_error <= MAX_MEDIAN_ERROR else None
 
@@ -188,7 +188,7 @@ class _System:
 
     def solve(self, weights: F64) -> F64 | None:
         """Return the 3x4 matrix of least algebraic error, None when it is not determined."""
-        used = resection.write_equations(
+        used = projection.write_equations(
             self._points, self._pixels, weights, self._scaled, self._rows
         )
         if used < MIN_SAMPLES:

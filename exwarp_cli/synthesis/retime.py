@@ -18,7 +18,7 @@ from exwarp_cli.domain.decision import HELD, HOLD, PATHS
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32, broken_pixels
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.kernels import nearest
+from exwarp_cli.kernels import blend
 from exwarp_cli.synthesis.camera import scene_of
 from exwarp_cli.synthesis.carried_light import CarriedLight
 from exwarp_cli.synthesis.geometry import SlotField, depth_of, stands_still, unmatched
@@ -92,7 +92,7 @@ class Sources:
         source, later = alone.copy(), np.zeros(self.pixel.shape, np.bool_)
         around = look_around(depth, broken)
         assert around is not None
-        nearest.adopt(source, later, depth, *around)
+        blend.adopt_sources(source, later, depth, *around)
         empty = broken & (np.isinf(depth) | (source == alone))
         taken = broken & ~empty
         for plane in planes:
@@ -145,19 +145,19 @@ def moved_between(
     return _chosen(*sides, np.float32(time))
 
 
-def _side(source: SlotField, key: Float32) -> nearest.Side:
+def _side(source: SlotField, key: Float32) -> blend.SourceSide:
     return source.field, source.depth, key, source.hole, source.fringe
 
 
-def _chosen(before: nearest.Side, after: nearest.Side, time: np.float32) -> Sources:
+def _chosen(before: blend.SourceSide, after: blend.SourceSide, time: np.float32) -> Sources:
     """Choose the sources, and give the holes those of what is visible around them."""
     shape = before[1].shape
     pixel, depth = np.empty(shape, np.int32), np.empty(shape, np.float32)
     later, hole = np.empty(shape, np.bool_), np.empty(shape, np.bool_)
-    nearest.choose(before, after, time, pixel, later, depth, hole)
+    blend.choose_sources(before, after, time, pixel, later, depth, hole)
     around = look_around(depth, hole)
     if around is not None:
-        nearest.adopt(pixel, later, depth, *around)
+        blend.adopt_sources(pixel, later, depth, *around)
     return Sources(pixel, later, hole, depth)
 
 
@@ -223,7 +223,7 @@ class Passage:
             0 where that is not known.
         """
         found = np.empty_like(here)
-        nearest.sample_surface(there, self.depth, self.field, found)
+        blend.sample_surface(there, self.depth, self.field, found)
         with np.errstate(invalid="ignore", over="ignore"):
             found -= here
         found[self.lost | ~np.isfinite(found).all(axis=-1)] = 0
@@ -245,7 +245,7 @@ def passage(here: GBuffer, there: GBuffer, way: int) -> Passage:
     field = displacement(here, way)
     depth, later = depth_of(here), depth_of(there)
     found = np.empty((*depth.shape, 1), np.float32)
-    nearest.sample_surface(later[..., None], later, field, found)
+    blend.sample_surface(later[..., None], later, field, found)
     with np.errstate(invalid="ignore"):
         same = np.abs(found[..., 0] - depth) <= np.float32(LARGEST_CHANGE) * depth
     lost = unmatched(here, there, field, FACTOR) | ~same  # background, too: inf - inf is NaN

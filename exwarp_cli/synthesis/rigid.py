@@ -199,7 +199,7 @@ def _pose_at(poses: Poses, time: float) -> Pose | None:
 def _between(before: F64, after: F64, time: float) -> F64:
     """Return a way at a time between -1 and 1, by those to the frames before and after.
 
-    Acceleration is held as in :func:`exwarp_cli.kernels.parabola.parabola`.
+    Acceleration is held as in :func:`exwarp_cli.kernels.splat.quadratic_displacement`.
     """
     own, acceleration = after if time > 0 else before, before + after
     room, size = 2 * float(np.linalg.norm(own)), float(np.linalg.norm(acceleration))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32
-from exwarp_cli.kernels import extremes, fill
+from exwarp_cli.kernels import gather, holes
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.warp import Around, look_around, sampled
@@ -107,14 +107,14 @@ def hold_within(frame: Float32, sources: Sources) -> None:
     around = look_around(sources.depth, hole)
     for sign in SIGNS:
         bound = _bounds(sources, hole, around, sign, clear=False)
-        extremes.hold(bound, EVERYWHERE, sign, frame.shape[2], frame)
+        gather.clamp_to_bounds(bound, EVERYWHERE, sign, frame.shape[2], frame)
         del bound
     clear = _clear(frame)
     if clear is None:
         return
     for sign in SIGNS:
         bound = _bounds(sources, hole, around, sign, clear=True)
-        extremes.hold(bound, clear, sign, extremes.ALPHA, frame)
+        gather.clamp_to_bounds(bound, clear, sign, gather.ALPHA_CHANNEL, frame)
         del bound
 
 
@@ -132,20 +132,20 @@ def hold_in_range(frame: Float32, frames: Sequence[Float32]) -> None:
     """
     for sign in SIGNS:
         bound = np.broadcast_to(_range(frames, sign, clear=False), frame.shape)
-        extremes.hold(bound, EVERYWHERE, sign, frame.shape[2], frame)
+        gather.clamp_to_bounds(bound, EVERYWHERE, sign, frame.shape[2], frame)
     clear = _clear(frame)
     if clear is None:
         return
     for sign in SIGNS:
         bound = np.broadcast_to(_range(frames, sign, clear=True), frame.shape)
-        extremes.hold(bound, clear, sign, extremes.ALPHA, frame)
+        gather.clamp_to_bounds(bound, clear, sign, gather.ALPHA_CHANNEL, frame)
 
 
 def _clear(frame: Float32) -> Bool | None:
     """bool [H, W]: where alpha is 0; None where it is so nowhere."""
-    if frame.shape[2] <= extremes.ALPHA:
+    if frame.shape[2] <= gather.ALPHA_CHANNEL:
         return None
-    clear: Bool = np.abs(frame[..., extremes.ALPHA]) <= CLEAR
+    clear: Bool = np.abs(frame[..., gather.ALPHA_CHANNEL]) <= CLEAR
     return clear if clear.any() else None
 
 
@@ -164,7 +164,7 @@ def _bounds(
     if around is None:
         return _raised_to_warp(bound, sources.warp, sign, clear)
     bound[np.isneginf(bound)] = 0  # where alpha is 0 in no source pixel: what is mixed in holes
-    fill.fill(bound, sources.depth, around.first, around.column, around.cap, around.steps)
+    holes.fill_holes(bound, sources.depth, around.first, around.column, around.cap, around.steps)
     lone = ~around.steps.any(axis=0)
     if lone.any():
         rows = np.repeat(np.arange(len(hole)), np.diff(around.first))
@@ -181,7 +181,7 @@ def _raised_to_warp(bound: Float32, warp: Float32 | None, sign: np.float32, clea
         return bound
     own = sign * warp
     if clear:
-        own[np.abs(warp[..., extremes.ALPHA]) > CLEAR] = -np.inf
+        own[np.abs(warp[..., gather.ALPHA_CHANNEL]) > CLEAR] = -np.inf
     np.maximum(bound, own, out=bound)
     return bound
 
@@ -189,14 +189,14 @@ def _raised_to_warp(bound: Float32, warp: Float32 | None, sign: np.float32, clea
 def _raise(bound: Float32, side: Side, wanted: Bool, sign: np.float32, clear: bool) -> None:
     """Raise the bounds of some pixels to those of a key frame."""
     pixels = np.ascontiguousarray(side.pixels)
-    extremes.raise_bounds(pixels, side.field, wanted, clear, sign, bound)
+    gather.raise_bounds(pixels, side.field, wanted, clear, sign, bound)
 
 
 def _range(frames: Sequence[Float32], sign: np.float32, clear: bool) -> Float32:
     """Return `sign` times the bounds of whole frames, float32 [C]; -inf where nothing counts."""
     ends = np.full(frames[0].shape[2], -np.inf, np.float32)
     for pixels in frames:
-        counts = pixels[..., extremes.ALPHA] == 0 if clear else np.True_
+        counts = pixels[..., gather.ALPHA_CHANNEL] == 0 if clear else np.True_
         for c in range(len(ends)):
             values = sign * pixels[..., c]
             counting = counts & np.isfinite(values)

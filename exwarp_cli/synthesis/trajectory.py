@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32, GBuffer, Int32
-from exwarp_cli.kernels import parabola
-from exwarp_cli.kernels import reach as rows
-from exwarp_cli.kernels.follow import CLOSE, follow
+from exwarp_cli.kernels import splat
+from exwarp_cli.kernels import splat as rows
+from exwarp_cli.kernels.point_motion import CLOSE_DEPTH, follow_points
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.camera import Index, scene_of, seen_by
 from exwarp_cli.synthesis.rounding import EXACT, coarser, depth_step
@@ -47,14 +47,14 @@ def displacement(gbuffer: GBuffer, time: float) -> Float32:
 
 def displaced(gbuffer: GBuffer, time: float) -> tuple[Float32, Float32]:
     """Return what `displacement` does, and what `reach_of` does of that."""
-    reach = np.empty(rows.reach_shape(gbuffer.window.shape), np.float32)
+    reach = np.empty(rows.row_extents_shape(gbuffer.window.shape), np.float32)
     return _displacement(gbuffer, time, reach), reach
 
 
 def reach_of(motion: Float32) -> Float32:
     """Return which rows displacements [H, W, 2] lead to, as splatting wants it."""
-    reach = np.empty(rows.reach_shape(motion.shape), np.float32)
-    rows.row_reach(motion, reach)
+    reach = np.empty(rows.row_extents_shape(motion.shape), np.float32)
+    rows.splat_row_extents(motion, reach)
     return reach
 
 
@@ -65,7 +65,7 @@ def _displacement(gbuffer: GBuffer, time: float, reach: Float32) -> Float32:
     if after is not None and before is not None:
         out: Float32 = pool.empty(after.shape, np.float32)
         ways = np.ascontiguousarray(before), np.ascontiguousarray(after)
-        parabola.parabola(*ways, t, out, reach)
+        splat.quadratic_displacement(*ways, t, out, reach)
         if not len(gbuffer.turning):
             return out
     elif after is not None:
@@ -76,7 +76,7 @@ def _displacement(gbuffer: GBuffer, time: float, reach: Float32) -> Float32:
     if len(gbuffer.turning) and 0 < abs(time) < 1:
         out.reshape(-1, 2)[gbuffer.turning] = curved(gbuffer, gbuffer.turning, time)
     if reach.size:
-        rows.row_reach(out, reach)
+        rows.splat_row_extents(out, reach)
     return out
 
 
@@ -162,8 +162,8 @@ def followed(start: GBuffer, others: Sequence[GBuffer], way: int) -> Float32:
         there = distances_of(other)
         ids, depths = (stencil_of(other), stencil_of(start)), (there, own)
         steps = coarser(rounded, depth_step(there))
-        close = np.float32(CLOSE * (count - 1))
-        follow(step, ids, depths, steps, close, after - before, moved)
+        close = np.float32(CLOSE_DEPTH * (count - 1))
+        follow_points(step, ids, depths, steps, close, after - before, moved)
         before = after
     return moved
 

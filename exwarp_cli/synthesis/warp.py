@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from exwarp_cli.domain.extrapolator import Interpolator
 from exwarp_cli.domain.frame import Bool, Float32, Int32, broken_pixels
-from exwarp_cli.kernels import blend, fill, gather, resample, shown
+from exwarp_cli.kernels import blend, gather, holes, resample
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.geometry import SlotField
 
@@ -179,7 +179,7 @@ def fill_holes(pixels: Float32, depth: Float32, hole: Bool) -> Float32:
     if around is None:
         return pixels
     out = np.ascontiguousarray(pixels)
-    fill.fill(out, depth, around.first, around.column, around.cap, around.steps)
+    holes.fill_holes(out, depth, around.first, around.column, around.cap, around.steps)
     return out
 
 
@@ -195,7 +195,7 @@ class Around(NamedTuple):
     cap
         Depth at which everything further counts as equally far, scene units.
     steps
-        int16 [8, N], from :func:`exwarp_cli.kernels.fill.look`.
+        int16 [8, N], from :func:`exwarp_cli.kernels.holes.ray_march_visible`.
     """
 
     first: Int32
@@ -216,18 +216,18 @@ def look_around(depth: Float32, hole: Bool) -> Around | None:
     """
     hole = np.ascontiguousarray(hole)
     counts, bits = np.empty(len(hole), np.int32), np.empty(len(hole), np.int32)
-    fill.count_holes(hole, depth.view(np.int32), counts, bits)
+    holes.count_holes(hole, depth.view(np.int32), counts, bits)
     first = np.zeros(len(hole) + 1, np.int32)
     np.cumsum(counts, out=first[1:])
     if first[-1] == 0:
         return None
     column = np.empty(first[-1], np.int32)
-    fill.list_holes(hole, first, column)
+    holes.list_holes(hole, first, column)
     furthest = float(bits.max(keepdims=True).view(np.float32)[0])
     cap = BEYOND * furthest if furthest > 0 else 1.0
     reach = min(int(FILL_REACH * max(hole.shape)) + 1, 32000)
-    steps = np.empty((len(fill.WAYS), len(column)), np.int16)
-    fill.look(hole, first, column, reach, steps)
+    steps = np.empty((len(holes.DIRECTIONS), len(column)), np.int16)
+    holes.ray_march_visible(hole, first, column, reach, steps)
     return Around(first, column, np.float32(cap), steps)
 
 
@@ -283,13 +283,13 @@ def as_shown(pixels: Float32) -> Float32:
     The curve goes on below 0 and above 1.
     """
     out: Float32 = pool.empty(pixels.shape, np.float32)
-    shown.show(pixels, out)
+    resample.encode_srgb(pixels, out)
     return out
 
 
 def as_light(codes: Float32) -> Float32:
     """Invert `as_shown`, in place."""
-    shown.light(codes, codes)
+    resample.decode_srgb(codes, codes)
     return codes
 
 

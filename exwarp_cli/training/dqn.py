@@ -18,8 +18,8 @@ import torch
 from torch import Tensor, nn
 
 from exwarp_cli.domain.decision import CHOICES, FEATURES, NEXT, NODES
-from exwarp_cli.policy.outcomes import rewards
-from exwarp_cli.policy.state import INPUTS, STATES
+from exwarp_cli.policy.outcomes import choice_rewards
+from exwarp_cli.policy.state import INPUTS, STATE_COUNT
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.training.policy_table import PolicyTable
 from exwarp_cli.training.settings import PolicySettings
@@ -38,7 +38,7 @@ AFTER = torch.tensor(
 """Index of the node after each choice, -1 at the end: [5, 2]."""
 
 
-FEATURE = torch.tensor(([1.0] * len(FEATURES) + [0.0] * len(NODES)) * STATES)
+FEATURE = torch.tensor(([1.0] * len(FEATURES) + [0.0] * len(NODES)) * STATE_COUNT)
 """Which inputs are features, and not the node: [44]."""
 
 
@@ -91,7 +91,7 @@ def _trained(tables: Sequence[PolicyTable], settings: PolicySettings) -> nn.Sequ
     network, target = make_network(), make_network()
     target.load_state_dict(network.state_dict())
     states = [torch.from_numpy(table.states).float() for table in tables]
-    gains = [torch.from_numpy(rewards(table.outcomes)).float() for table in tables]
+    gains = [torch.from_numpy(choice_rewards(table.outcomes)).float() for table in tables]
     optimiser = torch.optim.AdamW(
         network.parameters(), lr=settings.rate, weight_decay=settings.decay
     )

@@ -23,15 +23,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.accel.fixed_point import MOST_ACTIVATION, MOST_SHIFT, ONE, to_fixed
-from exwarp_cli.accel.kernel import MlpKernel
-from exwarp_cli.accel.quantised_mlp import QuantisedLayer, QuantisedMlp, Requantisation
+from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION, MAX_SHIFT, ONE, to_fixed
+from exwarp_cli.accelerator.mlp import MlpKernel, QuantisedLayer, QuantisedMlp, Requantisation
 from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.atomic import atomic_write_text, make_folder
 from exwarp_cli.io.models import CHECKSUMS
 from exwarp_cli.io.policy_files import SHIPPED_POLICY, left_out, save_network
-from exwarp_cli.policy.outcomes import rewards
+from exwarp_cli.policy.outcomes import choice_rewards
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 from exwarp_cli.training.dqn import train, values
 from exwarp_cli.training.policy_onnx import export_float, export_integer
@@ -266,7 +265,7 @@ def regress(tables: Sequence[PolicyTable]) -> F64:
         Coefficients of the 44 inputs and of a constant, by node and choice.
     """
     states = np.concatenate([table.states for table in tables])
-    gains = np.concatenate([rewards(table.outcomes) for table in tables])
+    gains = np.concatenate([choice_rewards(table.outcomes) for table in tables])
     weights = np.concatenate([np.full(len(table), 1 / len(table)) for table in tables])
     out = []
     for node in range(len(NODES)):
@@ -301,13 +300,13 @@ def quantise(weights: Sequence[F64], biases: Sequence[F64], states: F64) -> Quan
     states
         float64 [N, in], 0 to 1: what activations are calibrated on.
     """
-    unit = 1 / MOST_ACTIVATION
-    inputs = factors(np.full(states.shape[1], MOST_ACTIVATION / ONE))
+    unit = 1 / MAX_ACTIVATION
+    inputs = factors(np.full(states.shape[1], MAX_ACTIVATION / ONE))
     layers: list[QuantisedLayer] = []
     activations = states
     for number, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
         last = number == len(weights) - 1
-        largest = np.abs(weight).max(axis=1) / MOST_ACTIVATION
+        largest = np.abs(weight).max(axis=1) / MAX_ACTIVATION
         scale = np.maximum(np.maximum(largest, np.abs(bias) / (MOST_BIAS * unit)), 1e-14)
         if last:
             scale = np.full(bias.shape, scale.max())
@@ -318,7 +317,7 @@ def quantise(weights: Sequence[F64], biases: Sequence[F64], states: F64) -> Quan
             layers.append(QuantisedLayer(whole, offset))
             break
         activations = np.maximum(activations, 0)
-        following = max(float(activations.max()), 1e-12) / MOST_ACTIVATION
+        following = max(float(activations.max()), 1e-12) / MAX_ACTIVATION
         layers.append(QuantisedLayer(whole, offset, factors(scale * unit / following)))
         unit = following
     return QuantisedMlp(inputs, tuple(layers))
@@ -329,7 +328,7 @@ def factors(ratios: F64) -> Requantisation:
     multipliers, shifts = np.empty(ratios.shape, np.int32), np.empty(ratios.shape, np.uint8)
     for i, ratio in enumerate(ratios):
         _, exponent = math.frexp(float(ratio))
-        shift = min(max(MULTIPLIER_BITS - exponent, 0), MOST_SHIFT)
+        shift = min(max(MULTIPLIER_BITS - exponent, 0), MAX_SHIFT)
         multiplier = round(float(ratio) * 2.0**shift)
         multipliers[i] = min(max(multiplier, 1), 2**MULTIPLIER_BITS - 1)
         shifts[i] = shift

@@ -11,8 +11,8 @@ import onnx
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
 from exwarp_cli import __version__
-from exwarp_cli.accel.fixed_point import MOST_ACTIVATION
-from exwarp_cli.accel.quantised_mlp import OUTPUTS, QuantisedMlp, Requantisation
+from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION
+from exwarp_cli.accelerator.mlp import OUTPUTS, QuantisedMlp, Requantisation
 from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.training.export import ABOUT, IR_VERSION, OPSET
 
@@ -74,7 +74,7 @@ def export_integer(network: QuantisedMlp, path: Path) -> None:
     """
     constants: dict[str, Array] = {
         "zero": np.array(0, np.int64),
-        "most": np.array(MOST_ACTIVATION, np.int64),
+        "most": np.array(MAX_ACTIVATION, np.int64),
     }
     nodes = _requantise(STATE, "inputs", network.inputs, constants)
     given, last = "inputs", len(network.layers) - 1

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, WARP, path_of, walk
-from exwarp_cli.policy.outcomes import best_psnr, best_return, returns, shown
+from exwarp_cli.policy.outcomes import best_psnr, best_return, path_returns, slot_quality
 from exwarp_cli.training.policy_table import PolicyTable
 
 F64 = npt.NDArray[np.float64]
@@ -89,13 +89,13 @@ def _weighted(
 ) -> tuple[float, float, float, float, float]:
     """Return reward, PSNR, SSIM, new frames and warp share for shares [N, 6] of the paths."""
     outcomes = table.outcomes[rows]
-    quality = shown(outcomes).mean(axis=-2)
+    quality = slot_quality(outcomes).mean(axis=-2)
     generated = np.array([path.generated for path in PATHS.values()])
     warps = np.array([_count(name, WARP) for name in NAMES])
     decisions = np.array([sum(_count(name, choice) for choice in CHOICES) for name in NAMES])
     per_path = shares.mean(axis=0)
     return (
-        float((shares * returns(outcomes)).sum(axis=1).mean()),
+        float((shares * path_returns(outcomes)).sum(axis=1).mean()),
         float((shares * quality[..., 0]).sum(axis=1).mean()),
         float((shares * quality[..., 1]).sum(axis=1).mean()),
         float(per_path @ generated),

@@ -20,7 +20,7 @@ from exwarp_cli.domain.decision import NODES, Features
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.io.policy_files import Array, pack, unpack
-from exwarp_cli.policy.state import INPUTS, KEYS_BACK, Surroundings
+from exwarp_cli.policy.state import INPUTS, OLDER_KEYS, StateHistory
 from exwarp_cli.training.measuring import Measured, View
 
 F64 = npt.NDArray[np.float64]
@@ -68,13 +68,13 @@ class PolicyTable:
                 out[row, column] = surroundings.inputs(node)
         return out
 
-    def surroundings(self) -> Iterator[Surroundings]:
+    def surroundings(self) -> Iterator[StateHistory]:
         """Yield what the states of each interval are made of."""
         found = [[_features(fields) for fields in row] for row in self.features]
         for row, (first, second, third) in enumerate(found):
-            older = range(row - 1, max(row - 1 - KEYS_BACK, -1), -1)
+            older = range(row - 1, max(row - 1 - OLDER_KEYS, -1), -1)
             before = tuple(found[i][0] for i in older if self.group[i] == self.group[row])
-            yield Surroundings((first, second, third), before)
+            yield StateHistory((first, second, third), before)
 
 
 def joined(scene: str, parts: Sequence[tuple[str, View, Measured]], network: str) -> PolicyTable:

@@ -18,16 +18,14 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from exwarp_cli.accel.fixed_point import to_fixed
-from exwarp_cli.accel.kernel import MlpKernel
-from exwarp_cli.accel.quantised_mlp import QuantisedMlp
+from exwarp_cli.accelerator.fixed_point import to_fixed
+from exwarp_cli.accelerator.mlp import MlpKernel, QuantisedMlp
 from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.tiles import REWARP, TILE_STATE
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.atomic import atomic_write_text, make_folder
 from exwarp_cli.io.policy_files import SHIPPED_TILE_POLICY, save_network
-from exwarp_cli.policy.state import INPUTS
-from exwarp_cli.policy.tile_state import DECIDED, tile_paths
+from exwarp_cli.policy.state import INPUTS, TILE_NODES, tile_paths
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.training.dqn import FEATURE, layers_of, make_network, one_thread
 from exwarp_cli.training.policy import note_checksums, quantise
@@ -69,7 +67,7 @@ def gains(table: TileTable) -> F64:
     third, again = (table.error(3, WARP) - table.error(3, name) for name in (EXTRAPOLATE, REWARP))
     none = np.zeros(len(table))
     nodes = {"d2": (none, second), "d4": (again, third), "d5": (none, third)}
-    return np.stack([np.stack(nodes[node], axis=-1) for node in DECIDED], axis=1)
+    return np.stack([np.stack(nodes[node], axis=-1) for node in TILE_NODES], axis=1)
 
 
 def train_tiles(tables: Sequence[TileTable], settings: TilePolicySettings) -> QuantisedMlp:
@@ -125,10 +123,10 @@ def _aim(target: nn.Sequential, state: Tensor, reward: Tensor) -> Tensor:
     """Return rewards plus the best that the nodes after them promise, [B, 3, 2]."""
     best = target(state).amax(dim=-1)
     aim = reward.clone()
-    for index, node in enumerate(DECIDED):
+    for index, node in enumerate(TILE_NODES):
         following = AFTER[node]
         if following is not None:
-            ahead = [best[:, DECIDED.index(name)] for name in following]
+            ahead = [best[:, TILE_NODES.index(name)] for name in following]
             aim[:, index] += torch.stack(ahead, dim=-1)
     return aim
 
@@ -137,12 +135,12 @@ def outputs(network: QuantisedMlp, table: TileTable) -> npt.NDArray[np.int64]:
     """Return by how much extrapolating is worth more than warping, int64 [N, 3]."""
     found, _ = MlpKernel(network).decide_many(to_fixed(table.states.reshape(-1, INPUTS)))
     margin = found[:, 1].astype(np.int64) - found[:, 0].astype(np.int64)
-    return margin.reshape(-1, len(DECIDED))
+    return margin.reshape(-1, len(TILE_NODES))
 
 
 def choose(margins: npt.NDArray[Any], price: float) -> Chosen:
     """Return whether each node extrapolates: where that is worth more than a price."""
-    return {node: margins[:, index] > price for index, node in enumerate(DECIDED)}
+    return {node: margins[:, index] > price for index, node in enumerate(TILE_NODES)}
 
 
 def cost(chosen: Chosen) -> float:
@@ -198,24 +196,24 @@ def _gain(tables: Sequence[TileTable], chosen: Sequence[Chosen]) -> float:
 
 def _always_s4(count: int) -> Chosen:
     """Return the choice that extrapolates slot 2 alone, everywhere, and warps it on."""
-    return {node: np.full(count, node == "d2") for node in DECIDED}
+    return {node: np.full(count, node == "d2") for node in TILE_NODES}
 
 
 def _everywhere(count: int, value: bool) -> Chosen:
-    return {node: np.full(count, value) for node in DECIDED}
+    return {node: np.full(count, value) for node in TILE_NODES}
 
 
 def rules(table: TileTable, seed: int) -> dict[str, F64]:
     """Return the margins of simpler rules, float64 [N, 3], and of knowing the truth."""
     holes = np.stack([table.features[:, slot, :2].sum(axis=-1) for slot in (1, 2, 2)], axis=-1)
     residual = table.features[:, 0, 4:].sum(axis=-1)
-    toss = np.random.default_rng(seed).random((len(table), len(DECIDED)))
+    toss = np.random.default_rng(seed).random((len(table), len(TILE_NODES)))
     truth = gains(table)
     return {
         "coin": toss,
         # A trace of chance parts what is equal.
         "holes": holes + 1e-6 * toss,
-        "key residual": np.repeat(residual[:, None], len(DECIDED), axis=1) + 1e-6 * toss,
+        "key residual": np.repeat(residual[:, None], len(TILE_NODES), axis=1) + 1e-6 * toss,
         "truth": truth[..., 1] - np.maximum(truth[..., 0], 0),
     }
 

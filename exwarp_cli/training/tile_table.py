@@ -21,9 +21,8 @@ from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.models import OnnxExtrapolator
 from exwarp_cli.io.policy_files import Array, pack, unpack
-from exwarp_cli.metrics.display import encode
-from exwarp_cli.policy.state import INPUTS
-from exwarp_cli.policy.tile_state import DECIDED, scaled, tile_inputs
+from exwarp_cli.metrics.display import encode_display
+from exwarp_cli.policy.state import INPUTS, TILE_NODES, scale_tile_features, tile_inputs
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import take
@@ -79,13 +78,15 @@ class TileTable:
     @cached_property
     def slots(self) -> list[F64]:
         """Scaled features of slots 1 to 3, float64 [N, 6] each."""
-        return [scaled(self.features[:, slot], self.width) for slot in range(FACTOR - 1)]
+        return [
+            scale_tile_features(self.features[:, slot], self.width) for slot in range(FACTOR - 1)
+        ]
 
     @cached_property
     def states(self) -> F64:
         """The network's inputs at each node of `DECIDED`, float64 [N, 3, 44]."""
-        found = np.stack([tile_inputs(self.slots, node) for node in DECIDED], axis=1)
-        assert found.shape[1:] == (len(DECIDED), INPUTS)
+        found = np.stack([tile_inputs(self.slots, node) for node in TILE_NODES], axis=1)
+        assert found.shape[1:] == (len(TILE_NODES), INPUTS)
         return found
 
     def error(self, slot: int, maker: str) -> F64:
@@ -130,7 +131,7 @@ def _intervals(
     for variant in VARIANTS:
         footage = whole.seen_as(variant)
         for k in footage.intervals:
-            truth = {slot: encode(footage.truth(k, slot).pixels) for slot in (2, 3)}
+            truth = {slot: encode_display(footage.truth(k, slot).pixels) for slot in (2, 3)}
             yield replace(footage.causal(k, "key"), extrapolator=network), truth
 
 
@@ -138,7 +139,7 @@ def _errors(interval: Interval, truth: dict[int, npt.NDArray[np.float32]]) -> F6
     """Return the errors of an interval's tiles, float64 [N, 5]."""
     found = []
     for slot, _, path in MADE:
-        made = encode(take(path, interval, slot).pixels)
+        made = encode_display(take(path, interval, slot).pixels)
         squares = np.square(made[..., :3] - truth[slot][..., :3]).mean(axis=-1)
         found.append(interval.mosaic.means(squares).ravel())
     return np.stack(found, axis=-1)

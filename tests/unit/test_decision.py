@@ -26,7 +26,7 @@ from exwarp_cli.domain.decision import (
     walk,
 )
 from exwarp_cli.pipeline.slot_renderer import decision_text, parse_decision
-from exwarp_cli.policy.state import PASSED
+from exwarp_cli.policy.state import PRECEDING_NODES
 from tests.reference import decisions as paper
 
 SLOT_OF = {"d1": 1, "d2": 2, "d3": 3, "d4": 3, "d5": 3}
@@ -76,7 +76,7 @@ class TestTree:
         assert set(NEXT) == {(node, choice) for node in ("d1", "d2") for choice in CHOICES}
 
     def test_nodes_before_a_node(self):
-        assert PASSED == {
+        assert PRECEDING_NODES == {
             "d1": (), "d2": ("d1",), "d3": ("d1",), "d4": ("d1", "d2"), "d5": ("d1", "d2")
         }  # fmt: skip
 

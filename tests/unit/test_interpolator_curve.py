@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from exwarp_cli.domain.extrapolator import ENCODINGS, LOWEST_WHITE, Curve
-from exwarp_cli.metrics.display import PEAK, encode
+from exwarp_cli.metrics.display import PEAK, encode_display
 from tests.reference import curve as reference
 
 PEAKS = (1.0, 1.0001, 1.5, 4.0, 1000.0, 65504.0, 1e30)
@@ -48,7 +48,7 @@ class TestCurve:
 def test_without_highlights_it_is_plain_srgb():
     values = np.linspace(0, 1, 500, dtype=np.float32)[:, None, None].repeat(3, axis=2)
     shown = Curve.of("srgb", values, values * 0.5).encode(values)
-    np.testing.assert_allclose(shown, encode(values) / PEAK, atol=1e-6)
+    np.testing.assert_allclose(shown, encode_display(values) / PEAK, atol=1e-6)
 
 
 @given(st.floats(1, 1e30))

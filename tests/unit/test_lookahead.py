@@ -14,7 +14,7 @@ from exwarp_cli.domain.lookahead import CANDIDATES, LOOKS_AHEAD, SIDES
 from exwarp_cli.domain.network import NetworkGiven, NetworkPictures
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.lookahead_network import load_lookahead
-from exwarp_cli.kernels import candidates
+from exwarp_cli.kernels import blend
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
@@ -105,7 +105,7 @@ class TestKernel:
         weights = rng.random((CANDIDATES, 6, 7), np.float32)
         weights /= weights.sum(0)
         out = np.empty_like(mixed)
-        candidates.mix_candidates(mixed, sides, weights, (0, 0), out)
+        blend.mix_candidates(mixed, sides, weights, (0, 0), out)
         expected = weights[0, ..., None] * mixed
         for n, side in enumerate(sides):
             expected += weights[1 + n, ..., None] * side
@@ -116,7 +116,7 @@ class TestKernel:
         flat = np.full((4, 5, 3), 7.3, np.float32)
         weights = np.full((CANDIDATES, 4, 5), 0.19, np.float32)
         out = np.empty_like(flat)
-        candidates.mix_candidates(flat, (flat,) * SIDES, weights, (0, 0), out)
+        blend.mix_candidates(flat, (flat,) * SIDES, weights, (0, 0), out)
         np.testing.assert_array_equal(out, flat)
 
 

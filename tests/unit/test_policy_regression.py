@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.decision import NODES
-from exwarp_cli.policy.outcomes import PENALTIES, rewards
+from exwarp_cli.policy.outcomes import PENALTIES, choice_rewards
 from exwarp_cli.training import policy
 from exwarp_cli.training.policy import predicted, regress
 from exwarp_cli.training.policy_table import PolicyTable
@@ -36,7 +36,7 @@ def test_linear_rewards_are_found_node_by_node(unhindered):
     known, unseen = linear(random_table(300, 1)), linear(random_table(50, 2))
     found = regress([known])
     assert found.shape == (5, 45, 2)
-    wanted = rewards(unseen.outcomes)
+    wanted = choice_rewards(unseen.outcomes)
     assert wanted.std() > 2
     np.testing.assert_allclose(predicted(found, unseen), wanted, atol=1e-4)
 

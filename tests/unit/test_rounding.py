@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Window
-from exwarp_cli.metrics.display import encode
+from exwarp_cli.metrics.display import encode_display
 from exwarp_cli.metrics.registry import METRICS
 from exwarp_cli.synthesis import geometry
 from exwarp_cli.synthesis.geometry import SlotField, compose_back, matched
@@ -138,9 +138,9 @@ def test_composed_motion_is_no_worse_than_plain_composition(kind, deep):
     own = compose_back(each, key)
     plain = plainly_composed(each, key)
     for i, (found, expected) in enumerate(zip(own, plain, strict=True), start=1):
-        truth = encode(STREET.colour(KEY_TIME + i / 4).astype(np.float32))
+        truth = encode_display(STREET.colour(KEY_TIME + i / 4).astype(np.float32))
         scores = [
-            METRICS["psnr_db"](truth, encode(Mover(source).warp_alone(colour))).overall()
+            METRICS["psnr_db"](truth, encode_display(Mover(source).warp_alone(colour))).overall()
             for source in (found, expected)
         ]
         assert scores[0] > scores[1] - 0.3

@@ -17,7 +17,7 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, SceneManifest, open_scene, select, split
 from exwarp_cli.io.models import load_extrapolator
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.metrics.registry import score_frame
 from exwarp_cli.training import crops as batches
 from exwarp_cli.training.crops import Batch, Crops, varied
 from exwarp_cli.training.extrapolator import (
@@ -248,7 +248,7 @@ def test_decibels_are_the_metric_s():
     truth = rng.random((40, 50, 3), np.float32) * 1.5
     made = truth + rng.normal(0, 0.05, truth.shape).astype(np.float32)
     mask = rng.random((40, 50)) < 0.2
-    overall, inside = score(truth, made, mask)
+    overall, inside = score_frame(truth, made, mask)
     a, b = (torch.from_numpy(x.transpose(2, 0, 1)[None]) for x in (made, truth))
     assert float(decibels(a, b)) == pytest.approx(overall.psnr_db, abs=1e-3)
     where = torch.from_numpy(mask[None, None].astype(np.float32))

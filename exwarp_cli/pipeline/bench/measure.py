@@ -17,9 +17,9 @@ from exwarp_cli.domain.decision import CHOICES, NODES, PATHS
 from exwarp_cli.domain.decision import SLOTS as SLOT_OF
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.results import Score
-from exwarp_cli.metrics import extranet
-from exwarp_cli.metrics.flicker import error
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.metrics import extranet_scores
+from exwarp_cli.metrics.registry import score_frame
+from exwarp_cli.metrics.temporal import display_error
 from exwarp_cli.pipeline.bench.opened import Opened
 from exwarp_cli.pipeline.bench.pictures import (
     FIRST_SLOTS,
@@ -32,7 +32,7 @@ from exwarp_cli.pipeline.bench.pictures import (
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scoring import SLOTS, Steps, flicker_of, steps_of, vmaf_of
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
-from exwarp_cli.policy.outcomes import best_psnr, best_return, returns
+from exwarp_cli.policy.outcomes import best_psnr, best_return, path_returns
 
 Scored = tuple[Score, Score | None]
 
@@ -70,7 +70,7 @@ class Scores:
     def of(self, name: str, slot: int) -> Scored:
         """Score a picture shown at a slot, over all pixels and in holes; one by one frame."""
         if (name, slot) not in self._scored:
-            self._scored[name, slot] = score(
+            self._scored[name, slot] = score_frame(
                 self.truth[slot], self.pictures[name], self.masks.get(slot), self.metrics
             )
         return self._scored[name, slot]
@@ -107,7 +107,7 @@ class Scores:
 
     def _error(self, name: str, slot: int) -> Float32:
         if (name, slot) not in self._errors:
-            self._errors[name, slot] = error(self.truth[slot], self.pictures[name])
+            self._errors[name, slot] = display_error(self.truth[slot], self.pictures[name])
         return self._errors[name, slot]
 
     def outcomes(self) -> npt.NDArray[np.float64]:
@@ -118,7 +118,7 @@ class Scores:
 
     def as_extranet(self, name: str) -> Score:
         """Score a picture shown midway between key frames as ExtraNet's authors do."""
-        return extranet.score(self.truth[MIDDLE], self.pictures[name])
+        return extranet_scores.score_like_extranet(self.truth[MIDDLE], self.pictures[name])
 
     def _quality(self, node: str, choice: str) -> list[float]:
         path = next(path for path in PATHS.values() if path.choices.get(node) == choice)
@@ -214,7 +214,7 @@ def _slot_scores(
 
 
 def _judged(truth: Float32, picture: Float32) -> list[float]:
-    over, _ = score(truth, picture, None, frozenset(JUDGED))
+    over, _ = score_frame(truth, picture, None, frozenset(JUDGED))
     return [getattr(over, metric) for metric in JUDGED]
 
 
@@ -234,7 +234,7 @@ def _paths(
     names = tuple(PATHS)
     paths[BEST_PSNR] = names[int(best_psnr(outcomes))]
     paths[BEST_RETURN] = names[int(best_return(outcomes))]
-    return paths, [float(value) for value in returns(outcomes)]
+    return paths, [float(value) for value in path_returns(outcomes)]
 
 
 def _frames(scored: list[Scored], makers: tuple[str, ...]) -> list[dict[str, Any]]:

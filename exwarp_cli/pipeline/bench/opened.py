@@ -26,7 +26,7 @@ from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader
 from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.pipeline.source import open_source
-from exwarp_cli.policy.state import LearnedPolicy, Surroundings
+from exwarp_cli.policy.state import LearnedPolicy, StateHistory
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge, Method
 
@@ -154,11 +154,11 @@ class Opened:
         """Bring what was read onto one window."""
         return self._builder.build(inputs)
 
-    def look(self, inputs: IntervalInputs, interval: Interval) -> Surroundings:
+    def look(self, inputs: IntervalInputs, interval: Interval) -> StateHistory:
         """Return what the policy sees."""
         return self._observer.of(inputs, interval)
 
-    def decide(self, surroundings: Surroundings) -> str:
+    def decide(self, surroundings: StateHistory) -> str:
         """Ask the policy for the interval's path."""
         return self._policy.plan(surroundings).path
 

@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from exwarp_cli.accel.fixed_point import I32
-from exwarp_cli.accel.kernel import MlpKernel
-from exwarp_cli.accel.quantised_mlp import infer_reference
+from exwarp_cli.accelerator.mlp import MlpKernel, infer_reference
 from exwarp_cli.domain.wording import counted, enumerated
 from exwarp_cli.errors import ExwarpError, InputError
 from exwarp_cli.io.models import (
@@ -23,6 +21,7 @@ from exwarp_cli.io.models import (
     shipped_folder,
 )
 from exwarp_cli.io.policy_files import load_policy
+from exwarp_cli.kernels.array_types import I32
 from exwarp_cli.pipeline.accelerator import sample_states
 from exwarp_cli.pipeline.doctor.examine import Check, failure, warning
 

@@ -29,7 +29,7 @@ from exwarp_cli.pipeline.bench.measure import SLOT_SCORES
 from exwarp_cli.pipeline.bench.pictures import name_on
 from exwarp_cli.pipeline.bench.work import Benchmark, Measured
 from exwarp_cli.pipeline.scoring import SLOTS
-from exwarp_cli.policy.clocked_returns import clocked_returns
+from exwarp_cli.policy.outcomes import clocked_returns
 from exwarp_cli.report.bench import paper
 from exwarp_cli.report.bench.naming import Document, identify
 from exwarp_cli.report.decisions import decisions

@@ -6,8 +6,8 @@ import json
 from dataclasses import asdict
 from importlib import resources
 
-from exwarp_cli.accel import verilog
-from exwarp_cli.accel.mac_array import Schedule
+from exwarp_cli.accelerator import verilog
+from exwarp_cli.accelerator.mac_array import Schedule
 from exwarp_cli.domain.decision import HOLD
 from exwarp_cli.pipeline.bench.work import Measured
 from exwarp_cli.pipeline.scoring import SLOTS

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from exwarp_cli import __version__
-from exwarp_cli.accel.mac_array import Schedule
+from exwarp_cli.accelerator.mac_array import Schedule
 from exwarp_cli.pipeline.bench.work import Benchmark, Measured
 from exwarp_cli.report.bench.choices import decisions_row, features_row, fps_row, holes_row
 from exwarp_cli.report.bench.clocked import real_time

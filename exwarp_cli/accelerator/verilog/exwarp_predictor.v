@@ -1,7 +1,7 @@
 // ExWarp's predictor: a network of fully connected layers in 8-bit integers, and its decision.
 //
 // The machine of the paper (section IV-C, "Hardware Implementation of the Predictor") as
-// exwarp_cli/accel/mac_array.py lays it out: cores with MACS multiply-accumulate units each, one
+// exwarp_cli/accelerator/mac_array.py lays it out: cores with MACS multiply-accumulate units each, one
 // adder, one multiplier, a pipeline of four stages and a memory. Inputs and neurons are dealt to the
 // cores in turn: number i belongs to core i % CORES and is in its slot i / CORES.
 //

@@ -8,27 +8,22 @@ of section III.C.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import parallel, part
-from exwarp_cli.kernels._row_bands import Share, turns
+from exwarp_cli.kernels._compile import device_function, kernel
+from exwarp_cli.kernels._row_bands import Band, band_range
+from exwarp_cli.kernels.array_types import F32, F64
 
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-
-RADIUS = 5
-"""Taps on either side of the centre: 3.5 sigma, rounded."""
+RADIUS = 5  # Taps on either side of the centre: 3.5 sigma, rounded
 
 SIGMA = 1.5
 DATA_RANGE = 255.0
 C1 = (0.01 * DATA_RANGE) ** 2
 C2 = (0.03 * DATA_RANGE) ** 2
 
-_BAND = 16  # rows that share one scratch line; also the grain of the parallel loop
+_ROWS_PER_STRIP = 16  # rows that share one scratch line; also the grain of the parallel loop
 
 
 def _gaussian() -> tuple[float, ...]:
-    """Weights of the centre tap and of the taps at distance 1 to RADIUS, normalised."""
     taps = np.exp(-0.5 * (np.arange(-RADIUS, RADIUS + 1) / SIGMA) ** 2)
     return tuple(float(w) for w in (taps / taps.sum())[RADIUS:])
 
@@ -36,57 +31,48 @@ def _gaussian() -> tuple[float, ...]:
 W0, W1, W2, W3, W4, W5 = _gaussian()
 
 
-def ssim_map(reference: F32, test: F32) -> F32:
-    """Structural similarity of every pixel and channel.
+def ssim_map(
+    reference: F32,  # as `test`: [H, W, C], display-encoded, 0 to 255, finite
+    test: F32,
+) -> F32:
+    """Return the structural similarity of every pixel and channel, float32 [H, W, C], -1 to 1.
 
-    The same numbers as scikit-image's ``structural_similarity`` with ``gaussian_weights=True,
-    sigma=1.5, use_sample_covariance=False, data_range=255, full=True`` on the same pixels as
-    float64, except that an image may be smaller than the 11 taps: its reflection is then reflected
-    again.
-
-    Parameters
-    ----------
-    reference, test
-        float32 [H, W, C], display-encoded, 0 to 255, finite, of one shape.
-
-    Returns
-    -------
-    float32 [H, W, C]
-        -1 to 1; exactly 1 where the neighbourhoods are equal. Sums are float64 throughout, only
-        the result is rounded.
+    Equal to scikit-image's ``structural_similarity`` with ``gaussian_weights=True, sigma=1.5,
+    use_sample_covariance=False, data_range=255, full=True`` on float64 pixels. An image smaller
+    than the 11 taps is reflected again. Equal neighbourhoods give exactly 1.
     """
     height, width, channels = reference.shape
     lines = (height, width * channels)
     out = np.empty(lines, dtype=np.float32)
     x = np.ascontiguousarray(reference).reshape(lines)
     y = np.ascontiguousarray(test).reshape(lines)
-    _fill(x, y, channels, out)
+    _write_map(x, y, channels, out)
     return out.reshape(height, width, channels)
 
 
-@part
-def _mirror(i: int, n: int) -> int:
-    """Index i of a line of n samples that is reflected about its outer edges, without end."""
+@device_function
+def _mirror_index(i: int, n: int) -> int:
+    """Return index i of a line of n samples that is reflected about its outer edges."""
     i = i % (2 * n)
     return i if i < n else 2 * n - 1 - i
 
 
 # The loops below are apart, with one array written in each, because LLVM vectorises only loops that
 # need few checks for overlap. As one loop over all four sums they took 132 ms instead of 44.
-@part
+@device_function
 def _add_values(total: F64, weight: float, a: F32, b: F32) -> None:
     for i in range(total.size):
         total[i] += weight * (np.float64(a[i]) + np.float64(b[i]))
 
 
-@part
+@device_function
 def _add_squares(total: F64, weight: float, a: F32, b: F32, c: F32, d: F32) -> None:
     for i in range(total.size):
         e, f, g, h = np.float64(a[i]), np.float64(b[i]), np.float64(c[i]), np.float64(d[i])
         total[i] += weight * ((e * e + f * f) + (g * g + h * h))
 
 
-@part
+@device_function
 def _add_products(total: F64, weight: float, a: F32, b: F32, c: F32, d: F32) -> None:
     for i in range(total.size):
         total[i] += weight * (
@@ -94,8 +80,8 @@ def _add_products(total: F64, weight: float, a: F32, b: F32, c: F32, d: F32) -> 
         )
 
 
-@part
-def _column_sums(x: F32, y: F32, row: int, halo: int, sums: F64) -> None:
+@device_function
+def _blur_columns(x: F32, y: F32, row: int, halo: int, sums: F64) -> None:
     """Blur x, y, x*x + y*y and x*y downwards, for one row, into the four lines of `sums`."""
     sums[:] = 0.0
     # Each line is sliced by itself: numba takes a line of a sliced block for strided and does not
@@ -104,7 +90,7 @@ def _column_sums(x: F32, y: F32, row: int, halo: int, sums: F64) -> None:
     sx, sy, ss, sp = sums[0][halo:stop], sums[1][halo:stop], sums[2][halo:stop], sums[3][halo:stop]
     # Half the centre's weight, twice: what serves for a pair of rows serves for the single row.
     for k, weight in enumerate((0.5 * W0, W1, W2, W3, W4, W5)):
-        above, below = _mirror(row - k, x.shape[0]), _mirror(row + k, x.shape[0])
+        above, below = _mirror_index(row - k, x.shape[0]), _mirror_index(row + k, x.shape[0])
         a, b, c, d = x[above], y[above], x[below], y[below]
         _add_values(sx, weight, a, c)
         _add_values(sy, weight, b, d)
@@ -112,19 +98,18 @@ def _column_sums(x: F32, y: F32, row: int, halo: int, sums: F64) -> None:
         _add_products(sp, weight, a, b, c, d)
 
 
-@part
+@device_function
 def _reflect_ends(line: F64, width: int, channels: int) -> None:
-    """Fill RADIUS pixels at both ends of a line by reflection."""
     for p in range(RADIUS):
-        left = (_mirror(p - RADIUS, width) + RADIUS) * channels
-        right = (_mirror(p + width, width) + RADIUS) * channels
+        left = (_mirror_index(p - RADIUS, width) + RADIUS) * channels
+        right = (_mirror_index(p + width, width) + RADIUS) * channels
         for c in range(channels):
             line[p * channels + c] = line[left + c]
             line[(p + width + RADIUS) * channels + c] = line[right + c]
 
 
-@part
-def _blur_along(line: F64, s: int, out: F64) -> None:
+@device_function
+def _blur_row(line: F64, s: int, out: F64) -> None:
     """Blur a line whose samples of one channel are s apart."""
     a, b, c, d, e = line, line[s:], line[2 * s :], line[3 * s :], line[4 * s :]
     f, g, h = line[5 * s :], line[6 * s :], line[7 * s :]
@@ -135,9 +120,8 @@ def _blur_along(line: F64, s: int, out: F64) -> None:
         out[i] += W3 * (c[i] + p[i]) + W4 * (b[i] + q[i]) + W5 * (a[i] + r[i])
 
 
-@part
-def _similarity(mean_x: F64, mean_y: F64, squares: F64, products: F64, out: F32) -> None:
-    """Equation 13 from the four local means."""
+@device_function
+def _write_similarity(mean_x: F64, mean_y: F64, squares: F64, products: F64, out: F32) -> None:
     for i in range(out.size):
         means = mean_x[i] * mean_y[i]
         powers = mean_x[i] * mean_x[i] + mean_y[i] * mean_y[i]
@@ -145,23 +129,21 @@ def _similarity(mean_x: F64, mean_y: F64, squares: F64, products: F64, out: F32)
         out[i] = np.float32(top / ((powers + C1) * (squares[i] - powers + C2)))
 
 
-@part
-def _band(x: F32, y: F32, channels: int, out: F32, first: int) -> None:
-    """Fill rows `first` to `first + _BAND` of the map."""
+@device_function
+def _write_strip(x: F32, y: F32, channels: int, out: F32, first: int) -> None:
     height, span = x.shape
     halo = RADIUS * channels
     sums = np.empty((4, span + 2 * halo))
     means = np.empty((4, span))
-    for row in range(first, min(first + _BAND, height)):
-        _column_sums(x, y, row, halo, sums)
+    for row in range(first, min(first + _ROWS_PER_STRIP, height)):
+        _blur_columns(x, y, row, halo, sums)
         for j in range(4):
             _reflect_ends(sums[j], span // channels, channels)
-            _blur_along(sums[j], channels, means[j])
-        _similarity(means[0], means[1], means[2], means[3], out[row])
+            _blur_row(sums[j], channels, means[j])
+        _write_similarity(means[0], means[1], means[2], means[3], out[row])
 
 
-@parallel
-def _fill(x: F32, y: F32, channels: int, out: F32, share: Share) -> None:
-    """Fill the map, or the bands of rows of a share of it."""
-    for band in turns((x.shape[0] + _BAND - 1) // _BAND, share):
-        _band(x, y, channels, out, band * _BAND)
+@kernel(parallel=True)
+def _write_map(x: F32, y: F32, channels: int, out: F32, band: Band) -> None:
+    for strip in band_range((x.shape[0] + _ROWS_PER_STRIP - 1) // _ROWS_PER_STRIP, band):
+        _write_strip(x, y, channels, out, strip * _ROWS_PER_STRIP)

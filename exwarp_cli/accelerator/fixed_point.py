@@ -10,44 +10,28 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-I32 = npt.NDArray[np.int32]
-I64 = npt.NDArray[np.int64]
-F64 = npt.NDArray[np.float64]
+from exwarp_cli.kernels.array_types import F64, I32, I64
 
 FRACTION_BITS = 16
-"""Fractional bits of a state's numbers."""
 
-ONE = 1 << FRACTION_BITS
-"""1.0 in Q16.16."""
+ONE = 1 << FRACTION_BITS  # 1.0 in Q16.16
 
-MOST_SHIFT = 62
-"""Largest shift that requantisation takes.
+# Largest shift of a requantisation. An int32 times a multiplier below 2^31 lies within +-2^62, and
+# the rounding term is 2^61 at most, so that no sum leaves int64.
+MAX_SHIFT = 62
 
-An int32 times a multiplier below 2^31 lies within +-2^62, and the rounding term is 2^61 at most, so
-that no sum leaves int64.
-"""
+MAX_MULTIPLIER = 2**31 - 1  # largest multiplier of a requantisation; the least is 1
 
-MOST_MULTIPLIER = 2**31 - 1
-"""Largest multiplier of a requantisation; the least is 1."""
-
-MOST_ACTIVATION = 127
-"""Activations are int8 in 0 … 127: ReLU and the saturation are one clamp."""
+MAX_ACTIVATION = 127  # activations are int8 in 0 … 127: ReLU and saturation are one clamp
 
 _INT32 = np.iinfo(np.int32)
 
 
 def to_fixed(values: npt.ArrayLike) -> I32:
-    """Convert numbers to Q16.16, rounding half up.
+    """Convert float64 numbers of any shape to Q16.16, rounding half up.
 
-    Parameters
-    ----------
-    values
-        float64 of any shape. What lies beyond +-32768 saturates, infinities included; NaN gives 0;
-        callers that must not take it for a number check before.
-
-    Returns
-    -------
-    int32, of the same shape
+    Values beyond +-32768 saturate, infinities included. NaN gives 0; callers that must reject it
+    check before.
     """
     scaled = np.asarray(values, np.float64) * ONE
     scaled = np.clip(np.where(np.isnan(scaled), 0.0, scaled), _INT32.min, _INT32.max)
@@ -63,26 +47,14 @@ def from_fixed(values: I32) -> F64:
 
 
 def requantise_half_up(
-    value: npt.ArrayLike, multiplier: npt.ArrayLike, shift: npt.ArrayLike
+    value: npt.ArrayLike,  # int32
+    multiplier: npt.ArrayLike,  # 1 … MAX_MULTIPLIER
+    shift: npt.ArrayLike,  # 0 … MAX_SHIFT
 ) -> I64:
-    """Multiply by ``multiplier / 2**shift``, rounding half up.
+    """Multiply by ``multiplier / 2**shift``, rounding half up; int64, not saturated.
 
-    The result is ``floor((value * multiplier + 2**(shift - 1)) / 2**shift)``, where the rounding
-    term is left out for shift 0; in int64: a 32x32 bit multiplication, an addition and an
-    arithmetic right shift. It is not saturated.
-
-    Parameters
-    ----------
-    value
-        int32.
-    multiplier
-        1 … `MOST_MULTIPLIER`.
-    shift
-        0 … `MOST_SHIFT`.
-
-    Returns
-    -------
-    int64, of the shape that the three broadcast to
+    The result is ``floor((value * multiplier + 2**(shift - 1)) / 2**shift)``, without the rounding
+    term for shift 0: a 32x32 bit multiplication, an addition and an arithmetic right shift.
     """
     product = np.asarray(value, np.int64) * np.asarray(multiplier, np.int64)
     places = np.asarray(shift, np.int64)
