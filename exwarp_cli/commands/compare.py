@@ -13,10 +13,10 @@ from exwarp_cli.commands.metrics_option import metrics_option
 from exwarp_cli.commands.printing import show
 from exwarp_cli.commands.progress_option import HELP, progress_option
 from exwarp_cli.commands.source_options import max_pixels_option, scan_option
-from exwarp_cli.domain.frame import allow
+from exwarp_cli.domain.frame import set_max_pixels
 from exwarp_cli.domain.metric import METRICS, Threshold, parse_threshold
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.evaluate import Comparison
@@ -103,7 +103,7 @@ def command(
     from exwarp_cli.report.gallery import Gallery
     from exwarp_cli.report.thresholds import require_quality
 
-    allow(max_pixels)
+    set_max_pixels(max_pixels)
     kind = progress or ("bar" if sys.stderr.isatty() else "none")
     with reporting(kind, results_on_stdout=as_json) as reporter:
         if folder is not None:
@@ -138,7 +138,7 @@ def _print(result: Comparison) -> None:
         table.add_row(name, *cells, str(values["frames"]))
     show(f"reference {result.reference.pattern}")
     show(f"test      {result.test.pattern}")
-    click.echo(f"{counted(len(result.frames), 'frame')}, matched by {result.matched_by}")
+    click.echo(f"{pluralise(len(result.frames), 'frame')}, matched by {result.matched_by}")
     for note in result.notes:
         show(note)
     Console().print(table)

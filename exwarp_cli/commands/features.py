@@ -8,7 +8,7 @@ from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.source_options import source_options
 from exwarp_cli.commands.threads_option import threads_option
-from exwarp_cli.domain.cuts import AUTO
+from exwarp_cli.domain.timeline import AUTO_CUTS
 
 
 @click.command("features")
@@ -18,7 +18,7 @@ from exwarp_cli.domain.cuts import AUTO
 @source_options
 @click.option(
     "--cuts",
-    default=AUTO,
+    default=AUTO_CUTS,
     show_default=True,
     metavar="auto|none|LIST",
     help="Where shots begin, by their first key frames: nothing is compared across cuts.",

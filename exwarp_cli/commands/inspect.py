@@ -10,8 +10,7 @@ import click
 
 from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.source_options import scan_option, source_options
-from exwarp_cli.domain.line import printable
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise, printable
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -207,4 +206,4 @@ def _matte(one: dict[str, Any]) -> str:
     names, count = one["names"], len(one["names"])
     listed = ", ".join(shown(each) for each in names[:SHOWN])
     more = f" and {count - SHOWN} more" if count > SHOWN else ""
-    return f"Cryptomatte {name} ({one['kind']}), {counted(count, 'name')}: {listed}{more}"
+    return f"Cryptomatte {name} ({one['kind']}), {pluralise(count, 'name')}: {listed}{more}"

@@ -12,7 +12,7 @@ from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.printing import show, summary_of_files
 from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.summary_lines import summary_lines
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 
 if TYPE_CHECKING:
     from exwarp_cli.report.merging import Merged
@@ -68,7 +68,7 @@ def _print(merged: Merged, output: Path) -> None:
     if document["frames"]["written"]:
         for line in summary_lines(document):
             show(line)
-    joined = counted(merged.reports, "report")
+    joined = pluralise(merged.reports, "report")
     click.echo(f"{joined} joined, {time_text(document['wall_s'])} of work")
     if merged.missing is not None:
         click.echo(f"key frames of the sequence that are in no report: {merged.missing}")

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 
 import click
 
-from exwarp_cli.domain.line import printable
+from exwarp_cli.domain.wording import printable
 from exwarp_cli.errors import ReaderGoneError
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from exwarp_cli.domain.metric import BY_OPTION, KEY_FRAMES, METRICS
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 
 
 def summary_lines(
@@ -28,7 +28,7 @@ def summary_lines(
     frames, fps, quality = document["frames"], document["fps"], document["quality"]["all"]
     effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
     lines = [
-        f"{counted(frames['written'], 'frame')}{place and f' in {place}'}: "
+        f"{pluralise(frames['written'], 'frame')}{place and f' in {place}'}: "
         f"{rendered_text(frames)}, {frames['generated']} generated, {frames['dropped']} repeated",
         f"{fps['base']:g} fps in, {fps['output']:g} out{effective}",
     ]
@@ -57,7 +57,7 @@ def summary_lines(
         lines.append(review_line(document["review"]))
     lines.extend(_lines_of_lists(document, ("left_out", "nonfinite")))
     if document["verified"] is not None:
-        lines.append(f"{counted(document['verified'], 'file')} read back, all as written")
+        lines.append(f"{pluralise(document['verified'], 'file')} read back, all as written")
     if document["render_time"] is not None:
         lines.append(_saved(document["render_time"]))
     return lines
@@ -109,7 +109,7 @@ def _pulse(found: dict[str, Any]) -> str:
     """Say how sharp new frames are beside their key frames."""
     metric = BY_OPTION["pulse"]
     mean, worst = (metric.with_unit(found[name]) for name in ("mean", "worst"))
-    frames = counted(found["frames"], "frame")
+    frames = pluralise(found["frames"], "frame")
     return f"pulse against {found['against']} ({frames}): {mean}, at worst {worst}"
 
 
@@ -127,5 +127,5 @@ def _saved(found: dict[str, Any]) -> str:
 def _holes(holes: dict[str, Any], between: int) -> str:
     """Say how large holes are; and of which frames, where not all between key frames warp."""
     count = sum(holes["histogram"]["counts"])
-    some = "" if count == between else f", of {counted(count, 'warped frame')}"
+    some = "" if count == between else f", of {pluralise(count, 'warped frame')}"
     return f"holes {holes['mean_fraction']:.1%} of the pixels on average{some}"

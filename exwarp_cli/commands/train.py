@@ -12,7 +12,7 @@ from exwarp_cli.commands.group import HelpfulGroup
 from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.printing import show, summary_of_files
 from exwarp_cli.commands.threads_option import threads_option
-from exwarp_cli.domain.line import one_line
+from exwarp_cli.domain.wording import one_line
 from exwarp_cli.training.settings import (
     LookAheadSettings,
     PolicySettings,

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
-from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.results import (
     BrokenPixels,
     FrameRecord,
@@ -20,7 +19,7 @@ from exwarp_cli.domain.results import (
     RunSummary,
     WrittenFile,
 )
-from exwarp_cli.domain.timeline import ranges
+from exwarp_cli.domain.timeline import Cut, ranges
 from exwarp_cli.errors import InputError
 
 SHOWN = 120

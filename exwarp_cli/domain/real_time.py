@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from math import ceil, inf
 
-from exwarp_cli.domain.decision import EXTRAPOLATE, FIRST, HOLD, PATHS
+from exwarp_cli.domain.decision import EXTRAPOLATE, FIRST_NODE, HOLD, PATHS
 from exwarp_cli.domain.timeline import FACTOR
 
 REFRESH_HZ = 120
@@ -135,5 +135,5 @@ def effective_fps(played: Iterable[ClockedInterval]) -> float:
 
 def _request_slot(path: str, slot: int) -> int:
     """Return the slot at which the frame of another slot is requested."""
-    starts_with_key = slot == 2 and PATHS[path].choices[FIRST] == EXTRAPOLATE
+    starts_with_key = slot == 2 and PATHS[path].choices[FIRST_NODE] == EXTRAPOLATE
     return 0 if starts_with_key else slot - 1

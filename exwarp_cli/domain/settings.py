@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
-from exwarp_cli.domain.cuts import AUTO
 from exwarp_cli.domain.metric import DEFAULT_METRICS, METRICS, Threshold
+from exwarp_cli.domain.timeline import AUTO_CUTS
 from exwarp_cli.errors import UsageError
 
 MOST_PIXELS = 2**28
@@ -70,7 +70,7 @@ class SourceSettings:
     view: str | None = None
     aovs: tuple[str, ...] = ()
     channel_map: str | None = None
-    cuts: str = AUTO
+    cuts: str = AUTO_CUTS
     dynamic: str | None = None
     max_pixels: int = MOST_PIXELS
     keep_going: bool = False

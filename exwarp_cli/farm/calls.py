@@ -9,9 +9,9 @@ from enum import Enum
 from itertools import pairwise
 from pathlib import Path
 
-from exwarp_cli.domain.line import misleads, printable
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import ranges
+from exwarp_cli.domain.wording import has_control_chars, printable
 from exwarp_cli.errors import UsageError
 from exwarp_cli.farm.places import Place, locate, names_files
 from exwarp_cli.io.aov_files import parse_aovs
@@ -207,7 +207,7 @@ def shell_line(words: Sequence[str]) -> str:
     UsageError
         When a word has a line end, which would make two lines of it, or what else a terminal obeys.
     """
-    if bad := [word for word in words if misleads(word)]:
+    if bad := [word for word in words if has_control_chars(word)]:
         raise UsageError(
             f"{printable(bad[0])} has a line end or control character in it, which no line of a "
             "shell should have; rename it, or take --json"

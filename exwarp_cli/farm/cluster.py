@@ -23,7 +23,7 @@ from exwarp_cli.domain.joining import Outcome
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.settings import ClusterSettings
 from exwarp_cli.domain.timeline import Slot, ranges
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import UsageError
 from exwarp_cli.farm.calls import DEFAULT_SIZE, split
 from exwarp_cli.farm.cluster_client import connected, require_cluster, threads_each
@@ -169,10 +169,10 @@ def chunks_of(
 
 def _spread(where: ClusterSettings, workers: int, threads: int | None) -> str:
     """Say over what the work is spread."""
-    many = counted(workers, "worker")
+    many = pluralise(workers, "worker")
     if where.address is not None:
         return f"{many} of {where.address}"
-    each = counted(threads_each(workers, threads), "thread")
+    each = pluralise(threads_each(workers, threads), "thread")
     return f"{many} on this machine, {each} each"
 
 
@@ -256,7 +256,7 @@ class _Coordinator:
 
     def _say_spread(self, workers: int) -> None:
         spread = _spread(self._where, workers, self._job.settings.threads)
-        self._progress.message(f"{counted(len(self._chunks), 'chunk')} for {spread}")
+        self._progress.message(f"{pluralise(len(self._chunks), 'chunk')} for {spread}")
 
     def _name(self, chunk: Chunk) -> str:
         """Name a chunk by its frames."""

@@ -20,8 +20,7 @@ from typing import Any
 import yaml
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.line import misleads
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import has_control_chars, pluralise
 from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.farm.calls import Blank, FarmJob, Word, frames_text, is_dense, split
 from exwarp_cli.farm.job_parameters import BRACES, LONGEST, JobParameters
@@ -240,8 +239,8 @@ def _title(text: str) -> str:
 
 
 def _description(job: FarmJob, size: int) -> str:
-    frames = counted(len(job.numbers), "key frame")
-    chunks = counted(len(split(job.numbers, size)), "chunk")
+    frames = pluralise(len(job.numbers), "key frame")
+    chunks = pluralise(len(split(job.numbers, size)), "chunk")
     return f"{frames} upsampled in {chunks}, as ExWarp {__version__} wrote it."
 
 
@@ -271,7 +270,7 @@ def yaml_text(document: dict[str, Any]) -> str:
     """Write a document as YAML that every version reads alike."""
     text = _yaml(document, as_it_is=True)
     # Of what no editor shows, such as marks that turn the direction of a line, escapes do.
-    return _yaml(document, as_it_is=False) if misleads(text.replace("\n", "")) else text
+    return _yaml(document, as_it_is=False) if has_control_chars(text.replace("\n", "")) else text
 
 
 def _yaml(document: dict[str, Any], as_it_is: bool) -> str:

@@ -16,8 +16,8 @@ from exwarp_cli.domain.frame import (
     Int32,
     KeyFrame,
     Window,
-    outside,
-    place,
+    outside_mask,
+    place_on_canvas,
 )
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
@@ -181,10 +181,10 @@ class _Planes:
             pixels = joined(members)
             if count or window != canvas:
                 self.broken[role.value] = count_broken((pixels,), role)
-            return place(pixels, window, canvas, fill)
+            return place_on_canvas(pixels, window, canvas, fill)
         self.broken[role.value] = count_broken(members, role)
         placed = [
-            place(plane, self.windows[ref], canvas, fill)
+            place_on_canvas(plane, self.windows[ref], canvas, fill)
             for ref, plane in zip(refs, members, strict=True)
         ]
         return joined(placed)
@@ -199,7 +199,7 @@ def _geometry(found: _Planes, shot: Shot, canvas: Window) -> GBuffer:
         ref = found.refs[Role.STENCIL][0]
         plane = found.planes[ref]
         found.broken[Role.STENCIL.value] = count_broken((plane,), Role.STENCIL)
-        stencil = place(clean_stencil(plane), found.windows[ref], canvas)
+        stencil = place_on_canvas(clean_stencil(plane), found.windows[ref], canvas)
     known, finite = None, False
     if depth is not None:
         known, finite = cleaned(shot.depth.distance(depth[..., 0]), normal)
@@ -227,10 +227,10 @@ def _motion(found: _Planes, shot: Shot, canvas: Window) -> Float32 | None:
     motion = found.stack(Role.MOTION, canvas)
     if motion is None or shot.display.covers(canvas):
         return motion
-    unseen = outside(canvas, shot.display)
+    unseen = outside_mask(canvas, shot.display)
     for i, ref in enumerate(found.refs[Role.MOTION]):
         if not found.windows[ref].covers(canvas):
-            motion[unseen & outside(canvas, found.windows[ref]), i] = np.nan
+            motion[unseen & outside_mask(canvas, found.windows[ref]), i] = np.nan
     return motion
 
 
@@ -245,7 +245,7 @@ def _positions(found: _Planes, canvas: Window, depth: Float32 | None) -> Float32
     window = found.windows[found.refs[Role.POSITION][0]]
     if window.covers(canvas):
         return position
-    unknown = outside(canvas, window) & np.isfinite(depth)
+    unknown = outside_mask(canvas, window) & np.isfinite(depth)
     return np.where(unknown[..., None], np.float32(np.nan), position)
 
 
@@ -290,7 +290,9 @@ def read_image(path: Path, view: str = "") -> Image:
         windows = [file.parts[channel.part].data_window for channel in chosen]
     pixels = joined(
         [
-            place(planes[channel].astype(np.float32, copy=False), window, part.data_window)
+            place_on_canvas(
+                planes[channel].astype(np.float32, copy=False), window, part.data_window
+            )
             for channel, window in zip(chosen, windows, strict=True)
         ]
     )

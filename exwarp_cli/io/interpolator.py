@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain import cores
-from exwarp_cli.domain.extrapolator import Curve
+from exwarp_cli.domain.colour import ShoulderCurve
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.timeline import MOST
+from exwarp_cli.domain.timeline import MAX_FACTOR
 from exwarp_cli.errors import InputError, LayoutError, OutputExistsError
 from exwarp_cli.io.atomic import atomic_write_text
 from exwarp_cli.io.interpolator_card import (
@@ -91,7 +91,7 @@ class Seen:
 
     before: Float32
     after: Float32
-    curve: Curve
+    curve: ShoulderCurve
     first: Float32
     second: Float32
     made: dict[float, Float32] = field(default_factory=dict)
@@ -142,7 +142,7 @@ class OnnxInterpolator(OnnxNetwork):
 
         A network without an input for the time reaches multiples of 1/8 only, by using it thrice.
         """
-        return self.card.timed or MOST * time % 1 == 0
+        return self.card.timed or MAX_FACTOR * time % 1 == 0
 
     def judge(self) -> None:
         """Refuse a network that does not fit its card, by what it declares and by running it."""
@@ -158,7 +158,7 @@ class OnnxInterpolator(OnnxNetwork):
         seen = self._seen
         if seen is None or seen.before is not before or seen.after is not after:
             colours = (before[..., :3], after[..., :3])
-            curve = Curve.of(self.card.encoding, *colours)
+            curve = ShoulderCurve.of(self.card.encoding, *colours)
             first, second = (curve.encode(colour) for colour in colours)
             seen = self._seen = Seen(before, after, curve, first, second)
         return seen

@@ -17,7 +17,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import BinaryIO
 
-from exwarp_cli.domain.timeline import parsed_rate
+from exwarp_cli.domain.timeline import parse_rate
 from exwarp_cli.errors import InputError
 from exwarp_cli.io import checksum
 from exwarp_cli.io.atomic import PIECE, atomic_copy, atomic_path
@@ -350,10 +350,10 @@ def _rate_of(kind: bytes, value: bytes) -> Fraction | None:
     """Return the rate that an attribute's bytes stand for, None for none."""
     if kind == b"rational" and len(value) == 8:
         numerator, denominator = struct.unpack("<iI", value)
-        return parsed_rate(Fraction(numerator, denominator)) if denominator else None
+        return parse_rate(Fraction(numerator, denominator)) if denominator else None
     if kind in _FORMATS and len(value) == struct.calcsize(_FORMATS[kind]):
-        return parsed_rate(struct.unpack(_FORMATS[kind], value)[0])
-    return parsed_rate(value.decode("utf-8", "replace")) if kind == b"string" else None
+        return parse_rate(struct.unpack(_FORMATS[kind], value)[0])
+    return parse_rate(value.decode("utf-8", "replace")) if kind == b"string" else None
 
 
 def _chunk_count(header: RawHeader) -> int:

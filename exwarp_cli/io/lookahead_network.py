@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from exwarp_cli.domain import cores
-from exwarp_cli.domain.extrapolator import Tile
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.lookahead import LOOKAHEAD, LOOKS_AHEAD
-from exwarp_cli.domain.network import NetworkGiven
+from exwarp_cli.domain.network_api import LOOKAHEAD, LOOKAHEAD_INTERFACE, LazyInputs, Tile
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.models import PictureNetwork, read_model
 
@@ -39,7 +37,7 @@ def load_lookahead(path: Path | None, threads: int | None, device: str) -> OnnxL
     ------
     InputError
         When there is no such file, it is damaged, or it does not have the inputs and the output of
-        `exwarp_cli.domain.lookahead`.
+        `exwarp_cli.domain.network_api`.
     MissingExtraError
         When the device is "cuda" and onnxruntime cannot use it.
     """
@@ -59,13 +57,13 @@ class OnnxLookAhead(PictureNetwork):
     """It has no card."""
 
     def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
-        super().__init__(path, data, threads, device, LOOKS_AHEAD)
+        super().__init__(path, data, threads, device, LOOKAHEAD_INTERFACE)
 
     def reaches(self, time: float | Fraction) -> bool:
         """Return True: it makes a frame at any time."""
         return True
 
-    def weigh(self, inputs: NetworkGiven) -> Iterator[tuple[Tile, Float32]]:
+    def weigh(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
         """Yield the weights of each tile of a slot: float32 [CANDIDATES, h, w]."""
         return self.answers(inputs)
 

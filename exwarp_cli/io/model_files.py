@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from exwarp_cli.domain.network import TIME, NetworkInterface
+from exwarp_cli.domain.network_api import TIME_INPUT, NetworkInterface
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 
 MOST_BYTES = 2**31 - 1
@@ -164,7 +164,7 @@ def require_nodes(
     """
     _require_names(path, inputs, outputs, interface)
     for name, node in inputs.items():
-        shape = (1,) if name == TIME else (1, interface.inputs[name], None, None)
+        shape = (1,) if name == TIME_INPUT else (1, interface.inputs[name], None, None)
         _require_shape(path, node, "input", shape)
     _require_shape(path, outputs[interface.output], "output", (1, interface.made, None, None))
 
@@ -212,7 +212,7 @@ def _require_names(
     outputs: Mapping[str, Any],
     interface: NetworkInterface,
 ) -> None:
-    known = (*interface.inputs, TIME)
+    known = (*interface.inputs, TIME_INPUT)
     if foreign := [name for name in inputs if name not in known]:
         raise LayoutError(
             f"{path} has the input {foreign[0]!r}, which ExWarp does not give; export it "

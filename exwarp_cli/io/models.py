@@ -11,14 +11,18 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain import cores
-from exwarp_cli.domain.extrapolator import EXTRAPOLATES, Inputs, Span, Tile, cut
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.network import (
-    TIME,
-    NetworkGiven,
+from exwarp_cli.domain.network_api import (
+    EXTRAPOLATOR_INTERFACE,
+    TIME_INPUT,
+    ExtrapolatorInputs,
+    LazyInputs,
     NetworkInterface,
-    NetworkPart,
     NetworkPictures,
+    NetworkTensors,
+    Tile,
+    TileSpan,
+    cut_tiles,
 )
 from exwarp_cli.errors import InputError, LayoutError, MissingExtraError, OutOfMemoryError
 from exwarp_cli.io.model_files import CHECKSUMS as CHECKSUMS
@@ -71,7 +75,7 @@ def load_extrapolator(path: Path | None, threads: int | None, device: str) -> On
     ------
     InputError
         When there is no such file, it is damaged, or it does not have the inputs and the output of
-        `exwarp_cli.domain.extrapolator`.
+        `exwarp_cli.domain.network_api`.
     MissingExtraError
         When the device is "cuda" and onnxruntime cannot use it.
     """
@@ -199,7 +203,7 @@ class PictureNetwork(OnnxNetwork):
         self._stride = stated_stride(self.path, self._metadata)
         self._room: Float32 | None = None
 
-    def answers(self, inputs: NetworkGiven) -> Iterator[tuple[Tile, Float32]]:
+    def answers(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
         """Yield the network's answer to each tile of the inputs, of any size.
 
         Yields
@@ -250,8 +254,8 @@ class PictureNetwork(OnnxNetwork):
     def _tiles(self, height: int, width: int) -> tuple[Tile, ...]:
         """Return what of a picture the network is given at a time; all of a small one."""
         if height * width > MOST_PIXELS and self._reach is not None:
-            return cut((height, width), self._stride, self._reach, MOST_PIXELS)
-        return ((Span(0, height, 0, height), Span(0, width, 0, width)),)
+            return cut_tiles((height, width), self._stride, self._reach, MOST_PIXELS)
+        return ((TileSpan(0, height, 0, height), TileSpan(0, width, 0, width)),)
 
     @cached_property
     def _reach(self) -> int | None:
@@ -259,7 +263,7 @@ class PictureNetwork(OnnxNetwork):
         inputs = self._interface.inputs
         return reach_of(lambda pictures: self._raw(pictures, 0.5)[0], self._stride, inputs)
 
-    def _made_of(self, part: NetworkPart, last: bool) -> Float32:
+    def _made_of(self, part: NetworkTensors, last: bool) -> Float32:
         """Return the network's answer to a part of the inputs, as they are in both directions."""
         height, width = part.shape
         down, right = -height % self._stride, -width % self._stride
@@ -276,8 +280,8 @@ class PictureNetwork(OnnxNetwork):
         height, width = next(iter(pictures.values())).shape[1:]
         given = {name: np.ascontiguousarray(planes) for name, planes in pictures.items()}
         feeds = {name: planes[None] for name, planes in given.items() if name in self.inputs}
-        if TIME in self.inputs:
-            feeds[TIME] = np.array([time], np.float32)
+        if TIME_INPUT in self.inputs:
+            feeds[TIME_INPUT] = np.array([time], np.float32)
         advice = (
             f"export it with any height and width that are multiples of {self._stride}, or state "
             f"another {STRIDE_KEY} in its metadata"
@@ -301,9 +305,9 @@ class OnnxExtrapolator(PictureNetwork):
     """An extrapolation network that is ready to run; parameters as for `OnnxNetwork`."""
 
     def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
-        super().__init__(path, data, threads, device, EXTRAPOLATES)
+        super().__init__(path, data, threads, device, EXTRAPOLATOR_INTERFACE)
 
-    def __call__(self, inputs: Inputs) -> Float32:
+    def __call__(self, inputs: ExtrapolatorInputs) -> Float32:
         """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""
         out = np.empty((3, *inputs.shape), np.float32)
         for (rows, columns), answer in self.answers(inputs):
@@ -416,7 +420,9 @@ SAME = 1e-5
 """Largest difference between a picture and a part of it that is rounding."""
 
 
-def reach_of(run: Run, stride: int, inputs: Mapping[str, int] = EXTRAPOLATES.inputs) -> int | None:
+def reach_of(
+    run: Run, stride: int, inputs: Mapping[str, int] = EXTRAPOLATOR_INTERFACE.inputs
+) -> int | None:
     """Return how many pixels away from one that it is given a network's answer may change.
 
     The network is run. NaN that is put in comes out wherever it is seen, as convolutions, pools,

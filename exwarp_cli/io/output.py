@@ -23,8 +23,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, Image, Window, place
-from exwarp_cli.domain.timeline import parsed_rate
+from exwarp_cli.domain.frame import Bool, Float32, Image, Window, place_on_canvas
+from exwarp_cli.domain.timeline import parse_rate
 from exwarp_cli.errors import DamagedFileError, InputError, OutputError, UsageError
 from exwarp_cli.io import checksum
 from exwarp_cli.io.atomic import atomic_write_bytes
@@ -67,7 +67,7 @@ SMALLER = {f"{name}:4": OpenExrCompression(COMPRESSIONS[name]) for name in ("zip
 
 def frame_rate(header: Mapping[str, Any]) -> Fraction | None:
     """Return framesPerSecond from a header, of any type; None when absent or not positive."""
-    return parsed_rate(header.get("framesPerSecond"))
+    return parse_rate(header.get("framesPerSecond"))
 
 
 def compression_of(name: str | None) -> Any:
@@ -154,7 +154,7 @@ def _encoded(
     members = {plane: planes[plane.key] for plane in part.planes}
     window = filled_window(members.values(), part.window)
     channels = {
-        template.name: template.channel(place(plane.values, plane.window, window))
+        template.name: template.channel(place_on_canvas(plane.values, plane.window, window))
         for template, plane in members.items()
     }
     return {**part.header, **attributes, **scanline_structure(window, display)}, channels
@@ -272,7 +272,7 @@ def filled_window(planes: Iterable[Plane], source: Window) -> Window:
         return window
     filled = np.zeros(window.shape, np.bool_)
     for plane in planes:
-        filled |= place(plane.values != 0, plane.window, window)
+        filled |= place_on_canvas(plane.values != 0, plane.window, window)
     rows, columns = np.flatnonzero(filled.any(axis=1)), np.flatnonzero(filled.any(axis=0))
     if rows.size == 0:
         return Window(window.x, window.y, 1, 1)

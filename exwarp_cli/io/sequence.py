@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from exwarp_cli.domain.timeline import ranges, without_gaps
+from exwarp_cli.domain.timeline import fill_gaps, ranges
 from exwarp_cli.errors import InputError, MissingFrameError, OutputError, UsageError
 from exwarp_cli.io.atomic import is_there
 from exwarp_cli.io.frame_names import (
@@ -197,7 +197,7 @@ def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False
         When there is no such sequence, or several.
     """
     found = _found(spec, suffixes)
-    return found.over(without_gaps(found.files)) if gaps else found
+    return found.over(fill_gaps(found.files)) if gaps else found
 
 
 def _found(spec: str, suffixes: tuple[str, ...]) -> Sequence:
@@ -374,7 +374,7 @@ def _complete(found: AovSet, gaps: bool) -> AovSet:
     else:
         wanted = {number for sequence in found.aovs.values() for number in sequence.files}
     if gaps:
-        every = without_gaps(wanted)
+        every = fill_gaps(wanted)
         colour = None if found.colour is None else found.colour.over(every)
         aovs = {name: member.over(every) for name, member in found.aovs.items()}
         return replace(found, colour=colour, aovs=aovs)

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, are_finite, broken_pixels
+from exwarp_cli.domain.frame import Bool, is_surely_finite, nonfinite_pixels
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.exr.reader import ExrFile
@@ -114,4 +114,4 @@ def _broken(values: np.ndarray, role: Role | None) -> Bool | None:
     if role is Role.DEPTH:
         unknown = np.isnan(values)
         return np.asarray(unknown.any(axis=-1)) if unknown.any() else None
-    return None if are_finite(values) else broken_pixels(values)
+    return None if is_surely_finite(values) else nonfinite_pixels(values)

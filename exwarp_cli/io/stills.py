@@ -24,7 +24,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.curves import FILM, LINEAR, SRGB, Curve
+from exwarp_cli.domain.colour import FILM, LINEAR, SRGB, TransferCurve
 from exwarp_cli.domain.frame import Float32, Image, Window, require_size
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
 from exwarp_cli.io import checksum
@@ -79,7 +79,7 @@ class StillTemplate:
     dtype: np.dtype[Any]
     bits: int
     channels: int
-    curve: Curve
+    curve: TransferCurve
     premultiplied: bool
 
     @property
@@ -288,7 +288,7 @@ def _template(path: Path, spec: Any) -> StillTemplate:
     )
 
 
-def _curve(spec: Any, dtype: np.dtype[Any]) -> Curve:
+def _curve(spec: Any, dtype: np.dtype[Any]) -> TransferCurve:
     """Return the curve that the file tells, else the usual one."""
     transfer = spec.get_string_attribute("dpx:Transfer")
     space = spec.get_string_attribute("oiio:ColorSpace").lower()

@@ -19,8 +19,8 @@ from exwarp_cli.domain.results import (
     RunSummary,
 )
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import NEAR, Slot, Timeline, ranges
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.timeline import RATE_TOLERANCE, Slot, Timeline, ranges
+from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import IncompleteError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.clip import is_clip
@@ -193,7 +193,7 @@ def announce(
     if source.estimated or is_plain(sequence):
         geometry = "no AOVs" if is_plain(sequence) else "no motion vectors"
     progress.message(
-        f"{sequence.pattern}: {counted(count, 'key frame')} at "
+        f"{sequence.pattern}: {pluralise(count, 'key frame')} at "
         f"{float(source.fps):g} fps ({source.fps_source}), {geometry}"
     )
     for note in (
@@ -236,7 +236,7 @@ def announce(
 def _compatible_note(settings: UpsampleSettings, source: Source) -> str | None:
     """Say that the output's rate is not the one asked for, but one that keeps key frames."""
     asked, rate = settings.source.to_fps, source.output_fps
-    if asked is None or abs(asked - rate) <= NEAR * rate:
+    if asked is None or abs(asked - rate) <= RATE_TOLERANCE * rate:
         return None
     every, seldom = source.timeline.factor.denominator, (asked / source.fps).denominator
     shown = "every key frame" if every == 1 else f"one key frame in {every}"
@@ -289,7 +289,7 @@ def announce_contents(progress: Progress, contents: tuple[Content, ...]) -> None
                 found = f"motion {finding.source}: {finding.evidence}"
                 progress.message(f"{content.source.keys.view}: {found}")
     if leader.names:
-        many = counted(len(leader.names), "layer")
+        many = pluralise(len(leader.names), "layer")
         progress.message(f"{many} beside the beauty: {', '.join(leader.names)}")
     if leader.layers and (apart := files_apart(shot)):
         progress.message(
@@ -370,7 +370,7 @@ def require_complete(run: RunSummary) -> None:
     clauses, cause = [], []
     if missing:
         verb = "was" if many == 1 else "were"
-        whole = counted(len(run.selected), "key interval")
+        whole = pluralise(len(run.selected), "key interval")
         clauses.append(f"{many} of {whole} {verb} left out ({_named(frames)})")
         cause.append("the input")
     if scores:

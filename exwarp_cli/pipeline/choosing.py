@@ -13,17 +13,16 @@ import numpy.typing as npt
 from exwarp_cli.domain.decision import (
     CHOICES,
     EXTRAPOLATE,
+    NODE_SLOTS,
     NODES,
     ONLY_WARPS,
     PATHS,
-    SLOTS,
     WARP,
     Decision,
     Plan,
 )
-from exwarp_cli.domain.frame import Float32, Window, place
-from exwarp_cli.domain.risk import ROWS
-from exwarp_cli.domain.tiles import TilePlan
+from exwarp_cli.domain.frame import Float32, Window, place_on_canvas
+from exwarp_cli.domain.tiles import TILE_ROWS, TilePlan
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.output import quantised
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
@@ -90,7 +89,7 @@ def by_tiles(policy: PolicyFile, effort: float) -> Chooser:
     def choose(inputs: IntervalInputs, interval: Interval) -> Chosen:
         tiles = interval.tiles
         if settled is not None or not interval.has_motion:
-            return Chosen(TilePlan.fixed(tiles.columns, ROWS, settled or ONLY_WARPS))
+            return Chosen(TilePlan.fixed(tiles.columns, TILE_ROWS, settled or ONLY_WARPS))
         timing_ms: dict[str, float] = {}
         with record_time(timing_ms, "features"):
             seen = [tile_features(interval, slot) for slot in range(1, FACTOR)]
@@ -178,11 +177,11 @@ def outcomes_of(
             if (node, choice) in SAME:
                 found[node, choice] = found[SAME[node, choice]]
                 continue
-            slot = SLOTS[node]
+            slot = NODE_SLOTS[node]
             pixels = take(_path_through(node, choice), interval, slot).pixels
             if as_written is not None:
                 pixels = as_written(pixels)
-            made = encode_display(place(pixels, canvas, display or canvas))
+            made = encode_display(place_on_canvas(pixels, canvas, display or canvas))
             found[node, choice] = [METRICS[name](encoded[slot], made).overall() for name in JUDGED]
     return np.array([[found[node, choice] for choice in CHOICES] for node in NODES])
 

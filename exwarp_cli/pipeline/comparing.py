@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol
 
-from exwarp_cli.domain.decision import maker_of
+from exwarp_cli.domain.decision import infer_maker
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
 from exwarp_cli.domain.metric import GENERATED, METRICS
 from exwarp_cli.domain.motion import MotionConvention
@@ -316,7 +316,7 @@ def origins_of(files: Listed[Path]) -> list[Origin]:
 def _origin(known: dict[str, Any]) -> Origin:
     values = (known.get(name) for name in ("kind", "madeBy", "path", "method"))
     kind, made_by, path, method = (value if isinstance(value, str) else None for value in values)
-    return Origin(kind, maker_of(made_by, method), path)
+    return Origin(kind, infer_maker(made_by, method), path)
 
 
 def require_consistent(measuring: MeasureSettings, holes: str | None) -> None:

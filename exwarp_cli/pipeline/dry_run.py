@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.joining import Outcome
 from exwarp_cli.domain.results import FrameKind, RunSummary
-from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.domain.timeline import Cut, Slot
 from exwarp_cli.io.atomic import is_there, output_error
 from exwarp_cli.pipeline.frame_writer import FrameWriter
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, SkippedInterval

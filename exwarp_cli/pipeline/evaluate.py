@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Image, place
+from exwarp_cli.domain.frame import Bool, Image, place_on_canvas
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.domain.timeline import parse_frames, ranges
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.footage import close, find_frames, picture
 from exwarp_cli.io.frames import read_plane
@@ -262,7 +262,7 @@ def pair(
         if rate != 1:
             return "order", *_by_instant(a, b, rate)
         if not by_number and abs(len(a) - len(b)) < _interval(kinds):
-            left = f"the last {counted(abs(len(a) - len(b)), 'frame')} of the longer sequence"
+            left = f"the last {pluralise(abs(len(a) - len(b)), 'frame')} of the longer sequence"
             return "order", dict(zip(a, b, strict=False)), (f"{left} have no partner",)
     if by_number:
         return "number", {n: n for n in a if n in test.files}, ()
@@ -358,7 +358,7 @@ def _shown(sequence: Sequence, number: int, view: str) -> Image:
 def _read_mask(path: Path, shape: tuple[int, int], reference: Path) -> Bool:
     plane, data, display = read_plane(path, MASK_CHANNEL)
     _require_shape(display.shape, path, shape, reference)
-    return np.asarray(place(plane, data, display) > 0.5)
+    return np.asarray(place_on_canvas(plane, data, display) > 0.5)
 
 
 def _require_shape(

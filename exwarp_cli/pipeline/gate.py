@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.extrapolator import HISTORY
-from exwarp_cli.domain.frame import Image, KeyFrame, Window, place
-from exwarp_cli.domain.gate import BLOCK, Trial
-from exwarp_cli.domain.risk import ROWS, columns_of, edges
+from exwarp_cli.domain.decision import TRIAL_BLOCK, Trial
+from exwarp_cli.domain.frame import Image, KeyFrame, Window, place_on_canvas
+from exwarp_cli.domain.network_api import HISTORY_FRAMES
+from exwarp_cli.domain.tiles import TILE_ROWS, count_columns, tile_edges
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.pipeline.key_frames import (
     HistoryFrame,
@@ -185,16 +185,18 @@ class TrialReader:
         return TrialInputs(index, TrialMaterial(around, truth, number))
 
     def _between(self, key: int) -> Iterator[int]:
-        block = key // BLOCK * BLOCK
-        begin = self._shots.begin(key, key - block + BLOCK)
+        block = key // TRIAL_BLOCK * TRIAL_BLOCK
+        begin = self._shots.begin(key, key - block + TRIAL_BLOCK)
         first = max(block, begin) + 1
-        yield from takewhile(lambda i: not self._shots.starts_at(i), range(first, block + BLOCK))
+        yield from takewhile(
+            lambda i: not self._shots.starts_at(i), range(first, block + TRIAL_BLOCK)
+        )
         yield from range(first - 1, begin, -1)
 
     def _before(self, key: int) -> Iterator[int]:
-        block = key // BLOCK * BLOCK
-        begin = self._shots.begin(key, key - block + BLOCK)
-        newest = block if block - begin >= HISTORY else min(key, begin + HISTORY)
+        block = key // TRIAL_BLOCK * TRIAL_BLOCK
+        begin = self._shots.begin(key, key - block + TRIAL_BLOCK)
+        newest = block if block - begin >= HISTORY_FRAMES else min(key, begin + HISTORY_FRAMES)
         yield from range(newest, begin, -1)
 
     def _is_able(self, index: int) -> bool:
@@ -305,7 +307,7 @@ class Gate:
         canvas = interval.key.image.data_window
         truth = encode_display(material.truth.on(self._display).pixels)
         cheap, dear = (
-            measure_psnr(truth, encode_display(place(pixels, canvas, self._display)))
+            measure_psnr(truth, encode_display(place_on_canvas(pixels, canvas, self._display)))
             for pixels in predict_both_ways(interval, slot, lookahead)
         )
         if lookahead:
@@ -332,8 +334,8 @@ def mean_tile_psnr(error: Errors) -> float:
     from exwarp_cli.metrics.display import PEAK
 
     height, width = error.shape
-    rows = edges(height, min(2 * ROWS, height))
-    columns = edges(width, min(2 * columns_of(width, height), width))
+    rows = tile_edges(height, min(2 * TILE_ROWS, height))
+    columns = tile_edges(width, min(2 * count_columns(width, height), width))
     sums = np.add.reduceat(np.add.reduceat(error, rows[:-1]), columns[:-1], axis=1)
     means = sums / np.outer(np.diff(rows), np.diff(columns))
     return float(np.mean(10 * np.log10(PEAK**2 / (means + NEGLIGIBLE))))

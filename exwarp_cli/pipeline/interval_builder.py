@@ -7,19 +7,22 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from exwarp_cli.domain.decision import Plan
-from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator, Interpolator
+from exwarp_cli.domain.decision import Plan, Trial
 from exwarp_cli.domain.frame import (
     SURFACE_PARTS,
     Float32,
     GBuffer,
     KeyFrame,
     Window,
-    broken_pixels,
+    nonfinite_pixels,
     require_canvas,
 )
-from exwarp_cli.domain.gate import Trial
-from exwarp_cli.domain.lookahead import LookAheadNetwork
+from exwarp_cli.domain.network_api import (
+    HISTORY_FRAMES,
+    Extrapolator,
+    Interpolator,
+    LookAheadNetwork,
+)
 from exwarp_cli.domain.tiles import TilePlan
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.pipeline.choosing import Chosen
@@ -122,7 +125,7 @@ class IntervalBuilder:
         linear: bool = False,
         back: int = 0,
     ) -> None:
-        self._back = back if network is None else HISTORY - 1
+        self._back = back if network is None else HISTORY_FRAMES - 1
         self._linear = linear
         self._display = display
         self._network = network
@@ -301,7 +304,7 @@ def count_broken(inputs: IntervalInputs, counted: Mapping[int, int]) -> dict[int
         if frame is not None:
             count = counted.get(frame.number, frame.broken)
             if count is None:
-                count = int(np.count_nonzero(broken_pixels(frame.image.pixels)))
+                count = int(np.count_nonzero(nonfinite_pixels(frame.image.pixels)))
             counts[frame.number] = count
     return counts
 

@@ -8,11 +8,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
 
-from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import FACTOR, Slot
+from exwarp_cli.domain.timeline import FACTOR, Cut, Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.output import FrameTemplate
 from exwarp_cli.io.sequence import Sequence

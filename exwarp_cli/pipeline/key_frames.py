@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 
-from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, Image, KeyFrame, Window
+from exwarp_cli.domain.network_api import HISTORY_FRAMES
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import Role
@@ -252,7 +252,7 @@ class KeyFrameStore:
         self._shapes = {slot: shape for slot, shape in self._shapes.items() if slot.key >= key}
         # The interval before the one that was read may ask for its frames meanwhile.
         for index in list(self._complete):
-            if index < key - HISTORY:
+            if index < key - HISTORY_FRAMES:
                 self._complete.pop(index, None)
         self.shots.forget(min(oldest, key))
         if self._estimates is not None:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Float32, Window, outside, place
+from exwarp_cli.domain.frame import Float32, Window, outside_mask, place_on_canvas
 from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr.template import Plane, PlaneKey, Template
 from exwarp_cli.io.layers import Kind, Layer
@@ -213,7 +213,7 @@ class _Maker:
         for i, ref in enumerate(refs):
             ends = [frame[ref].window for frame in (frames.before, frames.after) if frame]
             if any(not end.covers(window) for end in ends):
-                values[self.how.data(*(outside(window, end) for end in ends)), i] = 0
+                values[self.how.data(*(outside_mask(window, end) for end in ends)), i] = 0
         return values
 
     @cached_property
@@ -235,7 +235,7 @@ class _Maker:
         return self.how.data(self._placed(before), after)
 
     def _placed(self, plane: Plane, fill: float = 0.0) -> np.ndarray:
-        return place(plane.values, plane.window, self.view.window, fill)
+        return place_on_canvas(plane.values, plane.window, self.view.window, fill)
 
     def _stack(self, planes: Planes, refs: tuple[ChannelRef, ...], fill: float = 0.0) -> Float32:
         members = [
@@ -251,7 +251,7 @@ class _Maker:
         for i, ref in enumerate(refs):
             if planes[ref].window != self.view.window:
                 window = self.view.window
-                unknown = outside(window, planes[ref].window) & outside(window, display)
+                unknown = outside_mask(window, planes[ref].window) & outside_mask(window, display)
                 stack[unknown, i] = np.nan
         return stack
 

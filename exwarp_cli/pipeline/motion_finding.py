@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Float32, place
+from exwarp_cli.domain.frame import Float32, place_on_canvas
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.domain.timeline import number_step
 from exwarp_cli.errors import InputError, MotionError
@@ -269,7 +269,7 @@ class _Measuring:
             seen = Role.POSITION if by_position else Role.COLOUR
             raw = read_raw(self._shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, seen))
             assert raw.motion is not None
-            motion = place(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
+            motion = place_on_canvas(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
             colour = None if raw.image is None else raw.image.on(self._shot.display).pixels
             self._frames[key] = sampled(
                 Instant(number, raw.gbuffer.on(self._shot.display), motion, colour)
@@ -344,7 +344,7 @@ def _vectors(shot: Shot, number: int) -> Float32:
     """Read a frame's motion channels on the display window."""
     raw = read_raw(shot, number, (Role.MOTION,))
     assert raw.motion is not None
-    return place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
+    return place_on_canvas(raw.motion, raw.gbuffer.window, shot.display, np.nan)
 
 
 SETTINGS = {

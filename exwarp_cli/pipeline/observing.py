@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from exwarp_cli.accelerator.fixed_point import to_fixed
-from exwarp_cli.domain.decision import NODES, SLOTS, Features
+from exwarp_cli.domain.decision import NODE_SLOTS, NODES, Features
 from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
@@ -213,10 +213,10 @@ def features(
             number = source.timeline.numbers[key]
             for node in NODES:
                 yield NodeFeatures(
-                    source.timeline.number(Slot(key, SLOTS[node])),
+                    source.timeline.number(Slot(key, NODE_SLOTS[node])),
                     number,
                     node,
-                    surroundings.now[SLOTS[node] - 1],
+                    surroundings.now[NODE_SLOTS[node] - 1],
                     tuple(int(x) for x in to_fixed(surroundings.inputs(node))),
                 )
             progress.advance(number)

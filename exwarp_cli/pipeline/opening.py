@@ -8,7 +8,7 @@ from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
-from exwarp_cli.domain.frame import allow
+from exwarp_cli.domain.frame import set_max_pixels
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import number_step, standard_rate
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
@@ -45,7 +45,7 @@ def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
     UsageError
         When the map's motion is not understood.
     """
-    allow(settings.max_pixels)
+    set_max_pixels(settings.max_pixels)
     said = (*_said(settings), settings.keep_going)
     shot = open_shot(settings.sequence, settings.view, *said)
     require_seen(shot)
@@ -76,7 +76,7 @@ def open_plain(settings: SourceSettings) -> Shot | None:
     UsageError
         When options are given that say how EXR is read.
     """
-    allow(settings.max_pixels)
+    set_max_pixels(settings.max_pixels)
     sequence = find_plain(settings.sequence, settings.keep_going, settings.scan)
     if sequence is None:
         return None

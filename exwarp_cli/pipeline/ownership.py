@@ -16,7 +16,7 @@ from pathlib import Path
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import Slot
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import OutputExistsError
 from exwarp_cli.io.atomic import is_there
 from exwarp_cli.io.key_file import written_forms
@@ -96,7 +96,7 @@ def require_own(
     listed = ", ".join(f"{path.name} ({reason})" for path, reason in others[:NAMED])
     more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
     raise OutputExistsError(
-        f"{others[0][0].parent} has {counted(len(others), 'file')} that this run did not write: "
+        f"{others[0][0].parent} has {pluralise(len(others), 'file')} that this run did not write: "
         f"{listed}{more}; move what you want to keep, or give --overwrite to replace it"
     )
 

@@ -15,9 +15,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, TextIO
 
-from exwarp_cli.domain.line import one_line
 from exwarp_cli.domain.timeline import Slot
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import one_line, pluralise
 from exwarp_cli.errors import (
     ExwarpError,
     IncompleteError,
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 
     from exwarp_cli.domain.frame import Bool, Float32
     from exwarp_cli.domain.results import Score
-from exwarp_cli.domain.risk import Risk
+from exwarp_cli.domain.tiles import Risk
 
 INTERVAL_S = 5.0
 """Least seconds between two lines of a log: a farm's stays readable, a person sees life."""
@@ -146,7 +145,7 @@ class Estimate:
     @property
     def frames(self) -> str:
         """How many there are in all, in words."""
-        return counted(self.total, "frame")
+        return pluralise(self.total, "frame")
 
     def due(self) -> bool:
         """Whether a log is to tell of the last frame that was counted.

@@ -9,9 +9,8 @@ from time import perf_counter
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.cores import working
-from exwarp_cli.domain.decision import ONLY_WARPS, Plan
+from exwarp_cli.domain.decision import ONLY_WARPS, Plan, Trial
 from exwarp_cli.domain.frame import Image, Window
-from exwarp_cli.domain.gate import Trial
 from exwarp_cli.domain.joining import Outcome
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings

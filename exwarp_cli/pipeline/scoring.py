@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, UInt8, Window, place
+from exwarp_cli.domain.frame import Bool, Float32, UInt8, Window, place_on_canvas
 from exwarp_cli.domain.metric import WITHOUT_TRUTH
 from exwarp_cli.domain.results import BrokenPixels, Score
 from exwarp_cli.domain.settings import UpsampleSettings
@@ -66,8 +66,8 @@ def steps_of(interval: Interval, display: Window, followed: bool = True) -> Step
     slots = range(1, len(interval.times) + 1)
     motion = {s: interval.back(1) if s == 1 else interval.step_back(s) for s in slots}
     return Steps(
-        {slot: place(m.field, canvas, display, np.nan) for slot, m in motion.items()},
-        {slot: place(m.hole, canvas, display, True) for slot, m in motion.items()},
+        {slot: place_on_canvas(m.field, canvas, display, np.nan) for slot, m in motion.items()},
+        {slot: place_on_canvas(m.hole, canvas, display, True) for slot, m in motion.items()},
         followed,
     )
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.cuts import Cut, CutWish
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
-from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.domain.timeline import Cut, CutOption, Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.synthesis.cuts import is_cut_between
 from exwarp_cli.synthesis.glance import Glance, glance_at
@@ -113,7 +112,7 @@ class Shots:
 
     def __init__(
         self,
-        wish: CutWish,
+        wish: CutOption,
         numbers: Sequence[int],
         read: Callable[[int], KeyFrame],
         unreadable: UnreadableFrames | None = None,

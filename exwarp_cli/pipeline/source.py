@@ -7,16 +7,17 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from fractions import Fraction
 
-from exwarp_cli.domain.cuts import CutWish, parse_cuts
 from exwarp_cli.domain.motion import MotionConvention, MotionFinding
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import (
     FACTOR,
-    MOST,
+    MAX_FACTOR,
+    CutOption,
     OutputRate,
     Slot,
     Timeline,
     compatible_rate,
+    parse_cuts,
     ranges,
     standard_rate,
 )
@@ -90,7 +91,7 @@ class Source:
     finding: MotionFinding | None
     fps: Fraction
     fps_source: str
-    cuts: CutWish
+    cuts: CutOption
     estimated: bool = False
     unusable: str = ""
     scratch: ScratchFrames = field(default=IN_MEMORY, compare=False, repr=False)
@@ -312,11 +313,11 @@ def factor_of(settings: SourceSettings, fps: Fraction) -> Fraction:
     if settings.factor is not None:
         raise UsageError("--factor and --to-fps say the same in two ways; give one of them")
     factor = compatible_rate(fps, standard_rate(settings.to_fps)) / fps
-    if not 1 < factor <= MOST:
+    if not 1 < factor <= MAX_FACTOR:
         raise UsageError(
             f"--to-fps {float(settings.to_fps):g} is {float(factor):g} times the input's "
-            f"{float(fps):g} fps; give more than that and at most {MOST} times it, or correct the "
-            "input's rate with --fps"
+            f"{float(fps):g} fps; give more than that and at most {MAX_FACTOR} times it, or "
+            "correct the input's rate with --fps"
         )
     return factor
 

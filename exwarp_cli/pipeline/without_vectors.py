@@ -9,7 +9,7 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window, place, require_canvas
+from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window, place_on_canvas, require_canvas
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import LayoutError, UsageError
@@ -217,4 +217,6 @@ class Estimates:
 
 def _on(flow: Flow, canvas: Window, window: Window) -> Flow:
     """Return the part of a flow over the window of its frame."""
-    return Flow(place(flow.motion, canvas, window), place(flow.mismatch, canvas, window))
+    return Flow(
+        place_on_canvas(flow.motion, canvas, window), place_on_canvas(flow.mismatch, canvas, window)
+    )

@@ -13,7 +13,14 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.decision import CHOICES, DROPPING, EXTRAPOLATE, NODES, PATHS, SLOTS
+from exwarp_cli.domain.decision import (
+    CHOICES,
+    EXTRAPOLATE,
+    NODE_SLOTS,
+    NODES,
+    PATHS,
+    REPEATING_CHOICES,
+)
 
 F64 = npt.NDArray[np.float64]
 
@@ -23,7 +30,7 @@ DROP_PENALTY = -0.1  # Alpha of the paper's reward, once for each repeated frame
 
 # float64 [5, 2]: what each choice is docked for the frame that it drops.
 PENALTIES = np.array(
-    [[DROP_PENALTY * ((node, choice) in DROPPING) for choice in CHOICES] for node in NODES]
+    [[DROP_PENALTY * ((node, choice) in REPEATING_CHOICES) for choice in CHOICES] for node in NODES]
 )
 
 
@@ -87,7 +94,7 @@ def clocked_returns(
     sums = DROP_PENALTY * np.asarray(dropped, np.float64)
     for i, path in enumerate(PATHS.values()):
         for node, choice in path.choices.items():
-            slot = SLOTS[node] - 1
+            slot = NODE_SLOTS[node] - 1
             rival = names.index(_rival(node, choice))
             sums[i] += (quality[i, slot] - quality[rival, slot]).sum()
     return np.asarray(sums)

@@ -21,15 +21,15 @@ from exwarp_cli.accelerator.mlp import MlpKernel, QuantisedMlp
 from exwarp_cli.domain.decision import (
     CHOICES,
     FEATURES,
-    FIRST,
+    FIRST_NODE,
+    NODE_SLOTS,
     NODES,
     PATHS,
-    SLOTS,
     Decision,
     Features,
     Plan,
-    path_of,
-    walk,
+    find_path,
+    walk_tree,
 )
 from exwarp_cli.domain.tiles import TILE_FEATURES, TilePlan
 from exwarp_cli.domain.timeline import FACTOR
@@ -99,8 +99,8 @@ class StateHistory:
     def inputs(self, node: str) -> F64:
         """Return the network's inputs at a node, float64 [44], 0 to 1."""
         nodes = [node, *reversed(PRECEDING_NODES[node])]
-        states = [(self.now[SLOTS[name] - 1], name) for name in nodes]
-        states += [(features, FIRST) for features in self.before]
+        states = [(self.now[NODE_SLOTS[name] - 1], name) for name in nodes]
+        states += [(features, FIRST_NODE) for features in self.before]
         states = (states + [states[-1]] * STATE_COUNT)[:STATE_COUNT]
         return np.concatenate([state(features, name) for features, name in states])
 
@@ -138,13 +138,13 @@ class LearnedPolicy:
         def choose(node: str) -> str:
             fixed = to_fixed(history.inputs(node))
             outputs, chosen = self._kernel.decide(fixed)
-            features = history.now[SLOTS[node] - 1]
+            features = history.now[NODE_SLOTS[node] - 1]
             decisions.append(
                 Decision(node, CHOICES[chosen], features, tuple(fixed.tolist()), outputs)
             )
             return CHOICES[chosen]
 
-        return Plan(path_of(dict(walk(choose))), tuple(decisions))
+        return Plan(find_path(dict(walk_tree(choose))), tuple(decisions))
 
 
 # Nodes that decide about a tile; d1 always warps, as repeated frames are not wanted.
@@ -188,7 +188,7 @@ def tile_inputs(
     parts = []
     for name in nodes:
         marks = np.tile(np.array([name == node_name for node_name in NODES], float), (count, 1))
-        parts += [slots[SLOTS[name] - 1], marks]
+        parts += [slots[NODE_SLOTS[name] - 1], marks]
     return np.concatenate(parts, axis=-1)
 
 

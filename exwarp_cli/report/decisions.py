@@ -6,12 +6,11 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
-from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, SOFTSPLAT, WARP
-from exwarp_cli.domain.gate import Trial
-from exwarp_cli.domain.lookahead import LOOKAHEAD
+from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, SOFTSPLAT, WARP, Trial
+from exwarp_cli.domain.network_api import LOOKAHEAD
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
-from exwarp_cli.domain.tiles import paths_of
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.tiles import paths_from_makers
+from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.report.quality import quality
 
 
@@ -47,7 +46,7 @@ def paths_of_tiles(interval: Iterable[FrameRecord]) -> tuple[str, ...]:
     """Return the path of each tile of a key interval; none where its tiles were not decided."""
     tiles = {frame.slot: frame.tiles for frame in interval}
     second, third = tiles.get(2), tiles.get(3)
-    return () if second is None or third is None else paths_of(second, third)
+    return () if second is None or third is None else paths_from_makers(second, third)
 
 
 def tile_shares(run: RunSummary) -> dict[str, Any]:
@@ -105,7 +104,7 @@ def gate_line(trials: list[dict[str, Any]]) -> str:
     for trial in trials:
         used[trial["used"]] += len(trial["keys"])
     untried = sum(len(trial["keys"]) for trial in trials if trial["frame"] is None)
-    shares = ", ".join(f"{name} in {counted(count, 'interval')}" for name, count in used.items())
+    shares = ", ".join(f"{name} in {pluralise(count, 'interval')}" for name, count in used.items())
     alone = f"; {untried} of these without a key frame to try it on" if untried else ""
     return f"network tried on the shot's own key frames: {shares}{alone}"
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from exwarp_cli.domain.line import printable
-from exwarp_cli.domain.wording import enumerated
+from exwarp_cli.domain.wording import enumerated, printable
 from exwarp_cli.pipeline.doctor.examine import Checkup, Outcome
 
 _TITLES = {"exr": "EXR"}

@@ -11,7 +11,7 @@ from typing import Any
 
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import ranges
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.pipeline.dry_run import DryRun, Fate, ForeseenFrame
 from exwarp_cli.report.summary import report
 
@@ -70,7 +70,7 @@ def dry_run_lines(found: DryRun) -> list[str]:
     lines.append(f"method {found.head.method}; {fps['base']:g} fps in, {fps['output']:g} out")
     lines.append(_cuts(found))
     if found.spread is not None:
-        many = counted(len(found.chunks), "chunk")
+        many = pluralise(len(found.chunks), "chunk")
         sizes = sorted({len(chunk) for chunk in found.chunks})
         lines.append(f"{found.spread}: {many} of {' or '.join(map(str, sizes))} key frames")
     return lines
@@ -112,4 +112,4 @@ def _ranges(frames: Iterable[ForeseenFrame]) -> str:
 def _how_many(frames: tuple[ForeseenFrame, ...]) -> str:
     if not frames:
         return "no frame"
-    return f"{counted(len(frames), 'frame')}, {_ranges(frames)},"
+    return f"{pluralise(len(frames), 'frame')}, {_ranges(frames)},"

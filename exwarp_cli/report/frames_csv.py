@@ -40,7 +40,7 @@ first two, EMD_Wp is judged by the last. `scored` and `scored_holes` are true wh
 truth, whatever was measured. `replaced` is true where a file made way for the frame. `pulse` is
 against ground truth where `scored` is true, else against the key frames. `predicted_error` is the
 RMS error that a new frame is expected to have, in display levels of 0 to 255, and `risk` that of
-its tiles, see `exwarp_cli.domain.risk`. `gate` is what a network's use was decided by: the key
+its tiles, see `exwarp_cli.domain.tiles`. `gate` is what a network's use was decided by: the key
 frame that was predicted, and the PSNR of both predictions. `tiles` is what made each tile of a
 frame, row by row: w for warping, e for the network, r for warping what the network made of the slot
 before. `rendered_sources` are the numbers of frames that were rendered after all. After these

@@ -9,7 +9,7 @@ from typing import Any
 from exwarp_cli.domain.metric import METRICS, Metric
 from exwarp_cli.domain.results import Score
 from exwarp_cli.domain.timeline import ranges
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.report.page import Cell, Link, Number, Table
 from exwarp_cli.report.plot_style import Figure, Labels
 from exwarp_cli.report.plots import Values, lines
@@ -164,7 +164,7 @@ def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> str:
         for what in ("frames", "scores", "rendered")
     )
     notes = (
-        [f"{counted(len(missing), 'key interval')} left out: frames {frames}"] if missing else []
+        [f"{pluralise(len(missing), 'key interval')} left out: frames {frames}"] if missing else []
     )
     notes += [f"not scored: frames {scores}"] if scores else []
     notes += [f"generated, although rendered: frames {rendered}"] if rendered else []
@@ -176,8 +176,10 @@ def nonfinite_line(found: Sequence[Mapping[str, Any]]) -> str:
     by_channels: dict[str, int] = {}
     for one in found:
         by_channels[one["channels"]] = by_channels.get(one["channels"], 0) + one["pixels"]
-    text = ", ".join(f"{channels} in {counted(n, 'pixel')}" for channels, n in by_channels.items())
-    frames = counted(len({(one["key"], one["slot"]) for one in found}), "frame")
+    text = ", ".join(
+        f"{channels} in {pluralise(n, 'pixel')}" for channels, n in by_channels.items()
+    )
+    frames = pluralise(len({(one["key"], one["slot"]) for one in found}), "frame")
     return f"NaN or infinite in {frames} of the input: {text}; nothing is made of them"
 
 

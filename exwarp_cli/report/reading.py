@@ -15,9 +15,7 @@ from types import UnionType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.decision import Decision, Features, maker_of
-from exwarp_cli.domain.gate import Trial
+from exwarp_cli.domain.decision import Decision, Features, Trial, infer_maker
 from exwarp_cli.domain.results import (
     BrokenPixels,
     FrameKind,
@@ -31,9 +29,8 @@ from exwarp_cli.domain.results import (
     Score,
     WrittenFile,
 )
-from exwarp_cli.domain.risk import Risk
-from exwarp_cli.domain.tiles import TileMakers
-from exwarp_cli.domain.timeline import listed
+from exwarp_cli.domain.tiles import Risk, TileMakers
+from exwarp_cli.domain.timeline import Cut, list_numbers
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.report.comparison import SCHEMA as COMPARISON
 from exwarp_cli.report.folder import FRAMES_FILE, REPORT_FILE
@@ -264,7 +261,7 @@ def _run(document: Mapping[str, Any], frames: tuple[FrameRecord, ...]) -> RunSum
 
 def _selected(document: Mapping[str, Any]) -> tuple[int, ...]:
     """Return the input numbers of the key frames that the run was for."""
-    return tuple(map(int, listed(document["input"]["selected"] or "")))
+    return tuple(map(int, list_numbers(document["input"]["selected"] or "")))
 
 
 def _require_types(part: Any) -> None:
@@ -339,7 +336,7 @@ def _frame(row: Mapping[str, str]) -> FrameRecord:
         hole_score=_score(row, f"scored{HOLES}", _HOLE_SCORES, HOLES),
         resumed=_truth(row["resumed"]),
         timing_ms=_timing(row),
-        made_by=maker_of(row["made_by"] or None, row["method"]),
+        made_by=infer_maker(row["made_by"] or None, row["method"]),
         path=row["path"] or None,
         decision=_decision(row),
         render=_render(row),

@@ -1,6 +1,6 @@
 """What of a run is most worth a look, and which frames are most worth rendering after all.
 
-Both go by the predicted error of new frames, see `exwarp_cli.domain.risk`, and by the frames'
+Both go by the predicted error of new frames, see `exwarp_cli.domain.tiles`, and by the frames'
 records alone, so that joined chunks have the lists of a single run.
 """
 
@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from exwarp_cli.domain.decision import SOFTSPLAT
-from exwarp_cli.domain.lookahead import LOOKAHEAD
+from exwarp_cli.domain.network_api import LOOKAHEAD
 from exwarp_cli.domain.results import FrameRecord, RunSummary
-from exwarp_cli.domain.risk import REASONS, Risk, edges
+from exwarp_cli.domain.tiles import REASONS, Risk, tile_edges
 from exwarp_cli.domain.timeline import ranges
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.report.quality import mean
 
 MOST_PLACES = 100
@@ -60,7 +60,7 @@ class Place:
     x, y, width, height
         Pixels, from the upper left corner of the display window.
     reason
-        Out of `exwarp_cli.domain.risk.REASONS`.
+        Out of `exwarp_cli.domain.tiles.REASONS`.
     """
 
     frame: int
@@ -186,7 +186,7 @@ def review_line(found: dict[str, Any]) -> str:
     )
     if not found["places"]:
         return f"{line}; nothing stands out"
-    looks = f"{counted(found['places'], 'place')} worth a look"
+    looks = f"{pluralise(found['places'], 'place')} worth a look"
     return f"{line}; {looks}" + (
         f"; frames most worth rendering: {found['render']}" if found["render"] else ""
     )
@@ -218,7 +218,7 @@ def _beside(tile: int, columns: int) -> list[int]:
 
 def _place(number: int, risk: Risk, group: set[int], size: tuple[int, int]) -> Place:
     levels = risk.levels
-    across, down = edges(size[0], risk.columns), edges(size[1], risk.rows)
+    across, down = tile_edges(size[0], risk.columns), tile_edges(size[1], risk.rows)
     rows, columns = zip(*(divmod(tile, risk.columns) for tile in group), strict=True)
     x, y = across[min(columns)], down[min(rows)]
     squares = [0.0] * len(REASONS)

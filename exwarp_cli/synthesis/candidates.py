@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import Tile
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.lookahead import LOOKS_AHEAD, LookAheadNetwork
-from exwarp_cli.domain.network import NetworkPictures
+from exwarp_cli.domain.network_api import (
+    LOOKAHEAD_INTERFACE,
+    LookAheadNetwork,
+    NetworkPictures,
+    Tile,
+)
 from exwarp_cli.kernels import blend
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.warp import Warped, as_shown
@@ -62,9 +65,9 @@ class Candidates:
         size = min(rows.stop, height) - rows.start, min(columns.stop, width) - columns.start
         planes = room
         if planes is None or planes.shape[1:] != size:
-            planes = np.empty((LOOKS_AHEAD.channels, *size), np.float32)
+            planes = np.empty((LOOKAHEAD_INTERFACE.channels, *size), np.float32)
         pictures, first = {}, 0
-        for name, count in LOOKS_AHEAD.inputs.items():
+        for name, count in LOOKAHEAD_INTERFACE.inputs.items():
             pictures[name] = planes[first : first + count]
             first += count
         for i, picture in enumerate((self._mixed, *(side.pixels for side in self._sides))):

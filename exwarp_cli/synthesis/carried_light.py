@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, broken_pixels
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, nonfinite_pixels
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels.silhouettes import find_edges
 from exwarp_cli.synthesis.coverage import Coverage
@@ -131,7 +131,7 @@ def _silhouettes(surface: GBuffer) -> Bool:
 def _as_it_is(key: KeyFrame) -> Warped:
     """Return a key frame as if it had been warped to its own instant."""
     pixels = key.image.pixels
-    broken = broken_pixels(pixels)
+    broken = nonfinite_pixels(pixels)
     codes = as_shown(np.where(broken[..., None], np.float32(0), pixels))
     return Warped(codes, np.zeros(broken.shape, np.float32), broken, np.zeros_like(broken))
 

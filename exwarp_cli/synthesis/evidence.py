@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.motion import ABOUT, MIDDLE, AxisMap
+from exwarp_cli.domain.motion import STILL_MIDDLE, STILL_TOLERANCE, AxisMap
 from exwarp_cli.synthesis.probing import Probe, probe, trail
 from exwarp_cli.synthesis.sampling import Interval, Sampled
 
@@ -75,7 +75,7 @@ def forms(
             return directed
     out = [Form()]
     if _about_the_middle(values):
-        out.append(Form(MIDDLE))
+        out.append(Form(STILL_MIDDLE))
     if alpha is not None and np.mean((raw[:, alpha] > 0) & (raw[:, alpha] < 1)) > 0:
         out += [replace(form, alpha=alpha) for form in out]
     return tuple(out)
@@ -86,7 +86,7 @@ def _directions(values: F64, size: F64, length: int) -> tuple[Form, ...]:
     moving = np.abs(size) > 1e-6
     if not moving.any():
         return ()
-    for form in (Form(length=length), Form(MIDDLE, length, unit=2.0)):
+    for form in (Form(length=length), Form(STILL_MIDDLE, length, unit=2.0)):
         reach = np.linalg.norm(form.unit * (values[moving] - form.still), axis=1)
         if np.mean(np.abs(reach - 1) < UNIT_TOLERANCE) >= USUAL:
             return (form,)
@@ -215,7 +215,7 @@ class Evidence:
         constant = bool((np.ptp(values, axis=0) == 0).all())
         if not any(p.resting for p in self.probes):
             return constant
-        rests = (values[0] == 0) | (np.abs(values[0] - MIDDLE) < ABOUT)
+        rests = (values[0] == 0) | (np.abs(values[0] - STILL_MIDDLE) < STILL_TOLERANCE)
         return constant and bool(rests.all())
 
     @property

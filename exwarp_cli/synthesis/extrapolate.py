@@ -7,8 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import HISTORY, INPUTS, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
+from exwarp_cli.domain.network_api import (
+    EXTRAPOLATOR_INPUTS,
+    HISTORY_FRAMES,
+    ExtrapolatorInputs,
+    NetworkInputs,
+)
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels import _row_bands, network_planes
 from exwarp_cli.kernels._row_bands import Band, band_slice
@@ -91,7 +96,7 @@ class SlotInputs:
             (given.start or 0, size if given.stop is None else given.stop)
             for given, size in zip((rows, columns), self.shape, strict=True)
         )
-        shape = sum(INPUTS.values()), bottom - top, right - left
+        shape = sum(EXTRAPOLATOR_INPUTS.values()), bottom - top, right - left
         made = np.empty(shape, np.float32) if room is None else room
         known = self.surface
         surface = _plane(known.depth), _plane(known.normal, NO_VECTORS)
@@ -104,7 +109,7 @@ class SlotInputs:
         )  # fmt: skip
         self.scratch.page_out()  # before the network takes its memory
         _row_bands.run_bands(_encode, (made.reshape(len(made), -1),), _row_bands.threads())
-        ends = np.cumsum(list(INPUTS.values()))[:-1]
+        ends = np.cumsum(list(EXTRAPOLATOR_INPUTS.values()))[:-1]
         warped, mask, features, history = np.split(made, ends)
         return NetworkInputs(warped, mask, features, history, self.time)
 
@@ -153,7 +158,7 @@ class Prepared:
         The key frames, in whose range around the slot's places the frame is held.
     """
 
-    inputs: Inputs
+    inputs: ExtrapolatorInputs
     modulation: Float32 | None
     warped: Float32
     sources: Sources
@@ -215,7 +220,7 @@ def prepare(
             sides.append(Side(step.frame.image.pixels, field, older.visible))
         del pixels, older
         scratch.page_out()
-    history += [history[-1]] * (HISTORY - len(history))
+    history += [history[-1]] * (HISTORY_FRAMES - len(history))
     now, before, oldest = history
     median = _median(surface.depth)
     inputs = SlotInputs((now, before, oldest), filled, surface, median, slot / FACTOR, scratch)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.colour import SRGB
 from exwarp_cli.domain.frame import Float32, GBuffer, Image, KeyFrame
 from exwarp_cli.synthesis.geometry import moved_on
 

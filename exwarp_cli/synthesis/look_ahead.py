@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.lookahead import LookAheadNetwork
+from exwarp_cli.domain.network_api import LookAheadNetwork
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.candidates import Candidates, Weights
 from exwarp_cli.synthesis.coverage import Coverage

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32
-from exwarp_cli.domain.risk import ROWS, edges
+from exwarp_cli.domain.tiles import TILE_ROWS, tile_edges
 from exwarp_cli.synthesis.risk import Tiles
 
 HALO = 16
@@ -65,7 +65,7 @@ class Mosaic:
         """Return the tiles that errors are predicted of; the outer ones reach to the borders."""
         canvas, display = tiles.canvas, tiles.display
         return cls(
-            _spans(display.y - canvas.y, display.height, ROWS, canvas.height),
+            _spans(display.y - canvas.y, display.height, TILE_ROWS, canvas.height),
             _spans(display.x - canvas.x, display.width, tiles.columns, canvas.width),
         )
 
@@ -217,6 +217,6 @@ def _runs(marks: Bool) -> list[Span]:
 
 def _spans(offset: int, size: int, parts: int, whole: int) -> tuple[Span, ...]:
     """Return the pixels of tiles along an axis; the first and the last reach to the borders."""
-    inner = [min(max(offset + edge, 0), whole) for edge in edges(size, parts)]
+    inner = [min(max(offset + edge, 0), whole) for edge in tile_edges(size, parts)]
     places: Sequence[int] = [0, *inner[1:-1], whole]
     return tuple(pairwise(places))

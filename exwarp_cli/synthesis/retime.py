@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from exwarp_cli.domain.decision import HELD, HOLD, PATHS
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32, broken_pixels
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32, nonfinite_pixels
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels import blend
@@ -102,7 +102,7 @@ class Sources:
 
 def _broken(plane: np.ndarray) -> Bool:
     """bool [H, W]: where a channel is not finite."""
-    return broken_pixels(plane[..., None])
+    return nonfinite_pixels(plane[..., None])
 
 
 def in_place(shape: tuple[int, int], depth: Float32 | None = None, later: bool = False) -> Sources:

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, KeyFrame, Window
-from exwarp_cli.domain.risk import ROWS, Risk, code_of, columns_of, edges
+from exwarp_cli.domain.tiles import TILE_ROWS, Risk, count_columns, encode_level, tile_edges
 from exwarp_cli.synthesis.warp import Warped, as_shown
 
 F64 = npt.NDArray[np.float64]
@@ -101,7 +101,7 @@ class Tiles:
     @property
     def columns(self) -> int:
         """How many columns of tiles there are; rows are `ROWS`."""
-        return columns_of(self.display.width, self.display.height)
+        return count_columns(self.display.width, self.display.height)
 
     def sample(self, values: np.ndarray) -> np.ndarray:
         """Return the pixels that are looked at, of an array [H, W, ...] on the canvas."""
@@ -111,7 +111,7 @@ class Tiles:
         """Return the means of samples [h, w] over each tile, [N, rows, columns]; 0 outside."""
         height, width = maps[0].shape
         offset = self.display.y - self.canvas.y, self.display.x - self.canvas.x
-        down = self._spans(offset[0], self.display.height, ROWS, height)
+        down = self._spans(offset[0], self.display.height, TILE_ROWS, height)
         across = self._spans(offset[1], self.display.width, self.columns, width)
         counts = np.outer([b - a for a, b in down], [b - a for a, b in across])
         # Plain sums, in an order that no number of threads changes.
@@ -121,7 +121,7 @@ class Tiles:
 
     def _spans(self, offset: int, size: int, parts: int, samples: int) -> list[tuple[int, int]]:
         """Return the samples of each row or column of tiles, from and to."""
-        places = [-(-(offset + edge) // self.stride) for edge in edges(size, parts)]
+        places = [-(-(offset + edge) // self.stride) for edge in tile_edges(size, parts)]
         return list(pairwise(min(max(place, 0), samples) for place in places))
 
 
@@ -303,7 +303,7 @@ def predict_risk(terms: F64, formula: Formula, time: float) -> Risk:
         float(np.float32(error)),  # as the header of the frame keeps it
         columns,
         rows,
-        tuple(code_of(float(level)) for level in np.sqrt(squares).flat),
+        tuple(encode_level(float(level)) for level in np.sqrt(squares).flat),
         tuple(map(int, reasons.flat)),
     )
 

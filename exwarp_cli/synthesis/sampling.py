@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
-from exwarp_cli.domain.motion import ABOUT, MIDDLE
+from exwarp_cli.domain.motion import STILL_MIDDLE, STILL_TOLERANCE
 
 Index = npt.NDArray[np.intp]
 
@@ -158,7 +158,9 @@ def is_moving(vectors: Float32) -> Bool:
         return np.zeros(len(vectors), bool)
     samples = used[:: max(1, len(used) // SAMPLES)]
     usual = np.median(np.where(np.isfinite(samples), samples, 0), axis=0)
-    middle = (np.abs(usual - MIDDLE) < ABOUT) & (np.mean(samples == usual, axis=0) > FEW_MOVE)
+    middle = (np.abs(usual - STILL_MIDDLE) < STILL_TOLERANCE) & (
+        np.mean(samples == usual, axis=0) > FEW_MOVE
+    )
     away = np.abs(used - np.where(middle, usual, 0).astype(np.float32))
     away[~np.isfinite(away)] = 0
     lengths = away.max(axis=1)

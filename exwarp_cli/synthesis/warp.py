@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.extrapolator import Interpolator
-from exwarp_cli.domain.frame import Bool, Float32, Int32, broken_pixels
+from exwarp_cli.domain.frame import Bool, Float32, Int32, nonfinite_pixels
+from exwarp_cli.domain.network_api import Interpolator
 from exwarp_cli.kernels import blend, gather, holes, resample
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.geometry import SlotField
@@ -150,7 +150,7 @@ def sampled(pixels: Float32, field: Float32) -> tuple[Float32, Bool]:
 
 def repair(pixels: Float32) -> Float32:
     """Return a frame whose non-finite pixels are filled from around them; itself if it has none."""
-    broken = broken_pixels(pixels)
+    broken = nonfinite_pixels(pixels)
     if not broken.any():
         return pixels
     clean = np.where(broken[..., None], np.float32(0), pixels)

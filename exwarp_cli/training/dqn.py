@@ -17,7 +17,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from exwarp_cli.domain.decision import CHOICES, FEATURES, NEXT, NODES
+from exwarp_cli.domain.decision import CHOICES, FEATURES, NEXT_NODE, NODES
 from exwarp_cli.policy.outcomes import choice_rewards
 from exwarp_cli.policy.state import INPUTS, STATE_COUNT
 from exwarp_cli.runtime.stop import check_stop
@@ -33,7 +33,7 @@ LAYERS = (INPUTS, 128, 256, 128, len(CHOICES))
 """Of the paper."""
 
 AFTER = torch.tensor(
-    [[NODES.index(NEXT[n, c]) if (n, c) in NEXT else -1 for c in CHOICES] for n in NODES]
+    [[NODES.index(NEXT_NODE[n, c]) if (n, c) in NEXT_NODE else -1 for c in CHOICES] for n in NODES]
 )
 """Index of the node after each choice, -1 at the end: [5, 2]."""
 

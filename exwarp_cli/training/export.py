@@ -16,8 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.extrapolator import EXTRAPOLATES
-from exwarp_cli.domain.network import TIME, NetworkInterface
+from exwarp_cli.domain.network_api import EXTRAPOLATOR_INTERFACE, TIME_INPUT, NetworkInterface
 from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.io.model_files import INTERFACE_KEY, STRIDE_KEY
 
@@ -38,7 +37,7 @@ ABOUT = "exwarp.about"
 
 def export_extrapolator(module: nn.Module, path: Path, *, stride: int, about: str) -> None:
     """Write a network that extrapolates; see `export_network`."""
-    export_network(module, path, EXTRAPOLATES, stride=stride, about=about)
+    export_network(module, path, EXTRAPOLATOR_INTERFACE, stride=stride, about=about)
 
 
 def export_network(
@@ -76,7 +75,7 @@ def export_network(
     shapes: dict[str, tuple[int, ...]] = {
         name: (1, channels, *size) for name, channels in interface.inputs.items()
     }
-    shapes[TIME] = (1,)
+    shapes[TIME_INPUT] = (1,)
     wanted = list(inspect.signature(module.forward).parameters)
     required = interface.required
     if not set(required) <= set(wanted) <= set(shapes):
@@ -113,7 +112,7 @@ def _trace(
     torch.onnx.export falls back to a model of that size without a word.
     """
     free = {axis: stride * torch.export.Dim(name, min=2) for axis, name in AXES.items()}
-    shapes = {name: None if name == TIME else free for name in example}
+    shapes = {name: None if name == TIME_INPUT else free for name in example}
     program = torch.export.export(module, (), example, dynamic_shapes=shapes)
     exported = torch.onnx.export(program, opset_version=OPSET, output_names=[output], verbose=False)
     assert exported is not None
@@ -132,7 +131,7 @@ def _tidy(model: onnx.ModelProto) -> None:
         del part.metadata_props[:]
         part.doc_string = ""
     for value in (*graph.input, *graph.output):
-        if value.name != TIME:
+        if value.name != TIME_INPUT:
             for axis, name in AXES.items():
                 value.type.tensor_type.shape.dim[axis].dim_param = name
 

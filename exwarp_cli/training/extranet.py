@@ -24,7 +24,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from exwarp_cli.domain.extrapolator import HISTORY
+from exwarp_cli.domain.network_api import HISTORY_FRAMES
 
 STRIDE = 8
 """Height and width must be multiples of this: the network halves them three times."""
@@ -109,7 +109,7 @@ class ExtraNet(nn.Module):
         self.convHis1 = _history_block(PAST, 24)
         self.convHis2 = _history_block(24, 32)
         self.convHis3 = _history_block(32, 32)
-        self.lowlevelGated = GatedConvolution(32 * HISTORY, 32)
+        self.lowlevelGated = GatedConvolution(32 * HISTORY_FRAMES, 32)
         self.conv1 = GatedConvolution(2 * PICTURES + FEATURES, 24)
         self.bn1 = nn.BatchNorm2d(24)
         self.conv2 = GatedConvolution(24, 24)
@@ -152,7 +152,7 @@ class ExtraNet(nn.Module):
     def _motion(self, history: Sequence[Tensor]) -> Tensor:
         """Return what the history tells, [N, 32, H / 8, W / 8]."""
         seen = self.convHis3(self.convHis2(self.convHis1(torch.cat(list(history)))))
-        motion: Tensor = self.lowlevelGated(torch.cat(seen.chunk(HISTORY), dim=1))
+        motion: Tensor = self.lowlevelGated(torch.cat(seen.chunk(HISTORY_FRAMES), dim=1))
         return motion
 
 
@@ -191,7 +191,7 @@ class ExtraNetAdapter(nn.Module):
 
         H and W are multiples of `STRIDE`.
         """
-        newest_first = torch.relu(history).chunk(HISTORY, dim=1)
+        newest_first = torch.relu(history).chunk(HISTORY_FRAMES, dim=1)
         pictures = torch.cat([newest_first[0][:, :3], torch.relu(warped[:, 3:])], dim=1)
         answer = self.network(pictures, mask, their_features(features), newest_first[::-1])
         return torch.relu(answer)

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from exwarp_cli.domain import cores
-from exwarp_cli.domain.lookahead import LOOKS_AHEAD
+from exwarp_cli.domain.network_api import LOOKAHEAD_INTERFACE
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.threads import use_threads
@@ -140,7 +140,9 @@ class Training(ResumableTraining):
             f"ExWarp look-ahead network, {settings.width} channels, {self.step} steps on "
             f"{len(settings.scenes['training'])} scenes, seed {settings.seed}"
         )
-        export_network(HeldBack(self.average), target, LOOKS_AHEAD, stride=STRIDE, about=about)
+        export_network(
+            HeldBack(self.average), target, LOOKAHEAD_INTERFACE, stride=STRIDE, about=about
+        )
         return target
 
     def _ahead(self, samples: Samples) -> Iterator[Sample]:

@@ -16,12 +16,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from exwarp_cli.domain.extrapolator import INPUTS
+from exwarp_cli.domain.network_api import EXTRAPOLATOR_INPUTS
 
 STRIDE = 16
 """Height and width have to be multiples of it."""
 
-GIVEN = sum(INPUTS.values()) + 1
+GIVEN = sum(EXTRAPOLATOR_INPUTS.values()) + 1
 """Channels that the network sees at each pixel: all picture inputs, and the time."""
 
 LEAK = 0.1

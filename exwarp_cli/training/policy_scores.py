@@ -7,7 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, WARP, path_of, walk
+from exwarp_cli.domain.decision import (
+    CHOICES,
+    EXTRAPOLATE,
+    NODES,
+    PATHS,
+    WARP,
+    find_path,
+    walk_tree,
+)
 from exwarp_cli.policy.outcomes import best_psnr, best_return, path_returns, slot_quality
 from exwarp_cli.training.policy_table import PolicyTable
 
@@ -71,7 +79,7 @@ def taken(values: F64) -> Paths:
 def _path(extrapolates: npt.NDArray[np.bool_]) -> int:
     """Return the index of the path that these choices at the five nodes lead to."""
     choices = dict(zip(NODES, np.where(extrapolates, EXTRAPOLATE, WARP).tolist(), strict=True))
-    return NAMES.index(path_of(dict(walk(choices.__getitem__))))
+    return NAMES.index(find_path(dict(walk_tree(choices.__getitem__))))
 
 
 def fixed(table: PolicyTable, name: str) -> Paths:

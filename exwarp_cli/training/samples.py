@@ -13,8 +13,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.domain.frame import Float32, Window
+from exwarp_cli.domain.network_api import HISTORY_FRAMES
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.atomic import make_folder, output_error
@@ -113,7 +113,9 @@ def choices(manifest: SceneManifest, frames: int, seed: int, side: int = 1) -> l
         for setting in SETTINGS
     }
     likely = {
-        setting: np.array([1.0 if k >= HISTORY - 1 else SHORT_HISTORY for _, k in of_setting])
+        setting: np.array(
+            [1.0 if k >= HISTORY_FRAMES - 1 else SHORT_HISTORY for _, k in of_setting]
+        )
         for setting, of_setting in places.items()
     }
     found = []
@@ -279,7 +281,7 @@ def _played(scene: RenderedScene, chosen: list[Choice]) -> Iterator[tuple[Footag
 
 def _planes(prepared: Prepared, truth: Float32) -> dict[str, np.ndarray]:
     inputs = prepared.inputs.part(slice(None), slice(None))
-    history = inputs.history.reshape(HISTORY, 4, *inputs.history.shape[1:])
+    history = inputs.history.reshape(HISTORY_FRAMES, 4, *inputs.history.shape[1:])
     colour = np.concatenate([inputs.warped[3:], *history[:, :3]])
     modulation = prepared.modulation
     if modulation is None:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from exwarp_cli.domain.lookahead import CANDIDATES, SIDES
+from exwarp_cli.domain.network_api import CANDIDATES, SIDES
 from exwarp_cli.training.networks import LEAK, UNet
 
 DETAIL = 16

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import Extrapolator
 from exwarp_cli.domain.frame import SURFACE_PARTS, Bool, Float32
+from exwarp_cli.domain.network_api import Extrapolator
 from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import find_scenes

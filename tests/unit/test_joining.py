@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.joining import join, missing_keys
 from exwarp_cli.domain.results import (
     InterpolatorSummary,
@@ -18,6 +17,7 @@ from exwarp_cli.domain.results import (
     PolicySummary,
     RunSummary,
 )
+from exwarp_cli.domain.timeline import Cut
 from exwarp_cli.errors import InputError
 from tests.unit.sample_runs import path_run
 

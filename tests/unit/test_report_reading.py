@@ -15,9 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision, Features
-from exwarp_cli.domain.gate import Trial
+from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision, Features, Trial
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.results import (
     BrokenPixels,
@@ -32,7 +30,8 @@ from exwarp_cli.domain.results import (
     Score,
     WrittenFile,
 )
-from exwarp_cli.domain.risk import Risk
+from exwarp_cli.domain.tiles import Risk
+from exwarp_cli.domain.timeline import Cut
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.report.frames_csv import frames_csv
 from exwarp_cli.report.reading import frames_of, read_report

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.extrapolator import Extrapolator
 from exwarp_cli.domain.frame import SURFACE_PARTS
+from exwarp_cli.domain.network_api import Extrapolator
 from exwarp_cli.io.dataset import open_scene
 from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.metrics.registry import score_frame

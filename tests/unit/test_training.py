@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from exwarp_cli.domain.extrapolator import NetworkInputs
 from exwarp_cli.domain.frame import Window
-from exwarp_cli.domain.network import TIME
+from exwarp_cli.domain.network_api import TIME_INPUT, NetworkInputs
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, SceneManifest, open_scene, select, split
@@ -316,7 +315,7 @@ def test_training_gets_better_and_is_exported(scenes, cache, tmp_path):
     losses = [float(row["loss"]) for row in rows]
     assert np.mean(losses[-20:]) < np.mean(losses[:20])
     network = load_extrapolator(model, 1, "cpu")
-    pictures = {name: p[0].numpy() for name, p in example(40, 50).items() if name != TIME}
+    pictures = {name: p[0].numpy() for name, p in example(40, 50).items() if name != TIME_INPUT}
     answer = network(NetworkInputs(**pictures, time=0.5))
     assert answer.shape == (3, 40, 50)
 

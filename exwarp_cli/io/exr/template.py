@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Float32, Window, broken_pixels
+from exwarp_cli.domain.frame import Float32, Window, nonfinite_pixels
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr.parts import Part
@@ -249,7 +249,7 @@ def quantise(pixels: Float32, template: Template) -> Float32:
 
 def within_floats(values: Float32) -> Float32:
     """Return made values with the largest floats where numbers near them overflowed on the way."""
-    if not broken_pixels(values[..., None]).any():
+    if not nonfinite_pixels(values[..., None]).any():
         return values
     return np.nan_to_num(values)
 

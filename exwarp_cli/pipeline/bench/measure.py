@@ -14,7 +14,7 @@ import numpy.typing as npt
 from exwarp_cli import __version__
 from exwarp_cli.domain.bench import BEST_PSNR, BEST_RETURN, CHOOSERS, POLICY
 from exwarp_cli.domain.decision import CHOICES, NODES, PATHS
-from exwarp_cli.domain.decision import SLOTS as SLOT_OF
+from exwarp_cli.domain.decision import NODE_SLOTS as SLOT_OF
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.results import Score
 from exwarp_cli.metrics import extranet_scores

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.bench import EXTRANET, EXTRANET_FAST, ONNX, BenchSettings, needs_network
-from exwarp_cli.domain.frame import Bool, Float32, place
+from exwarp_cli.domain.frame import Bool, Float32, place_on_canvas
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import MissingFrameError, UsageError
@@ -167,7 +167,7 @@ class Opened:
         canvas, display = interval.key.image.data_window, self.source.keys.display
 
         def finish(pixels: Float32) -> Float32:
-            return place(quantised(pixels, inputs.metadata.template), canvas, display)
+            return place_on_canvas(quantised(pixels, inputs.metadata.template), canvas, display)
 
         return Pictures(
             interval,
@@ -196,7 +196,7 @@ class Opened:
         canvas, display = interval.key.image.data_window, self.source.keys.display
         found = {slot: interval.hole_mask(slot) for slot in SLOTS}
         return {
-            slot: np.asarray(place(mask, canvas, display))
+            slot: np.asarray(place_on_canvas(mask, canvas, display))
             for slot, mask in found.items()
             if mask is not None
         }

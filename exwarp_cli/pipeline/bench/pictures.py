@@ -15,8 +15,8 @@ import numpy as np
 
 from exwarp_cli.domain.bench import EXTRANET, EXTRANET_FAST, FIXED, MINTERPOLATE, ONNX
 from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, PATHS, WARP
-from exwarp_cli.domain.extrapolator import INTERPOLATE, Extrapolator, Interpolator
 from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.network_api import INTERPOLATE, Extrapolator, Interpolator
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.minterpolate import minterpolate
 from exwarp_cli.pipeline.scoring import SLOTS

@@ -14,7 +14,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from exwarp_cli.domain.frame import Window
-from exwarp_cli.domain.wording import counted, first_line
+from exwarp_cli.domain.wording import first_line, pluralise
 from exwarp_cli.errors import ExwarpError, UsageError
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.exr.writer import COMPRESSIONS, encode_by_openexr, scanline_structure
@@ -62,7 +62,7 @@ def check_exr() -> Check:
     )
     good = [name for name, why in problems.items() if why is None]
     facts = {"compressions": {name: name in good for name in problems}}
-    found = f"OpenEXR {metadata.version('OpenEXR')}: {counted(len(good), 'compression')} work"
+    found = f"OpenEXR {metadata.version('OpenEXR')}: {pluralise(len(good), 'compression')} work"
     return Check(found, remarks, facts, (", ".join(good),))
 
 
@@ -81,7 +81,7 @@ def check_stills() -> Check:
         if suffix not in READ_ONLY
     )
     facts = {"written": written, "read_only": [s for s in unwritten if s in READ_ONLY]}
-    found = f"OpenImageIO {oiio.VERSION_STRING}: {counted(len(written), 'format')} can be written"
+    found = f"OpenImageIO {oiio.VERSION_STRING}: {pluralise(len(written), 'format')} can be written"
     return Check(found, remarks, facts, (", ".join(suffix[1:] for suffix in written),))
 
 

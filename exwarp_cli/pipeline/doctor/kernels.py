@@ -12,7 +12,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from exwarp_cli.domain.wording import counted, size_text
+from exwarp_cli.domain.wording import pluralise, size_text
 from exwarp_cli.io.machine import Folder, cached_files, look_at
 from exwarp_cli.kernels import _compile, _row_bands
 from exwarp_cli.kernels._compile import SUFFIX
@@ -53,7 +53,7 @@ def check_kernels() -> Check:
         "cpu": _compile.processor(),
         "threads": _row_bands.threads(),
     }
-    threads = counted(_row_bands.threads(), "thread")
+    threads = pluralise(_row_bands.threads(), "thread")
     found = f"numba {numba.__version__} on numpy {np.__version__}, {threads}"
     lines = (f"llvmlite {facts['llvmlite']}, which takes this CPU for {facts['cpu']}",)
     return Check(found, tuple(remarks), facts, lines)
@@ -99,7 +99,7 @@ def check_cache() -> Check:
     }
     state = _state(hits, misses)
     places = " and ".join(dict.fromkeys(map(place_of, paths)))
-    found = f"{state}; {counted(kernels, 'kernel')}, {size_text(size)}, {places}"
+    found = f"{state}; {pluralise(kernels, 'kernel')}, {size_text(size)}, {places}"
     lacking = misses > 0 or not read
     return Check(found, tuple(_cache_remarks(folders, lacking)), facts, tuple(map(str, paths)))
 

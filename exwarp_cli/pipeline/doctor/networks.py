@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from exwarp_cli.accelerator.mlp import MlpKernel, infer_reference
-from exwarp_cli.domain.wording import counted, enumerated
+from exwarp_cli.domain.wording import enumerated, pluralise
 from exwarp_cli.errors import ExwarpError, InputError
 from exwarp_cli.io.models import (
     CHECKSUMS,
@@ -109,7 +109,7 @@ def check_policy() -> Check:
         "warps": warps,
         "agree": {name: name not in wrong for name in forms},
     }
-    found = f"{counted(len(states), 'decision')} in 8-bit integers, the same in all forms"
+    found = f"{pluralise(len(states), 'decision')} in 8-bit integers, the same in all forms"
     return Check("forms disagree" if wrong else found, remarks, facts)
 
 

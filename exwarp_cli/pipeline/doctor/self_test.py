@@ -20,7 +20,7 @@ from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.domain.wording import counted, enumerated
+from exwarp_cli.domain.wording import enumerated, pluralise
 from exwarp_cli.errors import ExwarpError
 from exwarp_cli.pipeline.doctor.codecs import read_exr, write_exr
 from exwarp_cli.pipeline.doctor.examine import Check, Remark, failure
@@ -90,9 +90,9 @@ def check_self_test() -> Check:
     found = f"{enumerated(good)} {many} right" if good else "nothing is right"
     found += f"; {seconds:.1f} s"
     if compiled:
-        found += f", {counted(compiled, 'kernel')} compiled"
+        found += f", {pluralise(compiled, 'kernel')} compiled"
     lines = tuple(
-        f"{n}: {counted(t.frames, 'frame')}, {t.seconds:.2f} s" for n, t in trials.items()
+        f"{n}: {pluralise(t.frames, 'frame')}, {t.seconds:.2f} s" for n, t in trials.items()
     )
     return Check(found, remarks, facts, lines)
 
@@ -195,7 +195,9 @@ def _wrong_frames(folder: Path, method: str) -> str | None:
             wrong.append(name)
     if not wrong:
         return None
-    return f"{counted(len(wrong), 'frame')} of {KEYS * FACTOR} have wrong pixels, {wrong[0]} first"
+    return (
+        f"{pluralise(len(wrong), 'frame')} of {KEYS * FACTOR} have wrong pixels, {wrong[0]} first"
+    )
 
 
 def _inner(planes: Mapping[str, np.ndarray]) -> Float32:
