@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.line import one_line
+from exwarp_cli.domain.wording import one_line
 from exwarp_cli.errors import (
     INTERRUPTED,
     DamagedFileError,

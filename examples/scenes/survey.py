@@ -35,7 +35,7 @@ from exwarp_cli.errors import ExwarpError, InputError
 from exwarp_cli.io.dataset import BENCHMARK, TRAINING, FrameSet, RenderedScene, find_scenes
 from exwarp_cli.io.exr.reader import read_headers
 from exwarp_cli.io.frames import read_image
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.metrics.registry import score_frame
 from exwarp_cli.pipeline.progress import NoProgress
 from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.report.schema import mean_scores
@@ -162,7 +162,7 @@ def _noise_floor(scene: RenderedScene) -> float | None:
         if not instant.is_file():
             continue
         rendered = read_image(instant).pixels
-        found.append(score(rendered, read_image(path).pixels, None)[0].psnr_db)
+        found.append(score_frame(rendered, read_image(path).pixels, None)[0].psnr_db)
     return round(float(np.mean(found)), 2) if found else None
 
 

@@ -18,10 +18,10 @@ from exwarp_cli.commands.options import (
     scan_option,
     show,
 )
-from exwarp_cli.domain.frame import allow
+from exwarp_cli.domain.frame import set_max_pixels
 from exwarp_cli.domain.metric import METRICS, Threshold, parse_threshold
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.evaluation import Comparison
@@ -106,7 +106,7 @@ def command(
     from exwarp_cli.report.folder import prepare_comparison, write_comparison
     from exwarp_cli.report.gallery import Gallery
 
-    allow(max_pixels)
+    set_max_pixels(max_pixels)
     kind = progress or ("bar" if sys.stderr.isatty() else "none")
     with reporting(kind, results_on_stdout=as_json) as reporter:
         if folder is not None:
@@ -141,7 +141,7 @@ def _print_scores(result: Comparison) -> None:
         table.add_row(name, *cells, str(values["frames"]))
     show(f"reference {result.reference.pattern}")
     show(f"test      {result.test.pattern}")
-    click.echo(f"{counted(len(result.frames), 'frame')}, matched by {result.matched_by}")
+    click.echo(f"{pluralise(len(result.frames), 'frame')}, matched by {result.matched_by}")
     for note in result.notes:
         show(note)
     Console().print(table)

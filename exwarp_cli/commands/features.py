@@ -13,7 +13,7 @@ from exwarp_cli.commands.options import (
     source_options,
     threads_option,
 )
-from exwarp_cli.domain.cuts import AUTO
+from exwarp_cli.domain.timeline import AUTO_CUTS
 
 
 @click.command("features")
@@ -23,7 +23,7 @@ from exwarp_cli.domain.cuts import AUTO
 @source_options
 @click.option(
     "--cuts",
-    default=AUTO,
+    default=AUTO_CUTS,
     show_default=True,
     metavar="auto|none|LIST",
     help="Where shots begin, by their first key frames: nothing is compared across cuts.",

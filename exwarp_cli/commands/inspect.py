@@ -15,8 +15,7 @@ from exwarp_cli.commands.options import (
     scan_option,
     source_options,
 )
-from exwarp_cli.domain.line import printable
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise, printable
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.inspect import Inspection
@@ -169,4 +168,4 @@ def _cryptomatte_line(matte: dict[str, Any]) -> str:
     names, count = matte["names"], len(matte["names"])
     listed = ", ".join(quote_name(object_name) for object_name in names[:MAX_NAMES])
     more = f" and {count - MAX_NAMES} more" if count > MAX_NAMES else ""
-    return f"Cryptomatte {name} ({matte['kind']}), {counted(count, 'name')}: {listed}{more}"
+    return f"Cryptomatte {name} ({matte['kind']}), {pluralise(count, 'name')}: {listed}{more}"

@@ -17,7 +17,7 @@ from exwarp_cli.commands.options import (
     summary_of_files,
 )
 from exwarp_cli.commands.summary_lines import summary_lines
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 
 if TYPE_CHECKING:
     from exwarp_cli.report.merge import Merged
@@ -70,7 +70,7 @@ def _print_summary(merged: Merged, output: Path) -> None:
     if document["frames"]["written"]:
         for line in summary_lines(document):
             show(line)
-    joined = counted(merged.reports, "report")
+    joined = pluralise(merged.reports, "report")
     click.echo(f"{joined} joined, {format_time(document['wall_s'])} of work")
     if merged.missing is not None:
         click.echo(f"key frames of the sequence that are in no report: {merged.missing}")

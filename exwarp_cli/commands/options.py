@@ -13,9 +13,9 @@ from typing import Any, TypeVar
 import click
 
 from exwarp_cli.config import configured_command
-from exwarp_cli.domain.line import printable
 from exwarp_cli.domain.metric import ALL, BY_OPTION, parse_metrics
 from exwarp_cli.domain.settings import MOST_PIXELS, SCANS, SourceSettings
+from exwarp_cli.domain.wording import printable
 from exwarp_cli.errors import ReaderGoneError
 from exwarp_cli.pipeline.progress import KINDS
 

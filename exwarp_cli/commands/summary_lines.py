@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from exwarp_cli.domain.metric import BY_OPTION, KEY_FRAMES, METRICS
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 
 
 def summary_lines(
@@ -63,7 +63,7 @@ def _frame_lines(document: dict[str, Any], place: str) -> list[str]:
     frames, fps = document["frames"], document["fps"]
     effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
     lines = [
-        f"{counted(frames['written'], 'frame')}{place and f' in {place}'}: "
+        f"{pluralise(frames['written'], 'frame')}{place and f' in {place}'}: "
         f"{format_rendered(frames)}, {frames['generated']} generated, {frames['dropped']} repeated",
         f"{fps['base']:g} fps in, {fps['output']:g} out{effective}",
     ]
@@ -102,7 +102,7 @@ def _quality_line(quality: dict[str, Any]) -> str:
 def _pulse_line(pulse: dict[str, Any]) -> str:
     metric = BY_OPTION["pulse"]
     mean, worst = (metric.with_unit(pulse[name]) for name in ("mean", "worst"))
-    frames = counted(pulse["frames"], "frame")
+    frames = pluralise(pulse["frames"], "frame")
     return f"pulse against {pulse['against']} ({frames}): {mean}, at worst {worst}"
 
 
@@ -112,7 +112,7 @@ def _file_lines(document: dict[str, Any]) -> list[str]:
 
     lines = []
     if document["verified"] is not None:
-        lines.append(f"{counted(document['verified'], 'file')} read back, all as written")
+        lines.append(f"{pluralise(document['verified'], 'file')} read back, all as written")
     if (times := document["render_time"]) is not None:
         lines.append(
             f"render time saved: {format_time(times['saved_s'])} ({times['saved_share']:.0%}); "
@@ -127,5 +127,5 @@ def _holes_line(holes: dict[str, Any], count_between: int) -> list[str]:
         return []
     count = sum(holes["histogram"]["counts"])
     # Where not all frames between key frames are warped, it is said how many are.
-    warped = "" if count == count_between else f", of {counted(count, 'warped frame')}"
+    warped = "" if count == count_between else f", of {pluralise(count, 'warped frame')}"
     return [f"holes {holes['mean_fraction']:.1%} of the pixels on average{warped}"]

@@ -17,7 +17,7 @@ from exwarp_cli.commands.options import (
     summary_of_files,
     threads_option,
 )
-from exwarp_cli.domain.line import one_line
+from exwarp_cli.domain.wording import one_line
 from exwarp_cli.research.training.training_settings import (
     ExtrapolatorSettings,
     LookAheadSettings,

@@ -31,7 +31,7 @@ from exwarp_cli.domain.settings import (
     SourceSettings,
     UpsampleSettings,
 )
-from exwarp_cli.domain.timeline import MOST
+from exwarp_cli.domain.timeline import MAX_FACTOR
 from exwarp_cli.errors import IncompleteError, UsageError
 from exwarp_cli.runtime.read_registry import enable_restart, is_restarted
 
@@ -132,7 +132,7 @@ if TYPE_CHECKING:
 @click.option("--fps", type=FrameRate(), help="Rate of the key frames; else their own, else 30.")
 @click.option(
     "--factor",
-    type=click.IntRange(2, MOST),
+    type=click.IntRange(2, MAX_FACTOR),
     help="Output frames per key frame; else 4. --causal, s1 to s5 and the oracles are for 4 alone.",
 )
 @click.option(

@@ -1,43 +1,32 @@
-"""The decision tree (paper, section IV-B): nodes d1 to d5, paths S1 to S6, and their features."""
+"""The decision tree (paper, section IV-B): nodes d1 to d5, paths S1 to S6, features; and the gate.
+
+The gate lets a network make frames only where it improves this shot's own key frames.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
+# Names of the features, in the order of `Features.values`
 FEATURES = ("N_d", "EMD_Wn", "EMD_Wp", "Var_x", "Var_y", "R")
-"""Names of the features, in the order of `Features.values`."""
 
 
 @dataclass(frozen=True)
 class Features:
-    """The features of one instant, per slot: a quarter of a key interval. All finite, 0 or more.
+    """The features of one instant, per slot (quarter of a key interval); finite, 0 or more."""
 
-    Attributes
-    ----------
-    objects
-        N_d, number of connected dynamic objects.
-    emd_normal
-        EMD_Wn, earth mover's distance of the world normals from those of the instant before; mean
-        of x, y and z. 0 to 2.
-    emd_position
-        EMD_Wp, the same of the world positions, scene units.
-    var_x, var_y
-        Variance of the motion vectors' components, square pixels.
-    width, height
-        Of what was rendered, pixels.
-    distance
-        Median distance from the camera of what is seen, scene units; 0 when unknown.
-    """
-
-    objects: int
+    objects: int  # N_d, number of connected dynamic objects
+    # EMD_Wn, 0 to 2: earth mover's distance of world normals from the instant before
     emd_normal: float
+    # EMD_Wp, the same of world positions, scene units; both are means of x, y and z
     emd_position: float
-    var_x: float
+    var_x: float  # variances of the motion vectors' components, square pixels
     var_y: float
-    width: int
+    width: int  # of the rendered frame, pixels
     height: int
-    distance: float
+    distance: float  # median distance from the camera, scene units; 0 when unknown
 
     @property
     def resolution(self) -> int:
@@ -47,74 +36,58 @@ class Features:
     @property
     def values(self) -> tuple[float, float, float, float, float, float]:
         """The six features in the order of FEATURES."""
-        return (
-            self.objects,
-            self.emd_normal,
-            self.emd_position,
-            self.var_x,
-            self.var_y,
-            self.resolution,
-        )
+        emd = self.emd_normal, self.emd_position
+        return (self.objects, *emd, self.var_x, self.var_y, self.resolution)
 
 
+# The makers of a frame: W, E, or the repetition of the frame before.
 WARP = "warp"
 EXTRAPOLATE = "extrapolate"
 HOLD = "hold"
-"""What makes a frame: W, E, or the repetition of the frame before."""
 
+# Method of a frame that repeats the key frame, as the next one shows the same picture.
 HELD = "held"
-"""Method of a frame that repeats the key frame, as the next one shows the same picture."""
 
-CHOICES = (WARP, EXTRAPOLATE)
-"""What a node chooses between; also the order of the network's outputs."""
+CHOICES = (WARP, EXTRAPOLATE)  # a node's choices, in the order of the network's outputs
 
-SLOTS = {"d1": 1, "d2": 2, "d3": 3, "d4": 3, "d5": 3}
-"""The slot that each node decides."""
+NODE_SLOTS = {"d1": 1, "d2": 2, "d3": 3, "d4": 3, "d5": 3}  # the slot that each node decides
 
-NODES = tuple(SLOTS)
+NODES = tuple(NODE_SLOTS)
 
-FIRST = "d1"
-"""The node that every key interval begins with."""
+FIRST_NODE = "d1"
 
-DROPPING = {("d1", EXTRAPOLATE), ("d3", EXTRAPOLATE)}
-"""Choices that repeat the frame before, as the extrapolated one is not ready in time."""
+# Choices that repeat the frame before, as the extrapolated one is not ready in time.
+REPEATING_CHOICES = {("d1", EXTRAPOLATE), ("d3", EXTRAPOLATE)}
 
-NEXT = {
+# The node after a choice; none after the third slot's.
+NEXT_NODE = {
     ("d1", WARP): "d2",
     ("d1", EXTRAPOLATE): "d3",
     ("d2", WARP): "d5",
     ("d2", EXTRAPOLATE): "d4",
 }
-"""The node after a choice; none after the third slot's."""
 
 
 @dataclass(frozen=True)
 class DecisionPath:
-    """One way through the decision tree of a key interval.
+    """A path through the decision tree of a key interval."""
 
-    Attributes
-    ----------
-    choices
-        The choice at every node that the path passes, in their order.
-    made_by
-        What makes the frame of slots 1, 2 and 3. Slot 2 is extrapolated without a node of its own
-        when d1 chose to extrapolate.
-    """
-
-    choices: dict[str, str]
+    choices: dict[str, str]  # by node, in the order of the path
+    # Makers of slots 1, 2 and 3. Slot 2 is extrapolated without a node of its own after d1 = E.
     made_by: tuple[str, str, str]
 
     @property
     def generated(self) -> int:
-        """How many of the three frames are new."""
+        """Number of new frames."""
         return sum(maker != HOLD for maker in self.made_by)
 
     @property
     def extrapolates(self) -> bool:
-        """Whether the network makes any of them."""
+        """True if the network makes any frame."""
         return EXTRAPOLATE in self.made_by
 
 
+# Every path by its name in the paper
 PATHS = {
     "S1": DecisionPath({"d1": EXTRAPOLATE, "d3": EXTRAPOLATE}, (HOLD, EXTRAPOLATE, HOLD)),
     "S2": DecisionPath({"d1": EXTRAPOLATE, "d3": WARP}, (HOLD, EXTRAPOLATE, WARP)),
@@ -125,102 +98,122 @@ PATHS = {
     "S5": DecisionPath({"d1": WARP, "d2": WARP, "d5": EXTRAPOLATE}, (WARP, WARP, EXTRAPOLATE)),
     "S6": DecisionPath({"d1": WARP, "d2": WARP, "d5": WARP}, (WARP, WARP, WARP)),
 }
-"""Every path by its name in the paper."""
 
-ONLY_WARPS = "S6"
-"""The path that runs no network."""
+ONLY_WARPS = "S6"  # the path that runs no network
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What was chosen at one node of a key interval, and by what.
+    """The choice at one node of a key interval, and its grounds."""
 
-    Attributes
-    ----------
-    node, choice
-        Out of NODES and CHOICES.
-    features
-        Of the instant at which it was taken; None where none were looked at.
-    inputs
-        The network's inputs in Q16.16; empty where no network decided.
-    outputs
-        The network's two outputs in the order of CHOICES, or what an oracle found for them; None
-        where nothing was weighed.
-    """
-
-    node: str
-    choice: str
-    features: Features | None = None
-    inputs: tuple[int, ...] = ()
+    node: str  # out of NODES
+    choice: str  # out of CHOICES
+    features: Features | None = None  # None if they were not computed
+    inputs: tuple[int, ...] = ()  # of the network, in Q16.16; empty if no network decided
+    # Of the network or an oracle, in the order of CHOICES; None if nothing was compared
     outputs: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is done in one key interval.
+    """The decisions of one key interval."""
 
-    Attributes
-    ----------
-    path
-        S1 to S6.
-    decisions
-        Those that led to it, in their order.
-    """
-
-    path: str
-    decisions: tuple[Decision, ...]
+    path: str  # S1 to S6
+    decisions: tuple[Decision, ...]  # those that led to it, in order
 
     @classmethod
     def fixed(cls, path: str) -> Plan:
-        """Return the plan to take a path whatever is seen."""
+        """Return the plan that always takes a path."""
         steps = PATHS[path].choices.items()
         return cls(path, tuple(Decision(node, choice) for node, choice in steps))
 
     @property
     def extrapolates(self) -> bool:
-        """Whether the network makes any frame."""
+        """True if the network makes any frame."""
         return PATHS[self.path].extrapolates
 
     def decision_of(self, slot: int) -> Decision | None:
-        """Return what was decided of a slot, 1 to 3; None for slot 2 after d1 = E."""
-        return next((d for d in self.decisions if SLOTS[d.node] == slot), None)
+        """Return the decision about a slot, 1 to 3; None for slot 2 after d1 = E."""
+        return next((d for d in self.decisions if NODE_SLOTS[d.node] == slot), None)
 
 
-def path_of(choices: Mapping[str, str]) -> str:
-    """Return the name of the path that passes these nodes with these choices, and no others."""
+def find_path(choices: Mapping[str, str]) -> str:
+    """Return the name of the path with exactly these choices."""
     return next(name for name, path in PATHS.items() if path.choices == dict(choices))
 
 
-def walk(choose: Callable[[str], str]) -> Iterator[tuple[str, str]]:
-    """Go through the tree from d1 on; yield every node with what `choose` takes there."""
-    node: str | None = FIRST
+def walk_tree(choose: Callable[[str], str]) -> Iterator[tuple[str, str]]:
+    """Walk the tree from d1 on; yield every node with the choice of `choose`."""
+    node: str | None = FIRST_NODE
     while node is not None:
         choice = choose(node)
         yield node, choice
-        node = NEXT.get((node, choice))
+        node = NEXT_NODE.get((node, choice))
 
 
-SOFTSPLAT = "softsplat"
-"""Both key frames splatted to the slot and blended by depth and time."""
+SOFTSPLAT = "softsplat"  # both key frames splatted to the slot and blended by depth and time
 
-BLEND = "blend"
-"""A cross-fade of both key frames."""
+BLEND = "blend"  # a cross-fade of both key frames
 
-KEY = "key"
-"""A renderer."""
+KEY = "key"  # a renderer
 
-STEPS = {SOFTSPLAT: WARP, BLEND: WARP}
-"""The step of the work that a maker's time is booked on, where it has another name."""
+# The step on which a maker's time is booked, where it has another name.
+TIMING_STEPS = {SOFTSPLAT: WARP, BLEND: WARP}
 
 
-def step_of(maker: str) -> str:
-    """Name the step of the work that the time of a frame's maker is booked on."""
-    return STEPS.get(maker, maker)
+def timing_step(maker: str) -> str:
+    """Return the step on which the time of a frame's maker is booked."""
+    return TIMING_STEPS.get(maker, maker)
 
 
-def maker_of(made_by: str | None, method: str | None) -> str | None:
-    """Return what made a frame, from what its header or its row in a table says.
+def infer_maker(made_by: str | None, method: str | None) -> str | None:
+    """Return what made a frame, by its header or its row in a table."""
+    # ExWarp 0.1 wrote "warp" for frames of `softsplat` and `blend`.
+    return method if made_by == WARP and method in TIMING_STEPS else made_by
 
-    ExWarp 0.1 wrote "warp" for frames of `softsplat` and `blend`.
-    """
-    return method if made_by == WARP and method in STEPS else made_by
+
+TRIAL_BLOCK = 8  # key intervals that one trial decides for
+
+NO_TRIAL = "no trial"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The prediction of a rendered key frame by two methods."""
+
+    # Input number of the predicted key frame; None if none could be predicted
+    frame: int | None = None
+    # PSNR of the prediction by warping, dB; None without one. Of `causal`; between key frames the
+    # mean of their tiles' PSNR, see `exwarp_cli.pipeline.gate`.
+    cheap_db: float | None = None
+    dear_db: float | None = None  # the same by a network
+
+    @property
+    def pays(self) -> bool:
+        """True if the network's prediction is better."""
+        if self.cheap_db is None or self.dear_db is None:
+            return False
+        return self.dear_db > self.cheap_db
+
+    @property
+    def text(self) -> str:
+        """The trial on one line: ``1005 34.2011 34.3560``, or ``no trial``."""
+        if self.frame is None:
+            return NO_TRIAL
+        return f"{self.frame} {self.cheap_db:.4f} {self.dear_db:.4f}"
+
+    @classmethod
+    def parsed(cls, text: str) -> Trial:
+        """Read `text` again; raises ValueError when it is no such text."""
+        if text == NO_TRIAL:
+            return cls()
+        frame, cheap, dear = text.split(" ")
+        return cls.measured(int(frame), float(cheap), float(dear))
+
+    @classmethod
+    def measured(cls, frame: int, cheap_db: float, dear_db: float) -> Trial:
+        """Return a trial whose values are rounded as in `text`."""
+        # So a run that resumes decides by the headers of its frames.
+        if math.isnan(cheap_db) or math.isnan(dear_db):
+            raise ValueError(f"a trial of {cheap_db} and {dear_db} dB")
+        return cls(frame, round(cheap_db, 4), round(dear_db, 4))

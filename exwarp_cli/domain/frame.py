@@ -21,19 +21,11 @@ UInt8 = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Window:
-    """A pixel rectangle in the coordinates of OpenEXR: x right, y down, both ends inclusive.
+    """A pixel rectangle in the coordinates of OpenEXR: x right, y down, both ends inclusive."""
 
-    Attributes
-    ----------
-    x, y
-        First column and row; negative values are legal.
-    width, height
-        Size in pixels, at least 1.
-    """
-
-    x: int
-    y: int
-    width: int
+    x: int  # first column, may be negative
+    y: int  # first row, may be negative
+    width: int  # pixels, at least 1
     height: int
 
     @property
@@ -43,7 +35,7 @@ class Window:
 
     @property
     def pixels(self) -> int:
-        """How many there are."""
+        """Number of pixels."""
         return self.width * self.height
 
     @property
@@ -52,18 +44,18 @@ class Window:
         return self.x, self.y, self.x + self.width - 1, self.y + self.height - 1
 
     def union(self, other: Window) -> Window:
-        """Smallest window that covers both."""
+        """Return the smallest window that covers both."""
         ax, ay, bx, by = self.corners
         cx, cy, dx, dy = other.corners
         x, y = min(ax, cx), min(ay, cy)
         return Window(x, y, max(bx, dx) - x + 1, max(by, dy) - y + 1)
 
     def covers(self, other: Window) -> bool:
-        """Whether every pixel of `other` lies in this window."""
+        """Return whether every pixel of `other` lies in this window."""
         return self.union(other) == self
 
     def meets(self, other: Window) -> bool:
-        """Whether the two have a pixel in common."""
+        """Return whether the two have a pixel in common."""
         ax, ay, bx, by = self.corners
         cx, cy, dx, dy = other.corners
         return max(ax, cx) <= min(bx, dx) and max(ay, cy) <= min(by, dy)
@@ -74,95 +66,65 @@ class Window:
 
 @dataclass(frozen=True)
 class Image:
-    """Colour of one instant.
+    """Colour of one instant."""
 
-    Attributes
-    ----------
-    pixels
-        float32 [H, W, 3] or [H, W, 4]: scene-linear R, G, B and premultiplied alpha. Values below
-        0 and above 1 are legal; so are NaN and infinities in what a renderer wrote.
-    data_window
-        Where `pixels` lie; H and W are its size.
-    display_window
-        The frame that is meant to be seen.
-    """
-
+    # [H, W, 3 or 4]: scene-linear R, G, B and premultiplied alpha; any value, even NaN
     pixels: Float32
-    data_window: Window
-    display_window: Window
+    data_window: Window  # place of `pixels`
+    display_window: Window  # the frame that is meant to be seen
 
     def on(self, canvas: Window) -> Image:
         """Return the image on another window: cropped, or padded with zeros."""
         return replace(
-            self, pixels=place(self.pixels, self.data_window, canvas), data_window=canvas
+            self, pixels=place_on_canvas(self.pixels, self.data_window, canvas), data_window=canvas
         )
 
 
-SURFACE_PARTS = ("albedo", "specular", "roughness", "metallic")
-"""What a G-buffer tells of materials."""
+SURFACE_PARTS = ("albedo", "specular", "roughness", "metallic")  # the materials of a G-buffer
 
 
 @dataclass(frozen=True)
 class GBuffer:
-    """Geometry of one instant, all arrays on one window; what a renderer did not write is None.
+    """Geometry of one instant, all arrays on one window; None for what a renderer did not write."""
 
-    Attributes
-    ----------
-    window
-        The window that every array covers.
-    depth
-        float32 [H, W], distance along the camera's axis in scene units; +inf is background.
-    normal
-        float32 [H, W, 3], world space, about unit length; 0 is background.
-    position
-        float32 [H, W, 3], world space, scene units; meaningless on background.
-    stencil
-        int32 [H, W], object id: 0 static, above 0 dynamic; negative where ids mix in a pixel.
-    to_previous, to_next
-        float32 [H, W, 2], pixels, +x right, +y down: where this surface point is seen one frame
-        earlier and later, minus where it is seen now. NaN where the renderer's value is unusable.
-    albedo, specular
-        float32 [H, W, 3], scene-linear, 0 to 1, finite: colour of diffuse and of glossy
-        reflection. The albedo of metals is black.
-    roughness, metallic
-        float32 [H, W], 0 to 1.
-    objects
-        int32 [H, W], id of whatever is shown, moving or not, where nothing says what moves: 0
-        background; negative where ids mix in a pixel. Only there without `stencil`.
-    bend
-        float32 [2, H, W, 2], pixels: by how much points are elsewhere, half a frame earlier and
-        half a frame later, than the vectors alone tell; None where nothing turns. See
-        `exwarp_cli.synthesis.trajectory`.
-    """
-
-    window: Window
+    window: Window  # the window that every array covers
+    # [H, W], distance along the camera's axis, scene units; +inf is background
     depth: Float32 | None = None
-    normal: Float32 | None = None
+    normal: Float32 | None = None  # [H, W, 3], world space, about unit length; 0 is background
+    # [H, W, 3], world space, scene units; meaningless on background
     position: Float32 | None = None
+    # [H, W], object id: 0 static, above 0 dynamic; negative where ids mix
     stencil: Int32 | None = None
+    # [H, W, 2] px, +x right, +y down: to the place of this surface point one frame earlier; NaN
+    # where unusable
     to_previous: Float32 | None = None
-    to_next: Float32 | None = None
+    to_next: Float32 | None = None  # the same to one frame later
+    # [H, W, 3], scene-linear, 0 to 1, finite: colour of diffuse reflection; black for metals
     albedo: Float32 | None = None
-    specular: Float32 | None = None
-    roughness: Float32 | None = None
-    metallic: Float32 | None = None
+    specular: Float32 | None = None  # the same of glossy reflection
+    roughness: Float32 | None = None  # [H, W], 0 to 1
+    metallic: Float32 | None = None  # [H, W], 0 to 1
+    # [H, W], id of any object, where nothing says what moves: 0 background; negative where ids mix.
+    # Only without `stencil`.
     objects: Int32 | None = None
+    # [2, H, W, 2] px: offset of points, half a frame earlier and later, from where the vectors
+    # alone lead; None where nothing turns. See `exwarp_cli.synthesis.trajectory`.
     bend: Float32 | None = None
 
     @property
     def has_motion(self) -> bool:
-        """Whether any motion vectors are there."""
+        """True if there are motion vectors."""
         return self.to_previous is not None or self.to_next is not None
 
     @property
     def background(self) -> Bool:
-        """bool [H, W]: pixels that show no surface; none when nothing tells."""
+        """bool [H, W]: pixels that show no surface; none if nothing says so."""
         if self.depth is not None:
             return np.asarray(np.isinf(self.depth))
-        known = self.normal if self.position is None else self.position
-        if known is None:
+        surface = self.normal if self.position is None else self.position
+        if surface is None:
             return np.zeros(self.window.shape, np.bool_)
-        return np.asarray((known == 0).all(axis=-1))
+        return np.asarray((surface == 0).all(axis=-1))
 
     @cached_property
     def turning(self) -> npt.NDArray[np.intp]:
@@ -178,7 +140,8 @@ class GBuffer:
         return replace(self, **missing)
 
     def bare(self) -> GBuffer:
-        """Return motion, depth and ids; all of it where only the rest tells what is background."""
+        """Return motion, depth and ids; all parts if without depth."""
+        # Without depth, the other parts say what is background.
         if self.depth is None:
             return self
         kept = {name: getattr(self, name) for name in ("stencil", "to_previous", "to_next", "bend")}
@@ -190,8 +153,11 @@ class GBuffer:
             return self
 
         def moved(array: np.ndarray | None, fill: float = 0.0) -> np.ndarray | None:
-            return None if array is None else place(array, self.window, canvas, fill)
+            return None if array is None else place_on_canvas(array, self.window, canvas, fill)
 
+        bend = self.bend
+        if bend is not None:
+            bend = np.stack([place_on_canvas(half, self.window, canvas) for half in bend])
         return GBuffer(
             canvas,
             moved(self.depth, np.inf),
@@ -205,32 +171,18 @@ class GBuffer:
             moved(self.roughness),
             moved(self.metallic),
             moved(self.objects),
-            None
-            if self.bend is None
-            else np.stack([place(half, self.window, canvas) for half in self.bend]),
+            bend,
         )
 
 
 @dataclass(frozen=True)
 class KeyFrame:
-    """A rendered frame as synthesis sees it.
+    """A rendered frame as synthesis sees it."""
 
-    Attributes
-    ----------
-    number
-        The frame's number in the input sequence.
-    image
-        Colour; non-finite pixels are as the renderer wrote them.
-    gbuffer
-        Geometry of the same instant, on the same window as `image`; None without AOVs.
-    broken
-        How many pixels of the rendered colour are NaN or infinite; None if they were not counted.
-    """
-
-    number: int
-    image: Image
-    gbuffer: GBuffer | None
-    broken: int | None = None
+    number: int  # in the input sequence
+    image: Image  # non-finite pixels are as the renderer wrote them
+    gbuffer: GBuffer | None  # of the same instant, on the same window; None without AOVs
+    broken: int | None = None  # number of non-finite colour pixels; None if they were not counted
 
     def on(self, canvas: Window) -> KeyFrame:
         """Return the frame on another window."""
@@ -245,17 +197,17 @@ class KeyFrame:
     def extended(self, canvas: Window) -> KeyFrame:
         """Return the frame on another window, for warping.
 
-        Inside the display window, what the data window leaves out is empty, and stays so: it gets
+        Inside the display window, the part beyond the data window is empty, and stays so: it gets
         no motion. Outside, where another frame may have data, it is unknown: NaN, hence a hole. A
-        canvas that leaves out some of the display window is that of a picture's region, beyond
-        which nothing is known at all.
+        canvas that leaves out some of the display window is a region, beyond which nothing is
+        known.
         """
         placed = self.on(canvas)
         if canvas == self.image.data_window:
             return placed
-        around = outside(canvas, self.image.data_window)
+        around = outside_mask(canvas, self.image.data_window)
         display = self.image.display_window
-        beyond = outside(canvas, display) if canvas.covers(display) else np.bool_(True)
+        beyond = outside_mask(canvas, display) if canvas.covers(display) else np.bool_(True)
         pixels = np.where((around & beyond)[..., None], np.float32(np.nan), placed.image.pixels)
         gbuffer = placed.gbuffer
         if gbuffer is not None:
@@ -268,27 +220,27 @@ class KeyFrame:
         return replace(placed, image=replace(placed.image, pixels=pixels), gbuffer=gbuffer)
 
 
-def outside(canvas: Window, window: Window) -> Bool:
-    """bool [H, W] over `canvas`: pixels that `window` does not cover."""
-    return ~place(np.ones(window.shape, np.bool_), window, canvas)
+def outside_mask(canvas: Window, window: Window) -> Bool:
+    """Return the pixels of `canvas` that `window` does not cover, bool [H, W]."""
+    return ~place_on_canvas(np.ones(window.shape, np.bool_), window, canvas)
 
 
-def broken_pixels(pixels: npt.NDArray[np.floating[Any]]) -> Bool:
-    """bool [H, W]: pixels [H, W, C] with a NaN or infinity in any channel, float32 or float16."""
+def nonfinite_pixels(pixels: npt.NDArray[np.floating[Any]]) -> Bool:
+    """Return the pixels [H, W, C] with a NaN or infinity in any channel, bool [H, W]."""
     if pixels.dtype == np.float16:  # whose comparisons take ten times as long as those of its bits
         bits = pixels.view(np.uint16) & np.uint16(0x7FFF)
         return np.asarray((bits >= np.uint16(0x7C00)).any(axis=-1))
-    if are_finite(pixels):
+    if is_surely_finite(pixels):
         return np.zeros(pixels.shape[:2], np.bool_)
     return np.asarray(~np.isfinite(pixels).all(axis=-1))
 
 
-def are_finite(pixels: npt.NDArray[np.floating[Any]]) -> bool:
-    """Whether no channel of pixels [H, W, C] is NaN or infinite, as far as a sum shows it.
+def is_surely_finite(pixels: npt.NDArray[np.floating[Any]]) -> bool:
+    """Return whether no channel of pixels [H, W, C] is NaN or infinite, as far as a sum shows it.
 
-    In a thirtieth of the time that looking at each pixel takes; numbers beyond 1e19, whose squares
-    overflow, and halfs leave it open: False.
+    False also for values beyond 1e19, whose squares overflow, and for halves.
     """
+    # A thirtieth of the time of testing each pixel.
     if pixels.dtype == np.float16:
         return False
     with np.errstate(invalid="ignore", over="ignore"):
@@ -298,11 +250,12 @@ def are_finite(pixels: npt.NDArray[np.floating[Any]]) -> bool:
         return bool(np.isfinite(pixels.sum(dtype=np.float64)))
 
 
-def place(array: np.ndarray, window: Window, canvas: Window, fill: float = 0.0) -> np.ndarray:
-    """Copy an array [H, W, ...] that covers `window` onto `canvas`.
+def place_on_canvas(
+    array: np.ndarray, window: Window, canvas: Window, fill: float = 0.0
+) -> np.ndarray:
+    """Copy an array [H, W, ...] that covers `window` onto `canvas`, with `fill` around.
 
-    Pixels of the canvas outside the window get `fill`; pixels of the window outside the canvas are
-    dropped. The array itself is returned, not a copy, when the windows are equal.
+    The array itself, not a copy, is returned when the windows are equal.
     """
     if window == canvas:
         return array
@@ -320,7 +273,7 @@ def place(array: np.ndarray, window: Window, canvas: Window, fill: float = 0.0) 
 def combine_3x3(values: np.ndarray, combine: np.ufunc, **outside: Any) -> np.ndarray:
     """Combine each of the pixels [H, W, ...] with its eight neighbours, by rows and then columns.
 
-    `outside` says what lies beyond the edges, as for `numpy.pad`.
+    `outside`: what lies beyond the edges, as for `numpy.pad`.
     """
     padded = np.pad(values, ((1, 1), (1, 1), *((0, 0),) * (values.ndim - 2)), **outside)
     rows = combine(combine(padded[:-2], padded[1:-1]), padded[2:])
@@ -328,40 +281,28 @@ def combine_3x3(values: np.ndarray, combine: np.ufunc, **outside: Any) -> np.nda
     return out
 
 
-_most = MOST_PIXELS
+_max_pixels = MOST_PIXELS
 
 
-def allow(pixels: int) -> None:
+def set_max_pixels(pixels: int) -> None:
     """Set how many pixels a frame may have."""
-    global _most
-    _most = pixels
+    global _max_pixels
+    _max_pixels = pixels
 
 
 def require_size(path: Path, height: int, width: int) -> None:
-    """Refuse a frame that says it is larger than allowed.
-
-    Raises
-    ------
-    LayoutError
-        When it does.
-    """
-    if height * width > _most:
+    """Raise LayoutError if a file claims a frame larger than allowed."""
+    if height * width > _max_pixels:
         raise LayoutError(
-            f"{path} says that it is {width}x{height} pixels, more than --max-pixels {_most}; "
-            "render or copy it again if it is not, or allow more"
+            f"{path} says that it is {width}x{height} pixels, more than "
+            f"--max-pixels {_max_pixels}; render or copy it again if it is not, or allow more"
         )
 
 
 def require_canvas(what: object, canvas: Window) -> None:
-    """Refuse windows that lie so far apart that no frame may be as large as what holds them all.
-
-    Raises
-    ------
-    LayoutError
-        When they do.
-    """
-    if canvas.pixels > _most:
+    """Raise LayoutError if the canvas that holds all windows is larger than allowed."""
+    if canvas.pixels > _max_pixels:
         raise LayoutError(
             f"the data and display windows of {what} lie in {canvas.width}x{canvas.height} pixels, "
-            f"more than --max-pixels {_most}; correct them, or allow more"
+            f"more than --max-pixels {_max_pixels}; correct them, or allow more"
         )

@@ -1,4 +1,4 @@
-"""The quality metrics by name, which way they are good, and the limits that a farm sets on them."""
+"""The quality metrics by name, and the limits that a farm sets on them."""
 
 from __future__ import annotations
 
@@ -10,32 +10,15 @@ from exwarp_cli.errors import UsageError
 
 @dataclass(frozen=True)
 class Metric:
-    """What is known of a metric without measuring it.
+    """A metric's name, form and direction."""
 
-    Attributes
-    ----------
-    field
-        Its name in `Score`, in every report and in every table of frames.
-    option
-        Its name on the command line.
-    title
-        For people, with the unit behind it where it has one.
-    digits
-        Decimals that people are shown.
-    more_is_better
-        Whether it says how alike two images are, not how far apart.
-    in_holes
-        Whether it is defined over a part of a frame.
-    signed
-        Whether values go both ways from 0, which is best: limits and ranks take the magnitude.
-    """
-
-    field: str
-    option: str
-    title: str
-    digits: int
-    more_is_better: bool
-    in_holes: bool = True
+    field: str  # its name in `Score`, in every report and in every table of frames
+    option: str  # its name on the command line
+    title: str  # for people, followed by the unit if it has one
+    digits: int  # decimals for people
+    more_is_better: bool  # it says how alike two images are, not how far apart
+    in_holes: bool = True  # it is defined over a part of a frame
+    # Values go both ways from 0, which is best: limits and ranks take the magnitude
     signed: bool = False
 
     @property
@@ -44,7 +27,7 @@ class Metric:
         return self.title.partition(" ")[0]
 
     def text(self, value: float) -> str:
-        """Write a value for people, without the unit."""
+        """Format a value for people, without the unit."""
         return format(value, self.style)
 
     @property
@@ -53,16 +36,17 @@ class Metric:
         return f"{'+' if self.signed else ''}.{self.digits}f"
 
     def with_unit(self, value: float) -> str:
-        """Write a value with its unit behind it."""
+        """Format a value with its unit."""
         return f"{self.text(value)} {self.title.partition(' ')[2]}".rstrip()
 
     def badness(self, value: float) -> float:
-        """Return what is larger the worse a value is."""
+        """Return a number that is larger the worse a value is."""
         if self.signed:
             return abs(value)
         return -value if self.more_is_better else value
 
 
+# in the order in which they are shown
 METRICS = (
     Metric("psnr_db", "psnr", "PSNR dB", 2, more_is_better=True),
     Metric("ssim", "ssim", "SSIM", 4, more_is_better=True),
@@ -72,18 +56,15 @@ METRICS = (
     Metric("flicker", "flicker", "flicker", 3, more_is_better=False),
     Metric("pulse", "pulse", "pulse %", 2, more_is_better=False, in_holes=False, signed=True),
 )
-"""All of them, in the order in which they are shown."""
 
 BY_OPTION = {metric.option: metric for metric in METRICS}
 
 DEFAULT_METRICS = ("psnr_db", "ssim", "flip", "pulse")
-"""What is measured by default."""
 
-WITHOUT_TRUTH = ("pulse",)
-"""What is measured against the key frames where there is no ground truth."""
+WITHOUT_TRUTH = ("pulse",)  # measured against the key frames where there is no ground truth
 
+# What a metric of `WITHOUT_TRUTH` is measured against.
 GROUND_TRUTH, KEY_FRAMES = "ground truth", "key frames"
-"""What a metric of `WITHOUT_TRUTH` is measured against."""
 
 ALL = "all"
 
@@ -91,50 +72,33 @@ ALL = "all"
 def parse_metrics(text: str) -> tuple[str, ...]:
     """Read a list of metrics such as ``psnr,vmaf``, or ``all``.
 
-    Returns
-    -------
-    tuple of str
-        Their names in `Score`, each once, in the order of `METRICS`.
-
-    Raises
-    ------
-    UsageError
-        For a name that is none, and for an empty list.
+    Return names as in `Score`, each once, in the order of METRICS. UsageError: an unknown name, or
+    an empty list.
     """
-    named = [name.strip().lower() for name in text.split(",")]
-    unknown = [name for name in named if name not in (*BY_OPTION, ALL)]
+    names = [name.strip().lower() for name in text.split(",")]
+    unknown = [name for name in names if name not in (*BY_OPTION, ALL)]
     if unknown:
         raise UsageError(
             f"--metrics {text!r} names {unknown[0]!r}, which is no metric; choose out of "
             f"{', '.join(BY_OPTION)}, with commas between, or {ALL}"
         )
-    return tuple(m.field for m in METRICS if ALL in named or m.option in named)
+    return tuple(m.field for m in METRICS if ALL in names or m.option in names)
 
 
 GENERATED = "generated"
 
+# A limit's scope by the prefix of the metric's name: the mean over all frames, over those that
+# their headers call generated, over the holes, or the worst single frame.
 SCOPES = {"": "all", "generated": GENERATED, "holes": "holes", "worst": "worst"}
-"""What a limit may be on, by what stands before the metric's name: the mean over all frames, over
-those that their headers call generated, over the holes, or the worst single frame."""
 
 
 @dataclass(frozen=True)
 class Threshold:
-    """One limit.
-
-    Attributes
-    ----------
-    metric
-        What is limited.
-    scope
-        "all", "generated", "holes" or "worst".
-    limit
-        The worst value that passes; of a signed metric its magnitude.
-    """
+    """A limit on a metric."""
 
     metric: Metric
-    scope: str
-    limit: float
+    scope: str  # "all", "generated", "holes" or "worst"
+    limit: float  # the worst value that passes; of a signed metric its magnitude
 
     @property
     def name(self) -> str:
@@ -148,13 +112,13 @@ class Threshold:
         return "--fail-below" if self.metric.more_is_better else "--fail-above"
 
     def passes(self, value: float) -> bool:
-        """Whether a measured value is good enough; the limit itself is."""
+        """Return whether a value is good enough; the limit itself is."""
         if self.metric.signed:
             return abs(value) <= self.limit
         return value >= self.limit if self.metric.more_is_better else value <= self.limit
 
     def failure(self, value: float) -> str:
-        """Say by which value it is broken."""
+        """Return by which value it is broken."""
         if self.metric.signed:
             return f"{self.name} {value:+.6g} is farther from 0 than {self.limit:g}"
         side = self.option.removeprefix("--fail-")
@@ -164,14 +128,11 @@ class Threshold:
 def parse_threshold(text: str, option: str) -> Threshold:
     """Read a limit such as ``psnr=35``, ``generated.psnr=30`` or ``holes.ssim=0.8``.
 
-    Raises
-    ------
-    UsageError
-        When it is none, or limits the metric from its good side.
+    UsageError: it is none, or limits the metric from its good side.
     """
     name, _, value = text.partition("=")
-    prefix, _, plain = name.strip().lower().rpartition(".")
-    metric = BY_OPTION.get(plain)
+    prefix, _, base = name.strip().lower().rpartition(".")
+    metric = BY_OPTION.get(base)
     if metric is None or prefix not in SCOPES:
         raise UsageError(
             f"{option} {text!r} is no limit; write for example psnr=35, generated.psnr=30, "
@@ -183,18 +144,18 @@ def parse_threshold(text: str, option: str) -> Threshold:
         limit = math.nan
     if not math.isfinite(limit):
         raise UsageError(f"{option} {text!r} has no number behind '='; write for example psnr=35")
-    found = Threshold(metric, SCOPES[prefix], limit)
-    if found.option != option:
+    threshold = Threshold(metric, SCOPES[prefix], limit)
+    if threshold.option != option:
         good = "more" if metric.more_is_better else "less"
         raise UsageError(
-            f"{option} {text!r} would fail good frames and pass bad ones, as {good} {plain} is "
-            f"better; write {found.option} {text}"
+            f"{option} {text!r} would fail good frames and pass bad ones, as {good} {base} is "
+            f"better; write {threshold.option} {text}"
         )
     if metric.signed and limit < 0:
         raise UsageError(
-            f"{option} {text!r} would fail every frame, as the magnitude of {plain} is compared; "
-            f"write {found.name}={-limit:g}"
+            f"{option} {text!r} would fail every frame, as the magnitude of {base} is compared; "
+            f"write {threshold.name}={-limit:g}"
         )
-    if found.scope == "holes" and not metric.in_holes:
-        raise UsageError(f"{option} {text!r} can never be judged: {plain} is one of whole frames")
-    return found
+    if threshold.scope == "holes" and not metric.in_holes:
+        raise UsageError(f"{option} {text!r} can never be judged: {base} is one of whole frames")
+    return threshold

@@ -1,4 +1,4 @@
-"""Motion vectors: the renderer's convention and what was found out about it."""
+"""Motion vectors: the renderer's convention, and what calibration found about it."""
 
 from __future__ import annotations
 
@@ -9,40 +9,29 @@ import numpy as np
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.runtime.frame_pool import pool
 
-MIDDLE, ABOUT = 0.5, 0.01
-"""What stands for no motion in vectors that were clamped to 0 … 1, and how far from it 8 bits may
-put it: 127 / 255, 128 / 255."""
+# What stands for no motion in vectors that were clamped to 0 … 1, and how far from it 8 bits may
+# put it: 127 / 255, 128 / 255.
+STILL_MIDDLE, STILL_TOLERANCE = 0.5, 0.01
 
 
 @dataclass(frozen=True)
 class AxisMap:
     """How a displacement is read from a renderer's raw motion channels.
 
-    The displacement, in pixels, +x right, +y down, is for each axis
-    ``scale * (raw[..., channel] / raw[..., alpha] - still) * raw[..., length]``,
-    where the factors that are None are left out. Where alpha is 0 there is nothing that moves.
-
-    Attributes
-    ----------
-    x_channel, y_channel
-        Indices into the raw motion channels.
-    x_scale, y_scale
-        Signed factors: -1 mirrors an axis, the frame's width undoes a normalisation, and so on.
-    still
-        Value of no motion: 0.5 where vectors were clamped to 0 … 1.
-    length
-        Index of the channel with the vector's length, where the others hold its direction alone.
-    alpha
-        Index of the channel that the others are premultiplied by.
+    The displacement, in pixels, +x right, +y down, is for each axis ``scale * (raw[..., channel] /
+    raw[..., alpha] - still) * raw[..., length]``, where factors that are None are left out. Where
+    alpha is 0 nothing moves.
     """
 
-    x_channel: int
+    x_channel: int  # index into the raw motion channels
     y_channel: int
+    # Signed: -1 mirrors an axis, the frame's width undoes a normalisation, and so on
     x_scale: float
     y_scale: float
-    still: float = 0.0
+    still: float = 0.0  # value of no motion: 0.5 where vectors were clamped to 0 … 1
+    # Index of the channel with the vector's length, if the others hold its direction
     length: int | None = None
-    alpha: int | None = None
+    alpha: int | None = None  # index of the channel that the others are premultiplied by
 
     @property
     def channels(self) -> tuple[int, ...]:
@@ -53,13 +42,12 @@ class AxisMap:
     def apply(self, raw: Float32) -> Float32:
         """Turn raw motion [..., C] into displacements [..., 2] in pixels.
 
-        What is not finite gives NaN, and so does what was clipped, where `still` is the middle of
-        a range from 0 to 1.
+        Non-finite values give NaN, and so do clipped ones, where `still` is the middle of 0 … 1.
         """
         if not self.still and self.length is None and self.alpha is None:
             return self._scaled(raw)
         axes = []
-        clipped = self.length is None and abs(self.still - MIDDLE) < ABOUT
+        clipped = self.length is None and abs(self.still - STILL_MIDDLE) < STILL_TOLERANCE
         pairs = ((self.x_channel, self.x_scale), (self.y_channel, self.y_scale))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             for channel, scale in pairs:
@@ -80,29 +68,27 @@ class AxisMap:
         return out
 
     def _scaled(self, raw: Float32) -> Float32:
-        """Read plain displacements: in a third of the time that passes over the frame take."""
-        from exwarp_cli.kernels import vectors  # numba: not for `exwarp --help`
+        # A third of the time of the passes over the frame in `apply`.
+        from exwarp_cli.kernels import raw_channels  # numba: not for `exwarp --help`
 
         out: Float32 = pool.empty((*raw.shape[:-1], 2), np.float32)
         rows = np.ascontiguousarray(raw, np.float32).reshape(-1, raw.shape[-1])
         scales = np.float32(self.x_scale), np.float32(self.y_scale)
-        vectors.scale_vectors(rows, (self.x_channel, self.y_channel), scales, out.reshape(-1, 2))
+        raw_channels.scale_vectors(
+            rows, (self.x_channel, self.y_channel), scales, out.reshape(-1, 2)
+        )
         return out
 
-    def write(self, displacement: Float32, raw: Float32) -> Float32:
+    def write(
+        self,
+        displacement: Float32,  # [..., 2] px, +x right, +y down
+        raw: Float32,  # [..., C]
+    ) -> Float32:
         """Return raw motion channels that read as these displacements: the inverse of `apply`.
 
-        Parameters
-        ----------
-        displacement
-            float32 [..., 2], pixels, +x right, +y down.
-        raw
-            float32 [..., C]: the channels that this map does not write are kept; its alpha is used.
-
-        Notes
-        -----
-        A direction has length 1; mapped to 0 … 1 it has 0.5 about `still`.
+        Channels of `raw` that this map does not write are kept; its alpha is used.
         """
+        # A direction has length 1; mapped to 0 … 1 it has 0.5 about `still`.
         out = raw.copy()
         values = displacement / np.array([self.x_scale, self.y_scale], np.float32)
         if self.length is not None:
@@ -120,13 +106,13 @@ class AxisMap:
         axes = ((self.x_scale, self.x_channel), (self.y_scale, self.y_channel))
         terms = []
         for (scale, channel), unit in zip(axes, units, strict=True):
-            factor = "" if abs(scale) == 1 else f"{_number(abs(scale))}*"
+            factor = "" if abs(scale) == 1 else f"{_format_number(abs(scale))}*"
             value = channels[channel]
             if self.alpha is not None:
                 value += f"/{channels[self.alpha]}"
             if self.still:
                 sign = "-" if self.still > 0 else "+"
-                value = f"({value}{sign}{_number(abs(self.still))})"
+                value = f"({value}{sign}{_format_number(abs(self.still))})"
             if self.length is not None:
                 value += f"*{channels[self.length]}"
             terms.append(f"{'-' if scale < 0 else ''}{factor}{unit and unit + '*'}{value}")
@@ -135,24 +121,16 @@ class AxisMap:
 
 @dataclass(frozen=True)
 class MotionConvention:
-    """What a renderer's motion channels mean.
+    """The meaning of a renderer's motion channels."""
 
-    Attributes
-    ----------
-    to_previous, to_next
-        How to read the displacement to one frame earlier and later; None where it is not written.
-    of_frame
-        Whether the scales count frame widths and heights, as long as the frame's size is not
-        known; :meth:`sized` turns them into pixels.
-    """
-
+    # How to read the displacement to one frame earlier; None if it is not written
     to_previous: AxisMap | None = None
-    to_next: AxisMap | None = None
-    of_frame: bool = False
+    to_next: AxisMap | None = None  # the same to one frame later
+    of_frame: bool = False  # scales count frame widths and heights; `sized` turns them into pixels
 
     @property
     def count(self) -> int:
-        """How many motion channels it takes."""
+        """Number of motion channels that are used."""
         maps = (m for m in (self.to_previous, self.to_next) if m is not None)
         return 1 + max((index for m in maps for index in m.channels), default=-1)
 
@@ -191,41 +169,25 @@ class MotionConvention:
 
 @dataclass(frozen=True)
 class MotionFinding:
-    """The convention in use, and why.
-
-    Attributes
-    ----------
-    convention
-        What is used.
-    source
-        "calibrated" (measured, and as the channel names say), "corrected" (measured, and other
-        than the names say), "untested" (too little motion to measure) or "given" (by hand).
-    evidence
-        One sentence for a person.
-    error, still_error, runner_up_error
-        Mean reprojection error of the convention, of no motion at all, and of the best convention
-        that differs materially; None where nothing was measured.
-    clear
-        Whether all channels were measured to be what their names say, in both directions, and no
-        other reading comes near: more frames would tell the same.
-    resting
-        Whether nothing moves in the frames that were measured.
-    preset
-        The name that ``--motion`` takes for what was measured; "" without.
-    """
+    """The convention in use, and why."""
 
     convention: MotionConvention
+    # "calibrated" (measured, as the channel names say), "corrected" (measured, other than the names
+    # say), "untested" (too little motion to measure) or "given" (by hand)
     source: str
-    evidence: str
+    evidence: str  # one sentence for people
+    # Mean reprojection error of the convention; None where nothing was measured
     error: float | None = None
-    still_error: float | None = None
-    runner_up_error: float | None = None
+    still_error: float | None = None  # the same of no motion at all
+    runner_up_error: float | None = None  # the same of the best convention that differs materially
+    # All channels were measured to be what their names say, in both directions, without a similar
+    # alternative: more frames would not change the result
     clear: bool = False
-    resting: bool = False
-    preset: str = ""
+    resting: bool = False  # nothing moves in the measured frames
+    preset: str = ""  # name for ``--motion`` of what was measured; "" without
 
 
-def _number(value: float) -> str:
-    """Spell a number so that it reads back as itself."""
+def _format_number(value: float) -> str:
+    # So that it reads back as itself.
     short = f"{value:g}"
     return short if float(short) == value else repr(float(value))

@@ -8,14 +8,11 @@ from enum import Enum
 from fractions import Fraction
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.decision import BLEND, HELD, HOLD, Decision
-from exwarp_cli.domain.extrapolator import INTERPOLATE
-from exwarp_cli.domain.gate import Trial
+from exwarp_cli.domain.decision import BLEND, HELD, HOLD, Decision, Trial
 from exwarp_cli.domain.metric import METRICS
-from exwarp_cli.domain.risk import Risk
-from exwarp_cli.domain.tiles import TileMakers
-from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.domain.network_api import INTERPOLATE
+from exwarp_cli.domain.tiles import Risk, TileMakers
+from exwarp_cli.domain.timeline import FACTOR, Cut
 
 
 class FrameKind(Enum):

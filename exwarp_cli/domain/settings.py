@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
-from exwarp_cli.domain.cuts import AUTO
 from exwarp_cli.domain.metric import DEFAULT_METRICS, METRICS, Threshold
+from exwarp_cli.domain.timeline import AUTO_CUTS
 from exwarp_cli.errors import UsageError
 
 # Pixels of a frame that are read unless more is allowed: 16384x16384.
@@ -46,7 +46,7 @@ class SourceSettings:
     view: str | None = None  # a view's name, or "all"; None: the channel map's, else the hero
     aovs: tuple[str, ...] = ()  # roles in files of their own: ``motion=vec/a.####.exr:R,G``
     channel_map: str | None = None  # TOML file that says which channels hold what
-    cuts: str = AUTO  # where shots begin: "auto", "none", or frames such as "1045,1101"
+    cuts: str = AUTO_CUTS  # where shots begin: "auto", "none", or frames such as "1045,1101"
     dynamic: str | None = None  # what moves, by names in a Cryptomatte's manifest
     max_pixels: int = MOST_PIXELS
     keep_going: bool = False  # whether to skip key intervals whose files are damaged or missing

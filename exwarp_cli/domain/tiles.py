@@ -1,8 +1,10 @@
-"""Choices tile by tile: what makes each part of a frame, and the paper's path of each tile."""
+"""Tiles of a frame: their predicted error (risk), and their makers and paths."""
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,45 +12,99 @@ import numpy as np
 from exwarp_cli.domain.decision import EXTRAPOLATE, PATHS, WARP
 from exwarp_cli.domain.frame import Bool
 
+TILE_ROWS = 8  # tiles from a frame's top to its bottom
+
+# Why a tile is expected to be wrong: light differs on surfaces that both key frames show; at most
+# one key frame shows the surface; surfaces move apart, so that outlines are uncertain.
+REASONS = ("light", "holes", "motion")
+
+CODE_STEPS = 16  # steps of a tile's error to its doubling: it is kept to 4 %
+
+_TILE_CODE = re.compile(r"([a-z])([0-9a-f]{2})")
+
+
+@dataclass(frozen=True)
+class Risk:
+    """The predicted error of one frame, and of its tiles."""
+
+    error: float  # predicted RMS error of the frame, display levels of 0 to 255
+    columns: int  # tiles of the display window; see `tile_edges`
+    rows: int
+    codes: tuple[int, ...]  # of the tiles' predicted RMS errors, row by row; see `encode_level`
+    reasons: tuple[int, ...]  # of the tiles: indices into REASONS
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Predicted RMS error of each tile, display levels of 0 to 255."""
+        return tuple(decode_level(code) for code in self.codes)
+
+    @property
+    def text(self) -> str:
+        """Return the tiles on one line: ``14x8:l1fh40…``, a reason's first letter and a code."""
+        tiles = (f"{REASONS[w][0]}{c:02x}" for w, c in zip(self.reasons, self.codes, strict=True))
+        return f"{self.columns}x{self.rows}:{''.join(tiles)}"
+
+    @classmethod
+    def parsed(cls, error: float, text: str) -> Risk:
+        """Read `text` again; ValueError if it is no such text."""
+        size, _, tiles = text.partition(":")
+        columns, rows = map(int, size.split("x"))
+        codes = _TILE_CODE.findall(tiles)
+        letters = [reason[0] for reason in REASONS]
+        if len(codes) != columns * rows or 3 * len(codes) != len(tiles):
+            raise ValueError(f"{text!r} has other tiles than it says")
+        reasons = tuple(letters.index(letter) for letter, _ in codes)
+        return cls(float(error), columns, rows, tuple(int(c, 16) for _, c in codes), reasons)
+
+
+def encode_level(level: float) -> int:
+    """Return a tile's error, 0 to 255, as an integer number of steps, 0 to 128."""
+    return round(CODE_STEPS * math.log2(1 + min(max(level, 0.0), 255.0)))
+
+
+def decode_level(code: int) -> float:
+    """Invert `encode_level`, except for rounding."""
+    return float(2 ** (code / CODE_STEPS) - 1)
+
+
+def count_columns(width: int, height: int) -> int:
+    """Return the number of columns of nearly square tiles."""
+    return max(1, round(TILE_ROWS * width / height))
+
+
+def tile_edges(size: int, parts: int) -> Sequence[int]:
+    """Return where tiles begin along a side, and where the last one ends, in pixels."""
+    return [i * size // parts for i in range(parts + 1)]
+
+
+# Maker of a tile beside W and E: W of the slot before, which shows E there (path S4).
 REWARP = "rewarp"
-"""What makes a tile beside W and E: W of the slot before, which shows E there (path S4)."""
 
-LETTERS = {WARP: "w", EXTRAPOLATE: "e", REWARP: "r"}
-"""Of each maker, as headers and tables keep it."""
+# Letters of the makers in headers and tables.
+MAKER_LETTERS = {WARP: "w", EXTRAPOLATE: "e", REWARP: "r"}
 
+# Paths of tiles, S3 to S6: d1 warps, as a repeated frame gains nothing.
 TILE_PATHS = tuple(name for name, path in PATHS.items() if path.made_by[0] == WARP)
-"""Paths that a tile may take, S3 to S6: d1 warps, as nothing is gained by a repeated frame."""
 
-TILE_STATE = "tiles/1"
-"""Version of what a policy of tiles sees; its metadata have it as ``state``."""
+TILE_STATE = "tiles/1"  # version of the inputs of a tile policy; ``state`` in its metadata
 
+# The policy's inputs for a tile, in place of the paper's six features of a frame. holes, outlines:
+# shares of pixels that the key frame does not show, and that show a ghost outline. Var_x, Var_y:
+# variances of its motion's components, squared pixels a key interval. light, motion: mean squared
+# difference, in squared display levels, by which the key frame before predicts this one, away from
+# edges of moving surfaces and beside them.
 TILE_FEATURES = ("holes", "outlines", "Var_x", "Var_y", "light", "motion")
-"""What a policy sees of a tile, in place of the paper's six features of a frame.
 
-holes, outlines: shares of its pixels that the key frame does not show, and that show the outline of
-a surface which was there. Var_x, Var_y: variances of the components of its motion, squared pixels
-a key interval. light, motion: mean squared difference, in squared display levels, by which the key
-frame before predicts this one, beside no edge of moving surfaces and beside one.
-"""
-
-_TEXT = re.compile(r"([1-9][0-9]*)x([1-9][0-9]*):([wer]+)")
+_MAKERS_TEXT = re.compile(r"([1-9][0-9]*)x([1-9][0-9]*):([wer]+)")
 
 
 @dataclass(frozen=True)
 class TileMakers:
-    """What makes each tile of one frame.
+    """The maker of each tile of one frame."""
 
-    Attributes
-    ----------
-    columns, rows
-        How many tiles the display window is divided into; see `exwarp_cli.domain.risk.edges`.
-    letters
-        Of each tile, row by row: out of `LETTERS`.
-    """
-
-    columns: int
+    columns: int  # tiles of the display window; see `tile_edges`
     rows: int
-    letters: str
+    letters: str  # of the tiles, row by row: out of MAKER_LETTERS
 
     @property
     def text(self) -> str:
@@ -58,36 +114,28 @@ class TileMakers:
     @classmethod
     def parsed(cls, text: str) -> TileMakers:
         """Read `text` again; raises ValueError when it is no such text."""
-        found = _TEXT.fullmatch(text)
+        found = _MAKERS_TEXT.fullmatch(text)
         if found is None or int(found[1]) * int(found[2]) != len(found[3]):
             raise ValueError(f"{text!r} says nothing of tiles")
         return cls(int(found[1]), int(found[2]), found[3])
 
     def made_by(self, maker: str) -> Bool:
-        """Return which tiles a maker makes, bool [rows, columns]."""
+        """Return the tiles of a maker, bool [rows, columns]."""
         letters = np.array(list(self.letters)).reshape(self.rows, self.columns)
-        return np.asarray(letters == LETTERS[maker])
+        return np.asarray(letters == MAKER_LETTERS[maker])
 
     def share(self, maker: str) -> float:
-        """Return the share of the tiles that a maker makes, 0 to 1."""
-        return self.letters.count(LETTERS[maker]) / len(self.letters)
+        """Return the share of a maker's tiles, 0 to 1."""
+        return self.letters.count(MAKER_LETTERS[maker]) / len(self.letters)
 
 
 @dataclass(frozen=True)
 class TilePlan:
-    """The path that each tile takes through a key interval.
+    """The path of each tile through a key interval."""
 
-    Attributes
-    ----------
-    columns, rows
-        As `TileMakers` has them.
-    paths
-        Out of `TILE_PATHS`, row by row.
-    """
-
-    columns: int
+    columns: int  # as in `TileMakers`
     rows: int
-    paths: tuple[str, ...]
+    paths: tuple[str, ...]  # out of TILE_PATHS, row by row
 
     @classmethod
     def fixed(cls, columns: int, rows: int, path: str) -> TilePlan:
@@ -100,20 +148,21 @@ class TilePlan:
         return any(PATHS[name].extrapolates for name in self.paths)
 
     def makers(self, slot: int) -> TileMakers:
-        """Return what makes each tile of a slot, 1 to 3."""
-        letters = {name: LETTERS[_maker(name, slot)] for name in TILE_PATHS}
+        """Return the makers of the tiles of a slot, 1 to 3."""
+        letters = {name: MAKER_LETTERS[_tile_maker(name, slot)] for name in TILE_PATHS}
         return TileMakers(self.columns, self.rows, "".join(letters[name] for name in self.paths))
 
 
-def _maker(path: str, slot: int) -> str:
-    """Return what makes a tile of a slot on a path."""
+def _tile_maker(path: str, slot: int) -> str:
     makers = PATHS[path].made_by
     if slot == 3 and makers[1:] == (EXTRAPOLATE, WARP):
         return REWARP
     return makers[slot - 1]
 
 
-def paths_of(second: TileMakers, third: TileMakers) -> tuple[str, ...]:
-    """Return the path of each tile from what made slots 2 and 3; raises KeyError for no path."""
-    pairs = {(LETTERS[_maker(p, 2)], LETTERS[_maker(p, 3)]): p for p in TILE_PATHS}
+def paths_from_makers(second: TileMakers, third: TileMakers) -> tuple[str, ...]:
+    """Return the path of each tile by the makers of slots 2 and 3; KeyError for no path."""
+    pairs = {
+        (MAKER_LETTERS[_tile_maker(p, 2)], MAKER_LETTERS[_tile_maker(p, 3)]): p for p in TILE_PATHS
+    }
     return tuple(pairs[pair] for pair in zip(second.letters, third.letters, strict=True))

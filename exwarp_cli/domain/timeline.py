@@ -1,10 +1,10 @@
-"""Which frames there are and how they are numbered: key frames, slots, selections."""
+"""Frame numbers, slots, selections and rates; and cuts, where shots begin."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -12,55 +12,34 @@ from typing import Any
 
 from exwarp_cli.errors import MissingFrameError, UsageError
 
+# Default output frames per key frame: the paper goes from 30 to 120 fps. Its decisions, and so the
+# policy and the extrapolators, are for this factor alone.
 FACTOR = 4
-"""Output frames per key frame where nothing else is asked for: the paper goes from 30 to 120 fps.
-Its decisions, and so the policy and the networks that extrapolate, are for this factor alone."""
 
-MOST = 8
-"""The largest factor."""
+MAX_FACTOR = 8
 
-MOST_FILLED = 100_000
-"""Frames up to which a sequence is filled: the gap before a stray number may be millions."""
+# Frames up to which a sequence is filled: the gap before a stray number may be millions.
+MAX_FILLED = 100_000
 
 
 @dataclass(frozen=True, order=True)
 class Slot:
-    """An output instant: a key frame's own, or one of those between it and the next key frame.
+    """An output instant: a key frame's own, or one between it and the next key frame."""
 
-    Attributes
-    ----------
-    key
-        Index of the key frame in the whole sequence, from 0.
-    index
-        0 for the key frame itself; 1, 2 … for the output instants after it. At the usual factor
-        those are 1 to 3, at k + i/4.
-    """
-
-    key: int
-    index: int
+    key: int  # index of the key frame in the whole sequence, from 0
+    index: int  # 0 for the key frame itself; 1, 2 … for the instants after it
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """Numbering of a whole sequence and of what is written for it.
+    """Numbering of a whole sequence and of its output."""
 
-    Attributes
-    ----------
-    numbers
-        Input numbers of all key frames, ascending, in constant steps.
-    start
-        Number of the first output frame.
-    tail
-        Whether slots are predicted past the last key frame.
-    factor
-        Output frames per key frame, above 1. Output instant j lies at j / factor key intervals, so
-        where the factor is no whole number most key frames are no output instants: of 24 fps
-        brought to 60 every other one is.
-    """
-
-    numbers: tuple[int, ...]
-    start: int
-    tail: bool = True
+    numbers: tuple[int, ...]  # input numbers of all key frames, ascending, in constant steps
+    start: int  # number of the first output frame
+    tail: bool = True  # slots are predicted past the last key frame
+    # Output frames per key frame, above 1. Output instant j is at j / factor key intervals. Unless
+    # the factor is an integer, most key frames are no output instants: every other one of 24 fps
+    # brought to 60.
     factor: Fraction = Fraction(FACTOR)
 
     @classmethod
@@ -74,13 +53,10 @@ class Timeline:
         """Build the timeline of a sequence with these frame numbers.
 
         Frames numbered in steps of one are spread out from the first number on; frames numbered in
-        steps of the factor have their gaps filled. Both come to the same: the first number, and
-        one more for each output instant.
+        steps of the factor have their gaps filled. Both come to the same: the first number, and one
+        more for each output instant.
 
-        Raises
-        ------
-        MissingFrameError
-            When the steps between the numbers are not all equal.
+        MissingFrameError: the steps between the numbers are not all equal.
         """
         ordered = sorted(set(numbers))
         if not ordered:
@@ -88,27 +64,28 @@ class Timeline:
         step = min((b - a for a, b in pairwise(ordered)), default=1)
         if gaps := [(a, b) for a, b in pairwise(ordered) if b - a != step]:
             raise MissingFrameError(
-                f"frame {_missing(gaps, step)} is missing from the sequence {ranges(ordered)}; "
-                "render it, or move the frames on one side of the gap elsewhere"
+                f"frame {_name_missing(gaps, step)} is missing from the sequence "
+                f"{ranges(ordered)}; render it, or move the frames on one side of the gap "
+                "elsewhere"
             )
         first = ordered[0] if start is None else start
         return cls(tuple(ordered), first, tail, Fraction(factor))
 
     @property
     def steps(self) -> int | None:
-        """The factor where it is a whole number, else None: key frames are output instants then."""
+        """The factor if it is an integer, else None; then all key frames are output instants."""
         return self.factor.numerator if self.factor.denominator == 1 else None
 
     def order(self, slot: Slot) -> int:
-        """Position of a slot among all output instants of the whole sequence, from 0."""
+        """Return the position of a slot among all output instants, from 0."""
         return math.floor(slot.key * self.factor) + slot.index
 
     def number(self, slot: Slot) -> int:
-        """Output number of a slot."""
+        """Return the output number of a slot."""
         return self.start + self.order(slot)
 
     def time(self, slot: Slot) -> Fraction:
-        """Fraction of the key interval at which a slot lies, 0 <= time < 1."""
+        """Return the time of a slot in its key interval, 0 <= time < 1."""
         return self.order(slot) / self.factor - slot.key if slot.index else Fraction(0)
 
     def between(self, key: int) -> tuple[Slot, ...]:
@@ -117,28 +94,24 @@ class Timeline:
         return tuple(Slot(key, i) for i in range(1, count + 1))
 
     def shows(self, key: int) -> bool:
-        """Whether a key frame is an output instant itself."""
+        """Return whether a key frame is an output instant itself."""
         return (key * self.factor).denominator == 1
 
     def slots_of(self, key: int) -> tuple[Slot, ...]:
-        """Return the slots that key frame `key` (an index) brings forth, in order."""
+        """Return the slots of key frame `key` (an index), in order."""
         last = key == len(self.numbers) - 1
         itself = (Slot(key, 0),) if self.shows(key) else ()
         return itself if last and not self.tail else (*itself, *self.between(key))
 
     def made_of(self, key: int) -> tuple[Slot, ...]:
-        """Return those of them that are made, without the key frame itself."""
+        """Return the slots of key frame `key` without the key frame itself."""
         return tuple(slot for slot in self.slots_of(key) if slot.index)
 
     def select(self, frames: str | None) -> tuple[int, ...]:
-        """Indices of the key frames that a frame range names; all of them for None.
+        """Return the indices of the key frames that a frame range names; all of them for None.
 
-        Raises
-        ------
-        UsageError
-            When the range does not parse.
-        MissingFrameError
-            When it names a frame that the sequence does not have.
+        UsageError: the range does not parse. MissingFrameError: it names a frame that the
+        sequence does not have.
         """
         if frames is None:
             return tuple(range(len(self.numbers)))
@@ -153,61 +126,46 @@ class Timeline:
         return tuple(index[number] for number in wanted)
 
 
-def without_gaps(numbers: Iterable[int]) -> tuple[int, ...]:
-    """Return frame numbers with those that are missing between them, ascending.
+def fill_gaps(numbers: Iterable[int]) -> tuple[int, ...]:
+    """Return frame numbers, ascending, with the missing ones between them.
 
-    They are returned as they are where their steps are no multiples of the smallest one, or where
-    more than `MOST_FILLED` would come of it: then `Timeline.of` says what is missing.
+    Unchanged where steps are no multiples of the smallest one, or where more than MAX_FILLED would
+    result: then `Timeline.of` reports what is missing.
     """
     ordered = sorted(set(numbers))
     step = min((b - a for a, b in pairwise(ordered)), default=1)
     if any((b - a) % step for a, b in pairwise(ordered)):
         return tuple(ordered)
     full = range(ordered[0], ordered[-1] + 1, step) if ordered else range(0)
-    return tuple(full) if len(full) <= max(MOST_FILLED, len(ordered)) else tuple(ordered)
+    return tuple(full) if len(full) <= max(MAX_FILLED, len(ordered)) else tuple(ordered)
 
 
 def parse_frames(text: str) -> list[int]:
     """Parse a frame range such as ``1001-1100``, ``1-10x2``, ``1-10:2`` or ``1,5,9-12``.
 
-    ``:`` means a step, as in Open Job Description, the same as ``x``.
-
-    Returns
-    -------
-    list of int
-        Sorted, without duplicates.
-
-    Raises
-    ------
-    UsageError
-        When the text is not a frame range.
+    Numbers are sorted, without duplicates. ``:`` means a step, as in Open Job Description.
+    UsageError: the text is not a frame range.
     """
     try:
-        found = listed(text)
+        frames = list_numbers(text)
     except ValueError as error:
         raise UsageError(
             f"--frames {text!r} is not a frame range; write for example 1001-1100, 1-10x2 or 1,5,9"
         ) from error
-    if not found:
+    if not frames:
         raise UsageError(
             f"--frames {text!r} names no frame; write for example 1001-1100, 1-10x2 or 1,5,9"
         )
-    if fractions := [str(number) for number in found if number != int(number)]:
+    if fractions := [str(number) for number in frames if number != int(number)]:
         raise UsageError(
             f"--frames {text!r} names the subframe {fractions[0]}; "
             "key frames have whole numbers, and the slots between them come by themselves"
         )
-    return sorted({int(number) for number in found})
+    return sorted({int(number) for number in frames})
 
 
-def listed(text: str) -> list[Any]:
-    """List the numbers of a frame range, whole or not; ``:`` means a step, the same as ``x``.
-
-    Raises
-    ------
-    ValueError
-        When the text is not a frame range.
-    """
+def list_numbers(text: str) -> list[Any]:
+    """List the numbers of a frame range, whole or not; ValueError if it is none."""
     if re.search(r"\d\s+\d", text):
         raise ValueError(f"no comma between two numbers of {text!r}")  # one would be made of both
     plain = re.fullmatch(r"\s*(\d{1,5})\s*(?:-\s*(\d{1,5})\s*)?", text, re.ASCII)
@@ -231,8 +189,8 @@ def ranges(numbers: Collection[int]) -> str:
     return str(FrameSet(ordered))
 
 
-def _missing(gaps: list[tuple[int, int]], step: int) -> str:
-    """Name the missing frames by their ends: a list could be as long as the largest number."""
+def _name_missing(gaps: list[tuple[int, int]], step: int) -> str:
+    # By their ends: a list could be as long as the largest number.
     named = []
     for before, after in gaps:
         count = (after - before - 1) // step
@@ -241,37 +199,28 @@ def _missing(gaps: list[tuple[int, int]], step: int) -> str:
     return ",".join(named)
 
 
-NEAR = Fraction(2, 10_000)
-"""Relative distance at which a rate counts as a standard one: 23.98 is 24000/1001, not 24."""
+# Relative distance at which a rate counts as a standard one: 23.98 is 24000/1001, not 24.
+RATE_TOLERANCE = Fraction(2, 10_000)
 
-BROADCAST = Fraction(1000, 1001)
-"""How much slower than a whole number the rates of NTSC television are."""
+NTSC_RATIO = Fraction(1000, 1001)  # NTSC rates are whole numbers times this
 
-FINEST, LARGEST = 10**6, 2**27
-"""Largest denominator and numerator of a rate that is read: eight times it, or a part of it, still
-fits OpenEXR's 32-bit integers."""
+# Largest denominator and numerator of a rate that is read: eight times it, or a part of it, still
+# fits OpenEXR's 32-bit integers.
+MAX_DENOMINATOR, MAX_NUMERATOR = 10**6, 2**27
 
 
 @dataclass(frozen=True)
 class OutputRate:
-    """Frames per second of an output.
+    """Frames per second of an output."""
 
-    Attributes
-    ----------
-    fps
-        What a video has.
-    written
-        What headers of frames say; None where the rate is only assumed.
-    """
-
-    fps: Fraction
-    written: Fraction | None
+    fps: Fraction  # that of a video
+    written: Fraction | None  # that of frames' headers; None where the rate is only assumed
 
 
-def parsed_rate(value: Any) -> Fraction | None:
-    """Return the rate that an attribute holds: rational, int, float, double or text.
+def parse_rate(value: Any) -> Fraction | None:
+    """Return the rate of an attribute, rational, int, float, double or text; see `standard_rate`.
 
-    None for what is no positive number of a possible size; see :func:`standard_rate`.
+    None if it is no positive number of a possible size.
     """
     if getattr(value, "size", 0) == 1:  # how OpenEXR's bindings have a double: an array
         value = value.item()
@@ -281,31 +230,88 @@ def parsed_rate(value: Any) -> Fraction | None:
         rate = Fraction(value.strip() if isinstance(value, str) else value)
     except (ValueError, ArithmeticError):  # no number, NaN, infinity, or over 0
         return None
-    return standard_rate(rate) if Fraction(1, FINEST) <= rate <= LARGEST else None
+    return standard_rate(rate) if Fraction(1, MAX_DENOMINATOR) <= rate <= MAX_NUMERATOR else None
 
 
 def standard_rate(rate: Fraction) -> Fraction:
-    """Return the standard rate that one stands for, else the rate itself, simplified.
+    """Return the standard rate within RATE_TOLERANCE, else the rate itself, simplified.
 
-    Standard are whole numbers, and these times 1000/1001 as NTSC television has them.
+    Standard are integers, and these times 1000/1001 (NTSC).
     """
     whole = Fraction(max(round(rate), 1))
-    for standard in (whole, whole * BROADCAST):
-        if abs(rate - standard) <= NEAR * standard:
+    for standard in (whole, whole * NTSC_RATIO):
+        if abs(rate - standard) <= RATE_TOLERANCE * standard:
             return standard
-    return rate.limit_denominator(min(FINEST, max(1, int(LARGEST / rate))))
+    return rate.limit_denominator(min(MAX_DENOMINATOR, max(1, int(MAX_NUMERATOR / rate))))
 
 
 def compatible_rate(base: Fraction, target: Fraction) -> Fraction:
-    """Return the rate within 0.1 % of `target` at which most key frames are output instants.
-
-    From 24000/1001 to 60 fps only one key frame in a thousand is an output instant; to 60000/1001
-    every other one is. The target itself is kept where nothing is gained.
-    """
-    rates = (target, target * BROADCAST, target / BROADCAST)
+    """Return the rate within 0.1 % of `target` at which most key frames are output instants."""
+    # From 24000/1001 to 60 fps only one key frame in a thousand is an output instant; to 60000/1001
+    # every other one is. The target is kept where nothing is gained.
+    rates = (target, target * NTSC_RATIO, target / NTSC_RATIO)
     return min(rates, key=lambda rate: (rate / base).denominator)
 
 
 def number_step(numbers: Iterable[int]) -> int:
-    """Return the step in which a sequence's frames are numbered; 1 for a single frame."""
+    """Return the step of a sequence's frame numbers; 1 for a single frame."""
     return min((b - a for a, b in pairwise(sorted(set(numbers)))), default=1)
+
+
+# Words of ``--cuts``: search cuts, and do not.
+AUTO_CUTS, NO_CUTS = "auto", "none"
+
+_EXAMPLE = (
+    f"write {AUTO_CUTS}, {NO_CUTS}, or the first frame of each new shot, for example 1045,1101"
+)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A cut, by the key frame after it."""
+
+    number: int  # input number of the first key frame of the new shot
+    source: str  # "given" by hand, or "detected"
+
+
+@dataclass(frozen=True)
+class CutOption:
+    """The parsed ``--cuts`` option."""
+
+    detect: bool = True  # cuts are searched
+    numbers: tuple[int, ...] = ()  # input numbers of key frames that begin a shot, ascending
+
+    def starts_in(self, sequence: Sequence[int]) -> frozenset[int]:
+        """Return the indices of the key frames before which a cut is given; the first is allowed.
+
+        `sequence`: input numbers of all key frames, ascending. MissingFrameError: it lacks a named
+        frame.
+        """
+        index = {number: i for i, number in enumerate(sequence)}
+        if absent := [number for number in self.numbers if number not in index]:
+            raise MissingFrameError(
+                f"frame {ranges(absent)} of --cuts is not in the sequence, which has "
+                f"{ranges(list(sequence))}; name the first key frame of each new shot"
+            )
+        return frozenset(index[number] for number in self.numbers) - {0}
+
+
+def parse_cuts(text: str) -> CutOption:
+    """Read the ``--cuts`` option: ``auto``, ``none``, or numbers of first frames.
+
+    With numbers nothing is searched, unless ``auto`` is among them. UsageError: the text is
+    neither.
+    """
+    words = [word.strip().lower() for word in text.split(",")]
+    if words == [NO_CUTS]:
+        return CutOption(detect=False)
+    named = ",".join(word for word in words if word != AUTO_CUTS)
+    if not named and AUTO_CUTS in words:
+        return CutOption()
+    try:
+        frames = list_numbers(named)
+    except ValueError as error:
+        raise UsageError(f"--cuts {text!r} is not understood; {_EXAMPLE}") from error
+    if not frames or any(number != int(number) for number in frames):
+        raise UsageError(f"--cuts {text!r} names no whole frame; {_EXAMPLE}")
+    return CutOption(AUTO_CUTS in words, tuple(sorted({int(number) for number in frames})))

@@ -23,7 +23,7 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.results import RunOutcome, RunSummary
 from exwarp_cli.domain.settings import ClusterSettings
 from exwarp_cli.domain.timeline import Slot, ranges
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import ClusterError, UsageError
 from exwarp_cli.farm.dask_client import connected, require_dask, threads_per_worker
 from exwarp_cli.farm.dask_worker import (
@@ -98,7 +98,7 @@ def _run(
         divided = chunks_of(job.keys, where, workers)
         job.announce(progress)
         spread = _spread(where, workers, job.settings.threads)
-        progress.message(f"{counted(len(divided), 'chunk')} for {spread}")
+        progress.message(f"{pluralise(len(divided), 'chunk')} for {spread}")
         begin = time.perf_counter()
         progress.start(len(job.slots), kinds_of(job.slots), workers)
         stack.callback(progress.finish)
@@ -178,9 +178,9 @@ def chunks_of(
 def _spread(where: ClusterSettings, workers: int, threads: int | None) -> str:
     """Describe the workers, for a message."""
     if where.address is not None:
-        return f"{counted(workers, 'worker')} of {where.address}"
-    each = counted(threads_per_worker(workers, threads), "thread")
-    return f"{counted(workers, 'worker')} on this machine, {each} each"
+        return f"{pluralise(workers, 'worker')} of {where.address}"
+    each = pluralise(threads_per_worker(workers, threads), "thread")
+    return f"{pluralise(workers, 'worker')} on this machine, {each} each"
 
 
 def _require_frames(job: Job) -> None:

@@ -9,9 +9,9 @@ from enum import Enum
 from itertools import pairwise
 from pathlib import Path
 
-from exwarp_cli.domain.line import misleads, printable
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import ranges
+from exwarp_cli.domain.wording import has_control_chars, printable
 from exwarp_cli.errors import UsageError
 from exwarp_cli.farm.path_options import PathOption, locate, names_files
 from exwarp_cli.io.channel_map import parse_aovs, read_channel_map
@@ -177,7 +177,7 @@ def shell_line(words: Sequence[str]) -> str:
     UsageError
         When a word has a line end or another control character.
     """
-    if misleading := [word for word in words if misleads(word)]:
+    if misleading := [word for word in words if has_control_chars(word)]:
         raise UsageError(
             f"{printable(misleading[0])} has a line end or control character in it, which no line "
             "of a shell should have; rename it, or take --json"

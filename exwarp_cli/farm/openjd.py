@@ -20,8 +20,7 @@ from typing import Any
 import yaml
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.line import misleads
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import has_control_chars, pluralise
 from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.farm.farm_job import Argument, FarmJob, Placeholder, frames_text, is_dense, split
 from exwarp_cli.farm.path_options import DataFlow, PathOption
@@ -92,8 +91,8 @@ def job_template(job: FarmJob, workers: Workers, folder: Path | None) -> JobTemp
     else:
         all_frames, space = _chunked_frames(job, workers, parameters)
     steps = _steps(job, workers, parameters, all_frames, space)
-    chunks = counted(len(split(job.numbers, size)), "chunk")
-    frame_count = counted(len(job.numbers), "key frame")
+    chunks = pluralise(len(split(job.numbers, size)), "chunk")
+    frame_count = pluralise(len(job.numbers), "key frame")
     document = {
         "specificationVersion": SPECIFICATION,
         **({} if workers.plain else {"extensions": [CHUNKING]}),
@@ -322,7 +321,7 @@ def yaml_text(document: Data) -> str:
 
     text = dump(allow_unicode=True)
     # Invisible characters, such as marks that turn the direction of a line, are escaped.
-    return dump(allow_unicode=False) if misleads(text.replace("\n", "")) else text
+    return dump(allow_unicode=False) if has_control_chars(text.replace("\n", "")) else text
 
 
 def write_bundle(folder: Path, template: JobTemplate) -> None:

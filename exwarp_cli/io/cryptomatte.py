@@ -34,7 +34,7 @@ from exwarp_cli.domain.frame import Float32, Int32
 from exwarp_cli.errors import DamagedFileError, LayoutError, UsageError
 from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr.header import Channel
-from exwarp_cli.kernels import ranked
+from exwarp_cli.kernels import raw_channels
 
 # The only hash and the only conversion that the specification knows.
 HASH, CONVERSION = "MurmurHash3_32", "uint32_to_float32"
@@ -247,7 +247,7 @@ def surface_ids(ranks: Float32, rounded: bool = False) -> Int32:
     """
     bits, shares = _bits_and_shares(ranks)
     ids = np.empty(bits.shape[:2], np.int32)
-    ranked.write_surfaces(bits, shares, LEAD, rounded, ids)
+    raw_channels.write_dominant_ids(bits, shares, LEAD, rounded, ids)
     return ids
 
 
@@ -260,7 +260,7 @@ def dynamic_stencil(ranks: Float32, dynamic: Collection[int], rounded: bool = Fa
     bits, shares = _bits_and_shares(ranks)
     ids = np.empty(bits.shape[:2], np.int32)
     moving = np.array(sorted(dynamic), np.int32)
-    ranked.write_moving(bits, shares, LEAD, rounded, moving, ids)
+    raw_channels.write_moving_ids(bits, shares, LEAD, rounded, moving, ids)
     return ids
 
 
@@ -276,19 +276,19 @@ def refine_ids_by_depth(ids: Int32, depth: Float32) -> Int32:
     # centres 38.27 dB, 35.00; shares alone 38.18, 34.92; so 38.25, 34.98. A `LEAD` of 0.3 or 0.6
     # instead gave 37.78, 34.85 and 37.05, 34.55: edges got wider, and found no inside.
     refined = np.empty_like(ids)
-    ranked.write_by_depth(ids, depth, refined)
+    raw_channels.write_ids_by_depth(ids, depth, refined)
     return refined
 
 
 def surface_id(bits: int, rounded: bool = False) -> int:
     """Return the id that `surface_ids` gives to the bits of a hash."""
-    return int(ranked.identity(np.uint32(bits), rounded))
+    return int(raw_channels.decode_id(np.uint32(bits), rounded))
 
 
 def require_lossless_ids(ranks: Float32, where: str) -> None:
     """Refuse ids that a lossy step has destroyed: half floats or DWA compression."""
     bits = _bits_and_shares(ranks)[0][..., 0].ravel()
-    bits = bits[(bits & ranked.MAGNITUDE) != 0]
+    bits = bits[(bits & raw_channels.MAGNITUDE) != 0]
     distinct = np.unique(bits[:: max(1, bits.size // SAMPLES)])
     exponent = distinct & EXPONENT
     # No bits beyond those of a half, or an exponent that no id has. One id in 8,192 is like that by

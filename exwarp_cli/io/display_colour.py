@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.colour import SRGB
 from exwarp_cli.domain.frame import Float32, UInt8
 
 UInt16 = npt.NDArray[np.uint16]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.colour import SRGB
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import InputError, LayoutError

@@ -16,8 +16,8 @@ from exwarp_cli.domain.frame import (
     Int32,
     KeyFrame,
     Window,
-    outside,
-    place,
+    outside_mask,
+    place_on_canvas,
 )
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
@@ -152,11 +152,11 @@ class _Planes:
             pixels = join_planes(members)
             if count or window != canvas:
                 self.broken[role.value] = count_nonfinite((pixels,), role)
-            return place(pixels, window, canvas, fill)
+            return place_on_canvas(pixels, window, canvas, fill)
         self.broken[role.value] = count_nonfinite(members, role)
         return join_planes(
             [
-                place(plane, self.windows[ref], canvas, fill)
+                place_on_canvas(plane, self.windows[ref], canvas, fill)
                 for ref, plane in zip(refs, members, strict=True)
             ]
         )
@@ -183,7 +183,7 @@ def _geometry(planes: _Planes, shot: Shot, canvas: Window) -> GBuffer:
         ref = planes.refs[Role.STENCIL][0]
         plane = planes.planes[ref]
         planes.broken[Role.STENCIL.value] = count_nonfinite((plane,), Role.STENCIL)
-        stencil = place(clean_stencil(plane), planes.windows[ref], canvas)
+        stencil = place_on_canvas(clean_stencil(plane), planes.windows[ref], canvas)
     depth, is_normal_finite = None, False
     if written_depth is not None:
         depth, is_normal_finite = clean_depth(shot.depth.distance(written_depth[..., 0]), normal)
@@ -216,7 +216,7 @@ def _position(planes: _Planes, canvas: Window, depth: Float32 | None) -> Float32
     window = planes.windows[planes.refs[Role.POSITION][0]]
     if window.covers(canvas):
         return position
-    unknown = outside(canvas, window) & np.isfinite(depth)
+    unknown = outside_mask(canvas, window) & np.isfinite(depth)
     return np.where(unknown[..., None], np.float32(np.nan), position)
 
 
@@ -229,10 +229,10 @@ def _motion(planes: _Planes, shot: Shot, canvas: Window) -> Float32 | None:
     motion = planes.stack(Role.MOTION, canvas)
     if motion is None or shot.display.covers(canvas):
         return motion
-    overscan = outside(canvas, shot.display)
+    overscan = outside_mask(canvas, shot.display)
     for i, ref in enumerate(planes.refs[Role.MOTION]):
         if not planes.windows[ref].covers(canvas):
-            motion[overscan & outside(canvas, planes.windows[ref]), i] = np.nan
+            motion[overscan & outside_mask(canvas, planes.windows[ref]), i] = np.nan
     return motion
 
 
@@ -290,7 +290,9 @@ def read_image(path: Path, view: str = "") -> Image:
         windows = [file.parts[channel.part].data_window for channel in colour]
     pixels = join_planes(
         [
-            place(planes[channel].astype(np.float32, copy=False), window, part.data_window)
+            place_on_canvas(
+                planes[channel].astype(np.float32, copy=False), window, part.data_window
+            )
             for channel, window in zip(colour, windows, strict=True)
         ]
     )
@@ -332,26 +334,26 @@ def clean_depth(depth: Float32, normal: Float32 | None) -> tuple[Float32, bool]:
 
     Renderers write background as 0, 1e10, infinity or NaN; Unreal by the normal (-1, -1, -1).
     """
-    from exwarp_cli.kernels import depths  # numba: not for what only lists channels
+    from exwarp_cli.kernels import raw_channels  # numba: not for what only lists channels
 
     cleaned: Float32 = pool.empty(depth.shape, np.float32)
     flat, far = np.ascontiguousarray(depth, np.float32).reshape(-1), np.float32(FAR)
     if normal is None:
-        depths.known_depths(flat, far, cleaned.reshape(-1))
+        raw_channels.write_depths(flat, far, cleaned.reshape(-1))
         return cleaned, False
     normals = np.ascontiguousarray(normal, np.float32).reshape(-1)
-    return cleaned, depths.known_unmarked(flat, normals, far, cleaned.reshape(-1))
+    return cleaned, raw_channels.write_depths_by_normal(flat, normals, far, cleaned.reshape(-1))
 
 
 def clean_stencil(ids: np.ndarray) -> Int32:
     """Return ids, uint32 or float32, as int32; -1 where a fraction tells of mixed ones."""
     if ids.dtype == np.uint32:
         return (ids & np.uint32(0x7FFFFFFF)).astype(np.int32)
-    from exwarp_cli.kernels.ids import whole_ids  # numba: not for what only lists channels
+    from exwarp_cli.kernels.raw_channels import round_ids  # numba: not for what only lists channels
 
     # numpy's passes over the frame took 15 times as long.
     cleaned: Int32 = pool.empty(ids.shape, np.int32)
-    whole_ids(np.ascontiguousarray(ids, np.float32).reshape(-1), cleaned.reshape(-1))
+    round_ids(np.ascontiguousarray(ids, np.float32).reshape(-1), cleaned.reshape(-1))
     return cleaned
 
 

@@ -23,8 +23,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, Image, Window, place
-from exwarp_cli.domain.timeline import parsed_rate
+from exwarp_cli.domain.frame import Bool, Float32, Image, Window, place_on_canvas
+from exwarp_cli.domain.timeline import parse_rate
 from exwarp_cli.errors import DamagedFileError, InputError, OutputError, UsageError
 from exwarp_cli.io.exr.header import MAGIC, replace_non_utf8, restore_non_utf8
 from exwarp_cli.io.exr.reader import damaged_error, read_headers
@@ -86,7 +86,7 @@ _NAME_RANGE = 4096  # bytes from both ends in which a format keeps the program's
 
 def frame_rate(header: Mapping[str, Any]) -> Fraction | None:
     """Return framesPerSecond from a header, of any type; None when absent or not positive."""
-    return parsed_rate(header.get("framesPerSecond"))
+    return parse_rate(header.get("framesPerSecond"))
 
 
 def parse_compression(name: str | None) -> Any:
@@ -158,7 +158,7 @@ def write_frame(
         members = {plane: planes[plane.key] for plane in part.planes}
         window = filled_window(members.values(), part.window)
         channels = {
-            target.name: target.channel(place(plane.values, plane.window, window))
+            target.name: target.channel(place_on_canvas(plane.values, plane.window, window))
             for target, plane in members.items()
         }
         structure = scanline_attributes(window, image.display_window)
@@ -289,7 +289,7 @@ def filled_window(planes: Iterable[Plane], source: Window) -> Window:
         return window
     filled = np.zeros(window.shape, np.bool_)
     for plane in planes:
-        filled |= place(plane.values != 0, plane.window, window)
+        filled |= place_on_canvas(plane.values != 0, plane.window, window)
     rows, columns = np.flatnonzero(filled.any(axis=1)), np.flatnonzero(filled.any(axis=0))
     if rows.size == 0:
         return Window(window.x, window.y, 1, 1)

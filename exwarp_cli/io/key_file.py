@@ -17,7 +17,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import BinaryIO
 
-from exwarp_cli.domain.timeline import parsed_rate
+from exwarp_cli.domain.timeline import parse_rate
 from exwarp_cli.errors import InputError
 from exwarp_cli.io import files
 from exwarp_cli.io.exr.header import RawHeader
@@ -293,10 +293,10 @@ def _parse_rate(kind: bytes, value: bytes) -> Fraction | None:
     """Return the rate in an attribute of this type, or None."""
     if kind == b"rational" and len(value) == 8:
         numerator, denominator = struct.unpack("<iI", value)
-        return parsed_rate(Fraction(numerator, denominator)) if denominator else None
+        return parse_rate(Fraction(numerator, denominator)) if denominator else None
     if kind in _NUMBER_FORMATS and len(value) == struct.calcsize(_NUMBER_FORMATS[kind]):
-        return parsed_rate(struct.unpack(_NUMBER_FORMATS[kind], value)[0])
-    return parsed_rate(value.decode("utf-8", "replace")) if kind == b"string" else None
+        return parse_rate(struct.unpack(_NUMBER_FORMATS[kind], value)[0])
+    return parse_rate(value.decode("utf-8", "replace")) if kind == b"string" else None
 
 
 def _read_offsets(file: BinaryIO, size: int, begin: int, count: int | None) -> list[int]:

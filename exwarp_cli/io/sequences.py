@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from exwarp_cli.domain.timeline import ranges, without_gaps
+from exwarp_cli.domain.timeline import fill_gaps, ranges
 from exwarp_cli.errors import InputError, MissingFrameError, OutputError, UsageError
 from exwarp_cli.io.files import path_exists
 from exwarp_cli.io.frame_names import (
@@ -163,7 +163,7 @@ def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False
         raise InputError(
             f"cannot look into {spec}: {error.strerror or error}; check the path and its rights"
         ) from error
-    return sequence.over(without_gaps(sequence.files)) if gaps else sequence
+    return sequence.over(fill_gaps(sequence.files)) if gaps else sequence
 
 
 def find_aov_set(
@@ -199,7 +199,7 @@ def find_aov_set(
     leading = aovs.values() if colour is None else (colour,)
     numbers = {number for sequence in leading for number in sequence.files}
     if gaps:
-        every = without_gaps(numbers)
+        every = fill_gaps(numbers)
         colour = None if colour is None else colour.over(every)
         return replace(
             aov_set, colour=colour, aovs={name: member.over(every) for name, member in aovs.items()}

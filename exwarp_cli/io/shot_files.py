@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, are_finite, broken_pixels
+from exwarp_cli.domain.frame import Bool, is_surely_finite, nonfinite_pixels
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import Role, detect_layout
 from exwarp_cli.io.cryptomatte import Headers
@@ -181,10 +181,10 @@ def count_nonfinite(planes: Iterable[np.ndarray], role: Role | None = None) -> i
         values = plane.reshape(*plane.shape[:2], -1)
         if role is Role.DEPTH:
             pixels = np.asarray(np.isnan(values).any(axis=-1))
-        elif are_finite(values):
+        elif is_surely_finite(values):
             continue
         else:
-            pixels = broken_pixels(values)
+            pixels = nonfinite_pixels(values)
         if pixels.shape == shape:
             nonfinite = pixels if nonfinite is None else nonfinite | pixels
     return 0 if nonfinite is None else int(np.count_nonzero(nonfinite))

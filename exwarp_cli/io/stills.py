@@ -24,7 +24,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.curves import FILM, LINEAR, SRGB, Curve
+from exwarp_cli.domain.colour import FILM, LINEAR, SRGB, TransferCurve
 from exwarp_cli.domain.frame import Float32, Image, Window, require_size
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
 from exwarp_cli.io.exr.header import MAGIC, PNG
@@ -75,7 +75,7 @@ class StillTemplate:
     dtype: np.dtype[Any]  # of the code values in memory: uint8, uint16, float16 or float32
     bits: int  # of each value in the file, which may be fewer: 10 or 12 of 16
     channels: int  # of the file, 1 to 4: grey, grey and alpha, RGB, RGBA
-    curve: Curve  # between code values and light
+    curve: TransferCurve  # between code values and light
     premultiplied: bool  # whether the file's codes are multiplied by alpha
 
     @property
@@ -262,7 +262,7 @@ def _read_template(path: Path, spec: Any) -> StillTemplate:
     )
 
 
-def _find_curve(spec: Any, dtype: np.dtype[Any]) -> Curve:
+def _find_curve(spec: Any, dtype: np.dtype[Any]) -> TransferCurve:
     """Return the curve that the file names, else the usual one of its type."""
     transfer = spec.get_string_attribute("dpx:Transfer")
     space = spec.get_string_attribute("oiio:ColorSpace").lower()

@@ -1,7 +1,7 @@
-"""How kernels are compiled, lazily, and how their machine code is kept on disk.
+"""Decorators that compile kernels on their first call, and the disk cache of their machine code.
 
-Two processes that fill a folder of numba's own cache at once may load each other's machine code.
-Numba's cache also reads no folder that it cannot write, and misses a change in the file of a part.
+Numba's own cache is not used: two processes that fill its folder at once may load each other's
+code, it reads no folder that it cannot write, and it misses changes in files of device functions.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, overload
 
 import numba
 from llvmlite import binding  # type: ignore[import-untyped]
@@ -34,18 +34,17 @@ from exwarp_cli.runtime.compilation import compilation
 
 Kernel = Callable[..., Any]
 
-COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-"""Options of all kernels. `nogil`: files are read and written meanwhile. `fastmath` stays off, as
-NaN marks pixels without a value. No kernel is called from C."""
+# nogil: files are read and written meanwhile. No kernel is called from C. fastmath stays off, as
+# NaN marks pixels without a value.
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 SUFFIX = ".kernel"
 
-UNUSED = 30 * 86400.0
-"""Seconds after which a file that no process has loaded is removed: it is of another version, or
-of another processor."""
+# Seconds since the last load after which a file is removed: it is of another version or processor.
+MAX_UNUSED = 30 * 86400.0
 
-NOTED = 86400.0
-"""Seconds after which a load sets a file's time again; not at each load, for shared folders."""
+# Seconds after which a load updates a file's time: not each time, for the sake of shared folders.
+TOUCH_INTERVAL = 86400.0
 
 # numba has no types of its own.
 _rebuild: Any = compiler.CompileResult._rebuild
@@ -53,49 +52,62 @@ _dumps: Any = serialize.dumps
 _Folders: Any = AppDirs
 
 
-def compiled(text: Kernel) -> Kernel:
-    """Compile a function on its first call, for one thread, and keep the result on disk."""
-    assert isinstance(text, types.FunctionType)
-    kernel: Any = numba.njit(text, **COMMON)
-    if kernel is not text:  # as it is with NUMBA_DISABLE_JIT
-        kernel._cache = KernelCache(text)
-    function: Kernel = kernel
-    return function
+@overload
+def kernel(function: Kernel) -> Kernel: ...
 
 
-def parallel(text: Kernel) -> Kernel:
-    """Compile a function for as many threads as :func:`_row_bands.threads` returns.
+@overload
+def kernel(*, parallel: Literal[True]) -> Callable[[Kernel], Any]: ...
 
-    Parameters
-    ----------
-    text
-        Takes a share as its last argument, and loops over that share's :func:`_row_bands.turns`.
-        Callers leave the share out.
+
+def kernel(function: Kernel | None = None, *, parallel: bool = False) -> Any:
+    """Compile a function on its first call, and keep the machine code on disk.
+
+    With `parallel` the function takes a band as its last argument, and loops over that band's
+    :func:`_row_bands.band_range`. Callers leave the band out; see `ParallelKernel`.
     """
-    kernel = compiled(text)
-
-    @functools.wraps(text)
-    def run(*arguments: object) -> None:
-        _row_bands.run(kernel, arguments, _row_bands.threads())
-
-    return run
+    return ParallelKernel if function is None else _compile(function)
 
 
-def part(text: Kernel) -> Kernel:
-    """Compile a function with the kernels that call it; Python calls it as it stands."""
-    # Parts as kernels, callable from Python and cached, took half the compilation time again.
-    function: Kernel = register_jitable(**COMMON)(text)
-    return function
+class ParallelKernel:
+    """A kernel that runs on as many threads as :func:`_row_bands.threads` returns."""
+
+    def __init__(self, function: Kernel) -> None:
+        functools.update_wrapper(self, function)
+        self._compiled = _compile(function)
+
+    def __call__(self, *arguments: object) -> None:
+        _row_bands.run_bands(self._compiled, arguments, _row_bands.threads())
+
+    def serial(self, *arguments: object) -> None:
+        """Run on the calling thread alone."""
+        self._compiled(*arguments, _row_bands.ALL)
 
 
-def inlined(text: Kernel) -> Kernel:
-    """Do as :func:`part`, and compile the function into every place that calls it."""
+def _compile(function: Kernel) -> Kernel:
+    assert isinstance(function, types.FunctionType)
+    dispatcher: Any = numba.njit(function, **OPTIONS)
+    if dispatcher is not function:  # it is with NUMBA_DISABLE_JIT
+        dispatcher._cache = KernelCache(function)
+    compiled: Kernel = dispatcher
+    return compiled
+
+
+def device_function(function: Kernel) -> Kernel:
+    """Compile a function with the kernels that call it; Python calls it uncompiled."""
+    # As kernels, callable from Python and cached, these took half the compilation time again.
+    device: Kernel = register_jitable(**OPTIONS)(function)
+    return device
+
+
+def inline(function: Kernel) -> Kernel:
+    """Do as :func:`device_function`, and compile the function into every caller."""
     # Without force such functions stay calls: a gather of 1920x1080 took 35 ms instead of 25.
-    function: Kernel = register_jitable(**COMMON, forceinline=True)(text)
-    return function
+    device: Kernel = register_jitable(**OPTIONS, forceinline=True)(function)
+    return device
 
 
-part(_row_bands.turns)
+device_function(_row_bands.band_range)
 
 
 def processor() -> str:
@@ -104,23 +116,23 @@ def processor() -> str:
 
 
 class KernelCache:
-    """The builds of one kernel on disk, a file for each; numba asks it in place of its own cache.
+    """The builds of one kernel on disk, one file each, in place of numba's cache.
 
-    A file's name is a digest of everything that its content depends on. A file is written whole or
-    not at all, and its content is checked by a digest before it is loaded.
+    A file's name is a digest of all that its content depends on. Files are written atomically, and
+    their content is verified by a digest before it is loaded.
     """
 
-    def __init__(self, text: types.FunctionType) -> None:
-        self._text = text
+    def __init__(self, function: types.FunctionType) -> None:
+        self._function = function
 
     @property
     def cache_path(self) -> str | None:
-        """The folder of new builds; None where no folder can be written."""
+        """The folder of new builds; None if none is writable."""
         folder = writable_folder()
         return None if folder is None else str(folder)
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """Return a build from any folder that has it; None if it must be compiled."""
+        """Return a build from any folder, or None if it must be compiled."""
         # numba's cache refreshes the target here, which imports 200 modules: 0.13 s of each start.
         rtsys.initialize(target)
         name = self._name(signature, target.codegen())
@@ -136,7 +148,7 @@ class KernelCache:
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        """Keep a build, if the disk has room for it."""
+        """Write a build; failures, such as a full disk, are ignored."""
         compilation.end()
         folder, name = writable_folder(), self._name(signature, result.codegen)
         if folder is None or name is None or result.library.has_dynamic_globals:
@@ -152,19 +164,19 @@ class KernelCache:
                 temporary.unlink()
 
     def enable(self) -> None:
-        """Do nothing; numba's caches have this."""
+        """Do nothing; part of numba's interface."""
 
     def disable(self) -> None:
-        """Do nothing; numba's caches have this."""
+        """Do nothing; part of numba's interface."""
 
     def flush(self) -> None:
-        """Do nothing; numba's caches have this."""
+        """Do nothing; part of numba's interface."""
 
     def _name(self, signature: Any, codegen: Any) -> str | None:
-        """Return the file name of a build; None if its source cannot be read, or not named."""
-        file = Path(self._text.__code__.co_filename)
-        function = f"{self._text.__module__}.{self._text.__qualname__}"
-        if "<" in function:  # made in another function, of whose variables it may depend
+        """Return the file name of a build, or None if it cannot be cached."""
+        file = Path(self._function.__code__.co_filename)
+        function = f"{self._function.__module__}.{self._function.__qualname__}"
+        if "<" in function:  # a closure may depend on variables of the function around it
             return None
         try:
             source = source_digest(file)
@@ -173,7 +185,7 @@ class KernelCache:
         # magic_tuple: the processor and its instructions.
         key = repr((versions(), codegen.magic_tuple(), source, function, str(signature)))
         digest = hashlib.sha256(key.encode()).hexdigest()
-        return f"{file.stem}.{self._text.__name__}-{digest}{SUFFIX}"
+        return f"{file.stem}.{self._function.__name__}-{digest}{SUFFIX}"
 
 
 @functools.cache
@@ -185,45 +197,42 @@ def versions() -> tuple[object, ...]:
 
 @functools.cache
 def source_digest(file: Path) -> str:
-    """Return a digest of a source file and of all modules beside kernels and parts.
+    """Return a digest of a source file and of all modules with device functions.
 
-    Raises
-    ------
-    OSError
-        If one cannot be read, as in an archive.
+    OSError: a file cannot be read, as in an archive.
     """
     kernels = Path(__file__).parent
-    sources = [*kernels.glob("*.py"), *(kernels.parent / "accel").glob("*.py"), file]
+    sources = [*kernels.glob("*.py"), *(kernels.parent / "accelerator").glob("*.py"), file]
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in sorted(sources))).hexdigest()
 
 
 @functools.cache
 def folders() -> tuple[Path, ...]:
-    """Return the folders in which builds are looked for: up to the first that can be written."""
-    found: list[Path] = []
-    for place in places_in_turn():
-        found.append(place)
-        if _is_writable(place):
+    """Return the folders that are searched for builds, up to the first writable one."""
+    candidates: list[Path] = []
+    for folder in candidate_folders():
+        candidates.append(folder)
+        if _is_writable(folder):
             break
-    return tuple(found)
+    return tuple(candidates)
 
 
 @functools.cache
 def writable_folder() -> Path | None:
-    """Return the folder of new builds; None where none can be written."""
+    """Return the folder of new builds, or None if none is writable."""
     last = folders()[-1]
     return last if _is_writable(last) else None
 
 
-def places_in_turn() -> Iterator[Path]:
-    """Yield the folders that may hold builds.
+def candidate_folders() -> Iterator[Path]:
+    """Yield the folders that may hold builds, in order of preference.
 
     NUMBA_CACHE_DIR, beside the source, the user's cache, and a temporary folder for users without
     a home folder.
     """
-    named: str = numba.config.CACHE_DIR  # type: ignore[attr-defined]
-    if named:
-        yield Path(named, "exwarp")
+    cache_dir: str = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    if cache_dir:
+        yield Path(cache_dir, "exwarp")
     yield Path(__file__).parent / "__pycache__"
     for folder in (_user_folder(), _temporary_folder()):
         if folder is not None:
@@ -241,7 +250,7 @@ def _user_folder() -> Path | None:
 
 
 def _temporary_folder() -> Path | None:
-    """Return a temporary folder that no other user can write, as builds in it are run."""
+    # No other user may write to it, as builds in it are executed.
     if not hasattr(os, "getuid"):
         return None
     with suppress(OSError):
@@ -264,16 +273,15 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _note_use(path: Path) -> None:
-    """Keep a build from being removed."""
     with suppress(OSError):
-        if time.time() - path.stat().st_mtime > NOTED:
+        if time.time() - path.stat().st_mtime > TOUCH_INTERVAL:
             os.utime(path)
 
 
 @functools.cache
 def remove_unused(folder: Path) -> None:
-    """Remove builds that no process has loaded for long, and what killed processes left."""
-    before = time.time() - UNUSED
+    """Remove builds unused for MAX_UNUSED seconds, and temporary files of killed processes."""
+    before = time.time() - MAX_UNUSED
     with suppress(OSError):
         for path in folder.glob(f"*{SUFFIX}*"):
             with suppress(OSError):

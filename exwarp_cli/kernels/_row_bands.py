@@ -1,4 +1,4 @@
-"""Kernels shared out among threads: each thread runs the whole kernel, over some of its turns.
+"""Row bands: each thread runs a kernel over some of its iterations, mostly rows.
 
 The threads are Python's, as kernels run without its lock. One build serves any number of threads,
 and any kernels may run at once. numba's own parallel loops took two thirds more compilation time,
@@ -16,107 +16,82 @@ from typing import Any
 
 import numba
 
-Share = tuple[int, int]
+Band = tuple[int, int]  # number of the band, and how many bands there are
 
-WHOLE: Share = (0, 1)
-"""The number of a share of turns, and how many shares there are: here one of one."""
+ALL: Band = (0, 1)
 
-LEAST_SHARES = 8
-"""Shares of a kernel that several threads run, if there are no more threads. Rows of sky take less
-time than others, and a thread that wakes starts late: with a share for each, two cores took a tenth
-more time for the inputs of a network."""
+# Bands of a kernel on several threads, at least. Rows of sky take less time than others, and a
+# thread that wakes starts late: with one band a thread, two cores took a tenth more time for the
+# inputs of a network.
+MIN_BANDS = 8
 
 _own = local()
 
 
-def turns(count: int, share: Share) -> range:
-    """Return the turns of a share: neighbours, as many as others have, or one more.
-
-    Parameters
-    ----------
-    count
-        How many there are in all.
-    share
-        Its number, from 0 on, and how many shares there are.
-    """
-    number, shares = share
-    return range(count * number // shares, count * (number + 1) // shares)
+def band_range(count: int, band: Band) -> range:
+    """Return a band's part of `count` iterations: consecutive, sizes differ by at most one."""
+    number, bands = band
+    return range(count * number // bands, count * (number + 1) // bands)
 
 
-def rows_of(count: int, share: Share) -> slice:
-    """Return the turns of a share as a slice, where numpy takes them at once; see `turns`."""
-    some = turns(count, share)
-    return slice(some.start, some.stop)
+def band_slice(count: int, band: Band) -> slice:
+    """Return a band's iterations as a slice; see `band_range`."""
+    iterations = band_range(count, band)
+    return slice(iterations.start, iterations.stop)
 
 
-def run(kernel: Callable[..., None], arguments: Sequence[Any], threads: int) -> None:
-    """Run a kernel in shares, which threads take as they come; the caller is one of them.
+def run_bands(kernel: Callable[..., None], arguments: Sequence[Any], threads: int) -> None:
+    """Run a kernel, which takes a band as its last argument, on several threads.
 
-    Parameters
-    ----------
-    kernel
-        Takes a share as its last argument.
-    arguments
-        All others.
-    threads
-        How many may work at once. One takes the whole kernel.
-
-    Raises
-    ------
-    Exception
-        What the kernel raises. No thread works on the arguments any more then.
+    The caller is one of them. With one thread the kernel runs once, over everything. An exception
+    of the kernel is raised when no thread works on the arguments any more.
     """
     if threads == 1:
-        kernel(*arguments, WHOLE)
+        kernel(*arguments, ALL)
         return
-    shares = max(threads, LEAST_SHARES)
-    left = iter(range(shares))  # of which each thread that asks gets another number
-    others: list[Future[None]] = []
+    bands = max(threads, MIN_BANDS)
+    remaining = iter(range(bands))  # shared: each thread that asks gets another number
+    helpers: list[Future[None]] = []
     try:
         for _ in range(1, threads):
-            others.append(_pool().submit(_take, kernel, arguments, left, shares))
-        _take(kernel, arguments, left, shares)
+            helpers.append(_pool().submit(_run_remaining, kernel, arguments, remaining, bands))
+        _run_remaining(kernel, arguments, remaining, bands)
     finally:
-        _end([other for other in others if not other.cancel()])
-    for other in others:
-        if not other.cancelled():
-            other.result()
+        _wait_for([helper for helper in helpers if not helper.cancel()])
+    for helper in helpers:
+        if not helper.cancelled():
+            helper.result()
 
 
-def _take(
-    kernel: Callable[..., None], arguments: Sequence[Any], left: Iterator[int], shares: int
+def _run_remaining(
+    kernel: Callable[..., None], arguments: Sequence[Any], remaining: Iterator[int], bands: int
 ) -> None:
-    """Take shares while any are left; where one fails, no thread takes another."""
     try:
-        for number in left:
-            kernel(*arguments, (number, shares))
+        for number in remaining:
+            kernel(*arguments, (number, bands))
     finally:
-        for _ in left:
+        for _ in remaining:  # after a failure no thread starts another band
             pass
 
 
-def _end(begun: Sequence[Future[None]]) -> None:
-    """Wait until nothing is under way, even if interrupted."""
+def _wait_for(started: Sequence[Future[None]]) -> None:
     try:
-        wait(begun)
-    except BaseException:
-        _end(begun)
+        wait(started)
+    except BaseException:  # not even an interrupt leaves threads at work
+        _wait_for(started)
         raise
 
 
 def set_threads(count: int | Callable[[], int] | None) -> None:
-    """Set how many threads run a kernel that this thread calls.
+    """Set how many threads run the kernels that this thread calls.
 
-    Parameters
-    ----------
-    count
-        A number; a function that returns it at each call; None for all threads.
+    `count`: a number, a function that returns it at each call, or None for all threads.
     """
     _own.count = count
 
 
 def threads() -> int:
-    """Return how many threads run a kernel that this thread calls, 1 to the most that may."""
+    """Return how many threads run the kernels that this thread calls."""
     most = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
     count: int | Callable[[], int] | None = getattr(_own, "count", None)
     if callable(count):
@@ -126,9 +101,8 @@ def threads() -> int:
 
 @functools.cache
 def _pool() -> ThreadPoolExecutor:
-    """Return the threads that help; they sleep while there is nothing to do."""
     return ThreadPoolExecutor(os.cpu_count(), "kernel")
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pool.cache_clear)  # threads are not there in a child
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # a child has no threads

@@ -1,255 +1,444 @@
-"""Blending two warped key frames by depth and time."""
+"""The two key frames around a slot: blended by depth and time, or chosen pixel by pixel."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, parallel, part
-from exwarp_cli.kernels._row_bands import Share, turns
+from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._row_bands import Band, band_range
+from exwarp_cli.kernels.array_types import B8, F32, I16, I32
+from exwarp_cli.kernels.gather import clamp
+from exwarp_cli.kernels.holes import DIRECTIONS
 
-F32 = npt.NDArray[np.float32]
-B8 = npt.NDArray[np.bool_]
 Side = tuple[F32, F32, B8, B8]
 Row = tuple[F32, B8, B8]
-Seen = tuple[F32, B8, B8]
+Visibility = tuple[F32, B8, B8]
 
-NEARNESS = 10
-"""Exponent of the depth weight: a surface twice as near outweighs the other 1000 to 1."""
+# Exponent of the depth weight: a surface twice as near outweighs the other 1000 to 1.
+DEPTH_EXPONENT = 10
 
-LEAST_RATIO = np.float32(1e-3)
+MIN_DEPTH_RATIO = np.float32(1e-3)
 
+# Relative difference of depth below which two places may be on one surface.
 SAME_DEPTH = np.float32(0.1)
-"""Relative difference of depth below which two places may lie on one surface."""
 
-FRINGE_WEIGHT = np.float32(0.02)
-"""Weight of a ghost outline: used where the other side sees nothing (worth 0.2 dB)."""
+# Weight of a ghost outline: used where the other side sees nothing (worth 0.2 dB).
+GHOST_WEIGHT = np.float32(0.02)
 
 
-@part
-def importance(depth: np.float32, nearest: np.float32, hole: bool, fringe: bool) -> np.float32:
-    """Return (nearest / depth) ** NEARNESS, less for a fringe, 0 for a hole.
-
-    Without branches, so that several pixels are taken at once.
-    """
-    ratio = max(nearest / depth, LEAST_RATIO)
+@device_function
+def _depth_weight(depth: np.float32, nearest: np.float32, hole: bool, ghost: bool) -> np.float32:
+    """Return (nearest / depth) ** DEPTH_EXPONENT, less for a ghost, 0 for a hole."""
+    ratio = max(nearest / depth, MIN_DEPTH_RATIO)
     ratio = ratio if depth != nearest else np.float32(1)
     weight = np.float32(1)
-    for _ in range(NEARNESS):
+    for _ in range(DEPTH_EXPONENT):
         weight *= ratio
-    weight = weight * FRINGE_WEIGHT if fringe else weight
+    weight = weight * GHOST_WEIGHT if ghost else weight
     return np.float32(0) if hole | math.isnan(depth) else weight
 
 
-@inlined
-def same_depth(first: np.float32, second: np.float32) -> bool:
-    """Whether two depths may be those of one surface; background is one, NaN is none."""
+@inline
+def _same_depth(first: np.float32, second: np.float32) -> bool:
+    """Return whether two depths may be those of one surface; background is one, NaN is none."""
     return bool((first == second) | (abs(first - second) <= SAME_DEPTH * min(first, second)))
 
 
-@part
-def shows_beside(depth: F32, hole: B8, at: tuple[int, int], wanted: np.float32) -> bool:
-    """Return True if one of the 3x3 pixels of [H, W] about a place is seen and so far away."""
+@device_function
+def _has_near_depth(depth: F32, hole: B8, at: tuple[int, int], target: np.float32) -> bool:
+    """Return whether one of the 3x3 pixels of [H, W] about a place is visible at a depth."""
     height, width = depth.shape
-    found = False
+    near = False
     for i in range(max(at[0] - 1, 0), min(at[0] + 2, height)):
         for j in range(max(at[1] - 1, 0), min(at[1] + 2, width)):
-            found |= (not hole[i, j]) & same_depth(depth[i, j], wanted)
-    return found
+            near |= (not hole[i, j]) & _same_depth(depth[i, j], target)
+    return near
 
 
-@part
-def mark_shared_edges(i: int, before: tuple[F32, B8], after: tuple[F32, B8], shared: B8) -> None:
+@device_function
+def _mark_shared_edges(
+    i: int,
+    before: tuple[F32, B8],  # depth and hole, [H, W]; as `after`
+    after: tuple[F32, B8],
+    shared: B8,  # [W], written
+) -> None:
     """Mark pixels of row i where the sides show two surfaces whose common edge passes by.
 
-    Each key frame's pixels have the surface of their centre, so moved to the slot its edges are off
-    by up to half a pixel. Where one side shows the nearer surface and the other one the surface
-    behind it, and each has the other surface beside that pixel, the edge passes through the pixel.
-
-    Parameters
-    ----------
-    before, after
-        Depth float32 [H, W] and hole bool [H, W].
-    shared
-        bool [W], written.
+    The pixels of a key frame have the surface of their centre, so edges moved to the slot are off
+    by up to half a pixel. If one side shows the nearer surface and the other the one behind, and
+    each has the other surface beside that pixel, the edge passes through the pixel.
     """
     first, first_hole = before
     second, second_hole = after
     for j in range(shared.size):
         a, b = first[i, j], second[i, j]
-        both = not (first_hole[i, j] | second_hole[i, j] | math.isnan(a) | math.isnan(b))
-        shared[j] = both and not same_depth(a, b)
+        both_visible = not (first_hole[i, j] | second_hole[i, j] | math.isnan(a) | math.isnan(b))
+        shared[j] = both_visible and not _same_depth(a, b)
         if shared[j]:
-            shared[j] = shows_beside(first, first_hole, (i, j), b)
-            shared[j] &= shows_beside(second, second_hole, (i, j), a)
+            shared[j] = _has_near_depth(first, first_hole, (i, j), b)
+            shared[j] &= _has_near_depth(second, second_hole, (i, j), a)
 
 
-@part
-def write_shares(
-    before: Row, after: Row, shared: B8, time: np.float32, share: F32, depth: F32, hole: B8
+@device_function
+def _write_row_weights(
+    before: Row,  # depth, hole and ghost of the row, [W]; as `after`
+    after: Row,
+    # shared: [W]: pixels where time alone decides, so that the edge covers a share of the pixel
+    shared: B8,
+    time: np.float32,
+    weight: F32,  # [W], written; 0 in holes
+    depth: F32,  # [W], written
+    hole: B8,  # [W], written
 ) -> None:
-    """Write how much of a row's colour comes from the key frame after it.
-
-    Parameters
-    ----------
-    before, after
-        Depth float32 [W], hole and fringe bool [W] of the row.
-    shared
-        bool [W], of :func:`mark_shared_edges`: there time alone decides, so that an edge that one
-        side has a pixel further covers a share of the pixel.
-    time
-        As in :func:`blend`.
-    share
-        float32 [W], written; 0 in holes.
-    depth, hole
-        float32 and bool [W], written.
-    """
+    """Write the weight of the later key frame for a row."""
     first, first_hole, first_fringe = before
     second, second_hole, second_fringe = after
-    for j in range(share.size):
-        near = second[j]
-        near = first[j] if (first[j] < near) | math.isnan(near) else near
-        a = importance(first[j], near, first_hole[j], first_fringe[j])
-        b = importance(second[j], near, second_hole[j], second_fringe[j])
+    for j in range(weight.size):
+        nearest = second[j]
+        nearest = first[j] if (first[j] < nearest) | math.isnan(nearest) else nearest
+        a = _depth_weight(first[j], nearest, first_hole[j], first_fringe[j])
+        b = _depth_weight(second[j], nearest, second_hole[j], second_fringe[j])
         a = np.float32(1) - time if shared[j] else a * (np.float32(1) - time)
         b = time if shared[j] else b * time
         seen = a + b > 0
-        depth[j], hole[j] = near, not seen
-        share[j] = b / (a + b) if seen else np.float32(0)
+        depth[j], hole[j] = nearest, not seen
+        weight[j] = b / (a + b) if seen else np.float32(0)
 
 
-@inlined
-def spread(share: F32, channels: int, out: F32) -> None:
-    """Write each value of `share`, float32 [W], once a channel to `out` [W C]."""
-    for j in range(share.size):
+@inline
+def _repeat_channels(weight: F32, channels: int, out: F32) -> None:
+    for j in range(weight.size):
         for c in range(channels):
-            out[j * channels + c] = share[j]
+            out[j * channels + c] = weight[j]
 
 
-@part
-def mix_row(first: F32, second: F32, share: F32, out: F32) -> None:
-    """Mix two rows of values; `share` is that of the second.
-
-    From the heavier side: exact where it counts alone, whatever stands in the other.
-    """
+@device_function
+def _mix_row(first: F32, second: F32, weight: F32, out: F32) -> None:
+    """Mix two rows of values; `weight` is that of the second."""
+    # From the heavier side: exact where it counts alone, whatever the other holds.
     for k in range(out.size):
-        one, other, rest = first[k], second[k], np.float32(1) - share[k]
-        forth, back = one + share[k] * (other - one), other + rest * (one - other)
-        out[k] = forth if share[k] < np.float32(0.5) else back
+        early, late, remainder = first[k], second[k], np.float32(1) - weight[k]
+        forward, backward = early + weight[k] * (late - early), late + remainder * (early - late)
+        out[k] = forward if weight[k] < np.float32(0.5) else backward
 
 
-@part
-def blend_row(before: F32, after: F32, share: F32, out: F32) -> None:
-    """Mix two rows of pixels, float32 [W, C]; `share` of the second is float32 [W]."""
+@device_function
+def _blend_row(before: F32, after: F32, weight: F32, out: F32) -> None:
+    """Mix two rows of pixels [W, C]; `weight` [W] is that of the second."""
     channels = out.shape[1]
-    shares = np.empty(out.size, np.float32)
+    weights = np.empty(out.size, np.float32)
     # Written out, as the compiler unrolls the loop over channels for constants only. Pixel by pixel
     # the mixing itself took three times as long as value by value.
     if channels == 4:
-        spread(share, 4, shares)
+        _repeat_channels(weight, 4, weights)
     elif channels == 3:
-        spread(share, 3, shares)
+        _repeat_channels(weight, 3, weights)
     else:
-        spread(share, channels, shares)
+        _repeat_channels(weight, channels, weights)
     first, second = (
         np.ascontiguousarray(before).reshape(-1),
         np.ascontiguousarray(after).reshape(-1),
     )
-    mixed, whole = np.empty(out.size, np.float32), out.reshape(-1)
-    mix_row(first, second, shares, mixed)  # `out` may be `before`, for which loops are slow
+    mixed, target = np.empty(out.size, np.float32), out.reshape(-1)
+    _mix_row(first, second, weights, mixed)  # `out` may be `before`, for which loops are slow
     for k in range(out.size):
-        whole[k] = mixed[k]
+        target[k] = mixed[k]
 
 
-@part
-def weigh_row(
-    i: int, before: Seen, after: Seen, time: np.float32, share: F32, depth: F32, hole: B8
-) -> None:
-    """Write the shares of row i; `share`, `depth` and `hole` are its own, as for `write_shares`.
-
-    `before` and `after` are depth, hole and fringe of the frame, [H, W].
-    """
-    shared = np.empty(share.size, np.bool_)
-    mark_shared_edges(i, (before[0], before[1]), (after[0], after[1]), shared)
-    first = before[0][i], before[1][i], before[2][i]
-    second = after[0][i], after[1][i], after[2][i]
-    write_shares(first, second, shared, time, share, depth, hole)
-
-
-@parallel
-def weigh(
-    before: Seen, after: Seen, time: np.float32, later: F32, depth: F32, hole: B8, share: Share
-) -> None:
-    """Write how much of a slot's colour comes from the key frame after it.
-
-    Parameters
-    ----------
-    before, after
-        Depth, hole and fringe, as for :func:`blend`.
-    time, depth, hole
-        As for :func:`blend`.
-    later
-        float32 [H, W], written, 0 to 1; 0 in holes.
-    """
-    for i in turns(later.shape[0], share):
-        weigh_row(i, before, after, time, later[i], depth[i], hole[i])
-
-
-@parallel
-def mix(before: F32, after: F32, later: F32, out: F32, share: Share) -> None:
-    """Mix two pictures.
-
-    Parameters
-    ----------
-    before, after
-        float32 [H, W, C].
-    later
-        float32 [H, W], 0 to 1: weight of `after`.
-    out
-        float32 [H, W, C], written; may be `before`.
-    """
-    for i in turns(later.shape[0], share):
-        blend_row(before[i], after[i], later[i], out[i])
-
-
-@parallel
-def blend(
-    before: Side,
-    after: Side,
+@device_function
+def _weigh_row(
+    i: int,
+    before: Visibility,
+    after: Visibility,
     time: np.float32,
-    out: F32,
+    weight: F32,
     depth: F32,
     hole: B8,
-    share: Share,
 ) -> None:
-    """Blend what two key frames show at a slot.
+    shared = np.empty(weight.size, np.bool_)
+    _mark_shared_edges(i, (before[0], before[1]), (after[0], after[1]), shared)
+    first = before[0][i], before[1][i], before[2][i]
+    second = after[0][i], after[1][i], after[2][i]
+    _write_row_weights(first, second, shared, time, weight, depth, hole)
 
-    Parameters
-    ----------
-    before, after
-        Pixels float32 [H, W, C], depth float32 [H, W] (+inf background, NaN unknown), hole and
-        fringe bool [H, W] of the key frames on both sides, warped to the slot.
-    time
-        Of the slot in the key interval, 0 < time < 1.
-    out
-        float32 [H, W, C], written; in holes that of `before`, whose pixels it may be.
-    depth
-        float32 [H, W], written: the nearer of both depths.
-    hole
-        bool [H, W], written: neither side sees the surface.
 
-    Notes
-    -----
-    Niklaus and Liu, Softmax Splatting, CVPR 2020, equation 14, with log depth for importance. Where
-    an edge is shared, the nearer surface would always win, and every moving thing would be up to a
-    pixel too wide: of town's pixels 1.5 % showed it wrongly, and 0.2 % what is behind it. There
-    the mean of both sides is 1.1 to 1.6 dB better on three scenes.
+@kernel(parallel=True)
+def write_later_weights(
+    before: Visibility,  # depth, hole and ghost, as for `blend`; as `after`
+    after: Visibility,
+    time: np.float32,  # as `depth`, `hole`: see `blend`
+    later: F32,  # [H, W], written, 0 to 1; 0 in holes
+    depth: F32,
+    hole: B8,
+    band: Band,
+) -> None:
+    """Write the weight of the later key frame in a slot's colour."""
+    for i in band_range(later.shape[0], band):
+        _weigh_row(i, before, after, time, later[i], depth[i], hole[i])
+
+
+@kernel(parallel=True)
+def mix_frames(
+    before: F32,  # before, after: [H, W, C]
+    after: F32,
+    later: F32,  # [H, W], 0 to 1: weight of `after`
+    out: F32,  # [H, W, C], written; may be `before`
+    band: Band,
+) -> None:
+    """Mix two frames."""
+    for i in band_range(later.shape[0], band):
+        _blend_row(before[i], after[i], later[i], out[i])
+
+
+@kernel(parallel=True)
+def blend(
+    # before: pixels [H, W, C], depth [H, W] (+inf background, NaN unknown), hole, ghost; as `after`
+    before: Side,
+    after: Side,
+    time: np.float32,  # of the slot in the key interval, 0 < time < 1
+    out: F32,  # [H, W, C], written; in holes that of `before`, whose pixels it may be
+    depth: F32,  # [H, W], written: the nearer of both depths
+    hole: B8,  # [H, W], written: neither side sees the surface
+    band: Band,
+) -> None:
+    """Blend the key frames on both sides of a slot, warped to it.
+
+    Niklaus and Liu, Softmax Splatting, CVPR 2020, equation 14, with log depth for importance.
     """
+    # At shared edges the nearer surface would always win, and moving things would be up to a pixel
+    # too wide (1.5 % of town's pixels). The mean of both sides there is 1.1 to 1.6 dB better on
+    # three scenes.
     height, width, _ = out.shape
-    for i in turns(height, share):
+    for i in band_range(height, band):
         later = np.empty(width, np.float32)
         first, second = (before[1], before[2], before[3]), (after[1], after[2], after[3])
-        weigh_row(i, first, second, time, later, depth[i], hole[i])
-        blend_row(before[0][i], after[0][i], later, out[i])
+        _weigh_row(i, first, second, time, later, depth[i], hole[i])
+        _blend_row(before[0][i], after[0][i], later, out[i])
+
+
+CandidateSides = tuple[F32, F32, F32, F32]
+
+
+@kernel(parallel=True)
+def mix_candidates(
+    mixed: F32,  # [H, W, C], the first candidate
+    sides: CandidateSides,  # the four others, [H, W, C]
+    weights: F32,  # [5, h, w], in the order of the candidates; their sum is 1
+    corner: tuple[int, int],  # row and column of the part's first pixel
+    out: F32,  # [H, W, C], written in the part
+    band: Band,
+) -> None:
+    """Write the weighted mean of the candidates of each pixel of a part of a frame."""
+    # As the first candidate plus weighted differences: equal candidates stay as they are, whatever
+    # the rounded weights sum to.
+    _, height, width = weights.shape
+    channels = mixed.shape[2]
+    for i in band_range(height, band):
+        row = corner[0] + i
+        for j in range(width):
+            column = corner[1] + j
+            for c in range(channels):
+                centre = mixed[row, column, c]
+                value = centre
+                for k, side in enumerate(sides):
+                    value += np.float32(weights[1 + k, i, j]) * (side[row, column, c] - centre)
+                out[row, column, c] = value
+
+
+SourceSide = tuple[F32, F32, F32, B8, B8]
+
+# Relative difference of depth up to which two pixels may show the same surface.
+SAME_SURFACE_DEPTH = np.float32(0.1)
+
+# Share of the best similarity of depth above which distance alone decides.
+SIMILAR_SHARE = 0.8
+
+
+@inline
+def _is_same_surface(a: np.float32, b: np.float32) -> bool:
+    """Return whether two depths may be those of one surface; background is like background only."""
+    # Below, not up to: infinity differs from a number by as much as it measures.
+    return bool(a == b or abs(a - b) < SAME_SURFACE_DEPTH * max(abs(a), abs(b)))
+
+
+@inline
+def _source_pixel(i: int, j: int, field: F32, wanted: np.float32, depth: F32) -> int:
+    """Return the source pixel, flat, that a field leads to; -1 outside.
+
+    It is the nearest one, unless its depth is of another surface than `wanted` and that of another
+    of the four around is not.
+    """
+    # A patch of surface reaches beyond the middle between two pixels.
+    height, width = depth.shape
+    x, y = np.float32(j) + field[i, j, 0], np.float32(i) + field[i, j, 1]
+    if not (x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5):
+        return -1
+    # Nothing negative is left, so converting rounds down, and takes half the time of math.floor.
+    column = min(np.int64(np.int32(x + np.float32(0.5))), width - 1)
+    row = min(np.int64(np.int32(y + np.float32(0.5))), height - 1)
+    if math.isnan(wanted) or _is_same_surface(wanted, depth[row, column]):
+        return int(row * width + column)
+    best, shortest = int(row * width + column), np.float32(np.inf)
+    left, top = np.int32(x + np.float32(1)) - 1, np.int32(y + np.float32(1)) - 1
+    for corner in range(4):
+        p, q = left + corner % 2, top + corner // 2
+        if p < 0 or q < 0 or p >= width or q >= height:
+            continue
+        distance = (x - np.float32(p)) ** 2 + (y - np.float32(q)) ** 2
+        if distance < shortest and _is_same_surface(wanted, depth[q, p]):
+            best, shortest = int(q * width + p), distance
+    return best
+
+
+@inline
+def _visible_source(i: int, j: int, side: SourceSide) -> tuple[int, np.float32]:
+    """Return the source pixel, flat, of a slot's pixel, and its trust; -1 and 0 without one."""
+    field, depth, source, hole, ghost = side
+    if hole[i, j] or math.isnan(depth[i, j]):
+        return -1, np.float32(0)
+    pixel = _source_pixel(i, j, field, depth[i, j], source)
+    trust = GHOST_WEIGHT if ghost[i, j] else np.float32(1)
+    return pixel, trust if pixel >= 0 else np.float32(0)
+
+
+@kernel(parallel=True)
+def choose_sources(
+    # before: per key frame: field [H, W, 2] px from the slot, NaN if none; depth that the slot
+    # shows; depth of its own pixels; hole; ghost [H, W]
+    before: SourceSide,
+    after: SourceSide,  # as `before`; arrays without rows if there is none
+    time: np.float32,  # of the slot in the key interval, 0 < time < 1
+    pixel: I32,  # [H, W], written: the source pixel, counted along the rows; -1 in holes
+    later: B8,  # [H, W], written: it lies in the key frame after
+    depth: F32,  # [H, W], written: the nearer of both depths
+    hole: B8,  # [H, W], written: neither side sees the surface
+    band: Band,
+) -> None:
+    """Choose, in one of two key frames, the pixel that shows the surface of each slot pixel.
+
+    It is that of the key frame nearest in time that sees the surface, the earlier of two equally
+    near. A ghost counts only where the other side sees nothing.
+    """
+    # The weights by depth that blend colour chose worse: 3 to 17 % more wrong ids on four scenes,
+    # as the splatted edge of the nearer surface is half a pixel too wide.
+    height, width = pixel.shape
+    has_after = after[0].shape[0] > 0
+    for i in band_range(height, band):
+        for j in range(width):
+            source, a = _visible_source(i, j, before)
+            depth[i, j] = before[1][i, j]
+            later[i, j] = False
+            if has_after:
+                if after[1][i, j] < depth[i, j] or math.isnan(depth[i, j]):
+                    depth[i, j] = after[1][i, j]
+                later_source, b = _visible_source(i, j, after)
+                if b * time > a * (np.float32(1) - time):
+                    source = later_source
+                    later[i, j] = True
+            pixel[i, j] = source
+            hole[i, j] = source < 0
+
+
+@device_function
+def _nearest_visible(
+    i: int, j: int, depth: F32, cap: np.float32, steps: I16, hole: int
+) -> tuple[np.int64, np.int64]:
+    """Return row and column of the visible pixel that a hole belongs to; (-1, -1) without one.
+
+    Of the pixels seen in eight directions, those about as similar in depth as the best count, and
+    of these the nearest. Depths are compared with the hole's surface, or, if unknown, with the
+    furthest.
+    """
+    known = not math.isnan(depth[i, j])
+    wanted = np.float64(min(depth[i, j], cap)) if known else np.float64(0)
+    if not known:
+        for direction in range(len(DIRECTIONS)):
+            distance = np.int64(steps[direction, hole])
+            if distance > 0:
+                visible = depth[
+                    i + DIRECTIONS[direction][0] * distance, j + DIRECTIONS[direction][1] * distance
+                ]
+                wanted = max(wanted, np.float64(min(visible, cap)))
+    best, shortest, y, x = 0.0, np.int64(0), np.int64(-1), np.int64(-1)
+    for sweep in range(2):  # first the best similarity, then the pixels close to it
+        for direction in range(len(DIRECTIONS)):
+            dy, dx = DIRECTIONS[direction]
+            distance = np.int64(steps[direction, hole])
+            if distance == 0:
+                continue
+            far = np.float64(min(depth[i + dy * distance, j + dx * distance], cap))
+            most = max(far, wanted)
+            similarity = min(far, wanted) / most if most > 0 else 1.0
+            if sweep == 0:
+                best = max(best, similarity)
+                continue
+            length = distance * distance * (dy * dy + dx * dx)
+            if similarity >= SIMILAR_SHARE * best and (y < 0 or length < shortest):
+                shortest, y, x = length, i + dy * distance, j + dx * distance
+    return y, x
+
+
+@kernel(parallel=True)
+def adopt_sources(
+    # pixel: from `choose_sources`, as is `later`; changed in holes, its own place if nothing is
+    # visible
+    pixel: I32,
+    later: B8,
+    depth: F32,  # from `choose_sources`
+    first: I32,  # the holes, from `holes.list_holes`; as `column`
+    column: I32,
+    cap: np.float32,  # scene units; all that is further counts as equally far
+    steps: I16,  # [8, N], from `holes.ray_march_visible`
+    band: Band,
+) -> None:
+    """Give holes the source of the visible pixel around them that they belong to."""
+    height, width = depth.shape
+    for i in band_range(height, band):
+        for hole in range(first[i], first[i + 1]):
+            j = np.int64(column[hole])
+            y, x = _nearest_visible(i, j, depth, cap, steps, hole)
+            if y < 0:
+                pixel[i, j] = np.int32(i * width + j)
+                later[i, j] = False
+            else:
+                pixel[i, j] = pixel[y, x]
+                later[i, j] = later[y, x]
+
+
+@kernel(parallel=True)
+def sample_surface(
+    image: F32,  # [H, W, C]
+    depth: F32,  # [H, W] of its pixels, +inf background
+    field: F32,  # [H, W, 2] px; NaN without an end
+    # out: [H, W, C], written, from the pixels at the depth of the nearest one; NaN for ends outside
+    out: F32,
+    band: Band,
+) -> None:
+    """Sample along a field bilinearly, from one surface only."""
+    height, width, channels = image.shape
+    for i in band_range(out.shape[0], band):
+        for j in range(out.shape[1]):
+            end = _source_pixel(i, j, field, np.float32(np.nan), depth)
+            for c in range(channels):
+                out[i, j, c] = np.float32(np.nan) if end < 0 else np.float32(0)
+            if end < 0:
+                continue
+            surface_depth = depth[end // width, end % width]
+            x, y = np.float32(j) + field[i, j, 0], np.float32(i) + field[i, j, 1]
+            left, top = np.int32(x + np.float32(1)) - 1, np.int32(y + np.float32(1)) - 1
+            total = np.float32(0)
+            for corner in range(4):
+                p = clamp(left + corner % 2, 0, width - 1)
+                q = clamp(top + corner // 2, 0, height - 1)
+                fx = abs(np.float32(1 - corner % 2) - (x - np.float32(left)))
+                fy = abs(np.float32(1 - corner // 2) - (y - np.float32(top)))
+                weight = fx * fy
+                if weight == 0 or not _is_same_surface(depth[q, p], surface_depth):
+                    continue
+                total += weight
+                for c in range(channels):
+                    out[i, j, c] += weight * image[q, p, c]
+            for c in range(channels):
+                out[i, j, c] /= total

@@ -9,38 +9,28 @@ by side.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import compiled, inlined, part
-
-U8 = npt.NDArray[np.uint8]
-U16 = npt.NDArray[np.uint16]
-U32 = npt.NDArray[np.uint32]
-I64 = npt.NDArray[np.int64]
+from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels.array_types import I64, U8, U16, U32
 
 
-@part
-def delta_encode(values: U16, previous: U16, shift: np.uint16, out: U8) -> None:
+@device_function
+def _delta_encode(values: U16, previous: U16, shift: np.uint16, out: U8) -> None:
     """Write the differences of one byte of pairs [N], plus 128; `shift` selects the byte."""
+    # One output array, which is not read: so the loop becomes vector instructions.
     # One output array, and no look back into it: so the loop becomes vector instructions.
     for i in range(out.size):
         rise = np.uint16(np.uint16(values[i] >> shift) - np.uint16(previous[i] >> shift))
         out[i] = np.uint8(rise + np.uint16(128))
 
 
-@compiled
-def predict(lines: U16, block: int, out: U8) -> None:
-    """Filter scan-line blocks before they are deflated.
-
-    Parameters
-    ----------
-    lines
-        Scan lines as pairs of bytes [N].
-    block
-        Pairs of a block; the last one may have fewer.
-    out
-        Bytes [2 N], written. The first byte of a block stands as it is.
-    """
+@kernel
+def predict(
+    lines: U16,  # scan lines as pairs of bytes, [N]
+    block: int,  # pairs of a block; the last one may have fewer
+    out: U8,  # bytes [2 N], written; the first byte of a block stays as it is
+) -> None:
+    """Filter scan-line blocks before they are deflated."""
     for start in range(0, lines.size, block):
         pairs = lines[start : start + block]
         last = pairs.size - 1
@@ -48,85 +38,78 @@ def predict(lines: U16, block: int, out: U8) -> None:
         odd = out[2 * start + pairs.size : 2 * start + 2 * pairs.size]
         even[0] = np.uint8(pairs[0])
         odd[0] = np.uint8((pairs[0] >> 8) - pairs[last] + 128)
-        delta_encode(pairs[1:], pairs[:last], np.uint16(0), even[1:])
-        delta_encode(pairs[1:], pairs[:last], np.uint16(8), odd[1:])
+        _delta_encode(pairs[1:], pairs[:last], np.uint16(0), even[1:])
+        _delta_encode(pairs[1:], pairs[:last], np.uint16(8), odd[1:])
 
 
-@inlined
-def half_to_float(half: np.uint32) -> np.uint32:
+@inline
+def _half_to_float(half: np.uint32) -> np.uint32:
     """Return the bits of a half's value as a float; a NaN keeps its bits. Without branches."""
     sign, size = (half & np.uint32(0x8000)) << np.uint32(16), half & np.uint32(0x7FFF)
     bits = np.uint32((size << np.uint32(13)) + np.uint32(0x38000000))
-    full = np.uint32(bits | np.uint32(0x7F800000))  # infinity and NaN
+    special = np.uint32(bits | np.uint32(0x7F800000))  # infinity and NaN
     steps = np.float32(size).view(np.uint32)  # below 2 ** -14: so many times 2 ** -24
     small = np.uint32(steps - np.uint32(0x0C000000)) if size > 0 else np.uint32(0)
-    normal = full if size >= np.uint32(0x7C00) else bits
+    normal = special if size >= np.uint32(0x7C00) else bits
     return np.uint32(sign | (small if size < np.uint32(0x0400) else normal))
 
 
-@inlined
-def scatter(line: U32, row: U32, place: int) -> None:
-    """Write a channel's line [W] among those of the others, [W, C]."""
+@inline
+def _scatter(line: U32, row: U32, place: int) -> None:
     # Values are computed in a line of their own before: in one loop they would be scattered by
     # vector instructions, which took five times as long.
     for x in range(line.size):
         row[x, place] = line[x]
 
 
-@compiled
-def read_lines(data: U8, columns: I64, out: U32) -> None:
-    """Read a block that is stored uncompressed: in each line a channel after the other.
-
-    Parameters
-    ----------
-    data
-        Bytes, as many as the lines need; the caller has checked that.
-    columns
-        int64 [K, 2] by channel in the file's order: bytes of a pixel (2 or 4), and its place in
-        `out`, -1 where it is not wanted.
-    out
-        Bits of floats or of integers [H, W, C], written. A half becomes the float of its value.
-    """
+@kernel
+def read_lines(
+    data: U8,  # bytes, as many as the lines need; the caller has checked that
+    # columns: [K, 2] by channel in the file's order: bytes of a pixel (2 or 4); place in `out`, or
+    # -1
+    columns: I64,
+    out: U32,  # bits of floats or integers [H, W, C], written; halves become floats
+) -> None:
+    """Read a block that is stored uncompressed: in each line one channel after the other."""
     height, width, _ = out.shape
     line = np.empty(width, np.uint32)
-    at = 0
+    offset = 0
     for y in range(height):
         for k in range(len(columns)):
             size, place = columns[k]
-            pixels = data[at : at + size * width]
-            at += size * width
+            pixels = data[offset : offset + size * width]
+            offset += size * width
             if place < 0:
                 continue
             if size == 2:
                 for x in range(width):
                     low, high = np.uint32(pixels[2 * x]), np.uint32(pixels[2 * x + 1])
-                    line[x] = half_to_float(low | high << np.uint32(8))
+                    line[x] = _half_to_float(low | high << np.uint32(8))
             else:
                 for x in range(width):
                     low = np.uint32(pixels[4 * x]) | np.uint32(pixels[4 * x + 1]) << np.uint32(8)
                     high = np.uint32(pixels[4 * x + 2])
                     high |= np.uint32(pixels[4 * x + 3]) << np.uint32(8)
                     line[x] = low | high << np.uint32(16)
-            scatter(line, out[y], place)
+            _scatter(line, out[y], place)
 
 
-@inlined
-def prefix_sum(deltas: U8, before: np.uint8) -> np.uint8:
-    """Return the last byte of a run of stored differences that follows `before`."""
+@inline
+def _prefix_sum(deltas: U8, before: np.uint8) -> np.uint8:
     value = np.uint8(before + np.uint8(deltas.size << 7))
     for i in range(deltas.size):
         value = np.uint8(value + deltas[i])
     return value
 
 
-@inlined
-def decode_line(even: U8, odd: U8, start: np.uint64, line: U32) -> np.uint64:
+@inline
+def _decode_line(even: U8, odd: U8, start: np.uint64, line: U32) -> np.uint64:
     """Write the pixels [W] of a channel from the stored differences of its even and odd bytes.
 
     `start` holds the byte before in either half of the block, in its lower and upper 32 bits, where
-    sums need no carry from one into the other. The bytes at the end are returned likewise. Only the
-    prefix sum cannot be done on vectors.
+    sums need no carry. The last bytes are returned in the same form.
     """
+    # Only the prefix sum cannot be vectorised.
     width, flip = line.size, np.uint8(128)
     sums = np.empty(width, np.uint64)
     if even.size == width:
@@ -145,7 +128,7 @@ def decode_line(even: U8, odd: U8, start: np.uint64, line: U32) -> np.uint64:
     if even.size == width:
         for x in range(width):
             a, b = np.uint32(sums[x]) & byte, np.uint32(sums[x] >> np.uint64(32)) & byte
-            line[x] = half_to_float(a | b << np.uint32(8))
+            line[x] = _half_to_float(a | b << np.uint32(8))
     else:
         for x in range(width):
             a, b = np.uint32(sums[x]), np.uint32(sums[x] >> np.uint64(32))
@@ -156,40 +139,36 @@ def decode_line(even: U8, odd: U8, start: np.uint64, line: U32) -> np.uint64:
     return np.uint64(value & np.uint64(0x000000FF000000FF))
 
 
-@compiled
+@kernel
 def read_predicted(data: U8, columns: I64, out: U32) -> None:
-    """Read an inflated block, which `predict` filtered; parameters as for `read_lines`.
-
-    Of a channel that is not wanted only the differences are summed, a twentieth of the work.
-    """
+    """Read an inflated block that `predict` filtered; parameters as for `read_lines`."""
+    # Of a channel that is not wanted only the differences are summed: a twentieth of the work.
     height, width, _ = out.shape
     half = data.size // 2
     even, odd = data[:half], data[half:]
     a = np.uint8(128)  # the first byte stands as it is
-    b = prefix_sum(even, a)
+    b = _prefix_sum(even, a)
     line = np.empty(width, np.uint32)
-    at = 0
+    offset = 0
     for y in range(height):
         for k in range(len(columns)):
             size, place = columns[k]
             step = size * width // 2
-            low, high = even[at : at + step], odd[at : at + step]
-            at += step
+            low, high = even[offset : offset + step], odd[offset : offset + step]
+            offset += step
             if place < 0:
-                a, b = prefix_sum(low, a), prefix_sum(high, b)
+                a, b = _prefix_sum(low, a), _prefix_sum(high, b)
                 continue
-            ends = decode_line(low, high, np.uint64(a) | np.uint64(b) << np.uint64(32), line)
+            ends = _decode_line(low, high, np.uint64(a) | np.uint64(b) << np.uint64(32), line)
             a, b = np.uint8(ends), np.uint8(ends >> np.uint64(32))
-            scatter(line, out[y], place)
+            _scatter(line, out[y], place)
 
 
-@inlined
-def float_to_half(bits: np.uint32) -> np.uint16:
-    """Round a float's bits, no NaN, to the nearest half, and to even between two.
-
-    As IEEE 754 and numpy do. Without branches: vector instructions take 1.6 ms for a frame of four
-    channels at 1920x1080, the processor's own instruction 1.4 ms.
-    """
+@inline
+def _float_to_half(bits: np.uint32) -> np.uint16:
+    """Round a float's bits, no NaN, to the nearest half, and to even between two (IEEE 754)."""
+    # Without branches: 1.6 ms for four channels at 1920x1080; the processor's own instruction 1.4
+    # ms.
     size = bits & np.uint32(0x7FFFFFFF)
     sign = np.uint32(bits >> np.uint32(16)) & np.uint32(0x8000)
     even = np.uint32(0xFFF) + (np.uint32(size >> np.uint32(13)) & np.uint32(1))
@@ -202,27 +181,21 @@ def float_to_half(bits: np.uint32) -> np.uint16:
     return np.uint16(half | sign)
 
 
-@inlined
-def nan_to_half(bits: np.uint32) -> np.uint16:
-    """Return the half that keeps what fits of a NaN's bits."""
-    kept = (bits >> np.uint32(13)) & np.uint32(0x3FF)
+@inline
+def _nan_to_half(bits: np.uint32) -> np.uint16:
+    """Return the half that keeps the upper bits of a NaN."""
+    payload = (bits >> np.uint32(13)) & np.uint32(0x3FF)
     sign = (bits >> np.uint32(16)) & np.uint32(0x8000)
-    return np.uint16(sign | np.uint32(0x7C00) | kept | np.uint32(kept == 0))
+    return np.uint16(sign | np.uint32(0x7C00) | payload | np.uint32(payload == 0))
 
 
-@compiled
-def round_to_half(pixels: U32, bounded: bool, out: U16) -> None:
-    """Round floats to halfs, in a tenth of the time that numpy takes.
-
-    Parameters
-    ----------
-    pixels
-        Bits of floats [H, W], contiguous.
-    bounded
-        Whether numbers beyond half's range, and infinity, become its largest; else infinity.
-    out
-        Bits of halfs [H, W], contiguous, written.
-    """
+@kernel
+def round_to_half(
+    pixels: U32,  # bits of floats [H, W], contiguous
+    bounded: bool,  # values beyond half's range, and infinity, become its largest; else infinity
+    out: U16,  # bits of halves [H, W], contiguous, written
+) -> None:
+    """Round floats to halves, in a tenth of the time that numpy takes."""
     most = np.uint32(0x477FE000) if bounded else np.uint32(0x7F800000)
     for y in range(len(pixels)):
         row, halfs = pixels[y], out[y]
@@ -230,8 +203,8 @@ def round_to_half(pixels: U32, bounded: bool, out: U16) -> None:
         for x in range(row.size):
             size = np.uint32(row[x] & np.uint32(0x7FFFFFFF))
             largest = max(largest, size)
-            halfs[x] = float_to_half(np.uint32(min(size, most) | row[x] & np.uint32(0x80000000)))
+            halfs[x] = _float_to_half(np.uint32(min(size, most) | row[x] & np.uint32(0x80000000)))
         if largest > np.uint32(0x7F800000):
             for x in range(row.size):
                 if row[x] & np.uint32(0x7FFFFFFF) > np.uint32(0x7F800000):
-                    halfs[x] = nan_to_half(row[x])
+                    halfs[x] = _nan_to_half(row[x])

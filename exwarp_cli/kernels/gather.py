@@ -1,55 +1,38 @@
-"""Backward sampling of an image along a motion field."""
+"""Backward sampling of images along motion fields and at scattered places."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, parallel, part
-from exwarp_cli.kernels._row_bands import Share, turns
+from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._row_bands import Band, band_range
+from exwarp_cli.kernels.array_types import B8, F32, F64
 
-F32 = npt.NDArray[np.float32]
-B8 = npt.NDArray[np.bool_]
 U64 = np.uint64
 
-FURTHEST = np.float32(1e7)
-"""Pixels from the frame's corner beyond which nothing is sampled."""
+MAX_DISTANCE = np.float32(1e7)  # Pixels from the frame's corner beyond which nothing is sampled
 
 
-@part
+@device_function
 def clamp(value: int, low: int, high: int) -> int:
     """Return the value, or the nearer bound."""
     return min(max(value, low), high)
 
 
-@inlined
-def mix(
-    pixels: F32,
+@inline
+def _interpolate_pixel(
+    pixels: F32,  # [H W C]
+    # at: index of the upper left neighbour, steps to the right and lower ones
     at: tuple[U64, U64, U64],
-    fx: np.float32,
-    fy: np.float32,
+    fx: np.float32,  # weight of the right neighbours
+    fy: np.float32,  # weight of the lower neighbours
     channels: int,
-    out: F32,
+    out: F32,  # [w C], written from `place` on
     place: int,
 ) -> bool:
-    """Mix four neighbours bilinearly and return whether all values are finite.
-
-    Parameters
-    ----------
-    pixels
-        float32 [H W C].
-    at
-        Where in `pixels` the upper left neighbour begins, and how far the others are right of it
-        and below. Unsigned indices need no test for counting from the end.
-    fx, fy
-        Weights of the right and the lower neighbours.
-    channels
-        C.
-    out
-        float32 [w C], written from `place` on.
-    """
+    """Interpolate four neighbours bilinearly; return whether all values are finite."""
     first, right, below = at
     check = np.float32(0)
     for c in range(channels):
@@ -62,11 +45,11 @@ def mix(
     return bool(check == 0)
 
 
-@part
+@device_function
 def sample_border(
     pixels: F32, shape: tuple[int, int, int], x: np.float32, y: np.float32, out: F32, place: int
 ) -> bool:
-    """Sample where neighbours may lie outside, which have the edge's colour; as :func:`mix`."""
+    """Sample where neighbours may lie outside the image; those get the edge's colour."""
     height, width, channels = shape
     left, top = math.floor(x), math.floor(y)
     fx, fy = x - np.float32(left), y - np.float32(top)
@@ -79,34 +62,33 @@ def sample_border(
         U64((x1 - x0) * channels),
         U64((y1 - y0) * width * channels),
     )
-    return bool(mix(pixels, at, fx, fy, channels, out, place))
+    return bool(_interpolate_pixel(pixels, at, fx, fy, channels, out, place))
 
 
-@part
-def show_border(
+@device_function
+def _show_border(
     pixels: F32, shape: tuple[int, int, int], x: np.float32, y: np.float32, out: F32, place: int
 ) -> bool:
-    """Sample where neighbours lie outside, and return whether that lies in the pixels' areas."""
     height, width, channels = shape
     shown = sample_border(pixels, shape, x, y, out, place)
     if not shown:
-        clear(out, place, channels)
+        clear_pixel(out, place, channels)
     within = x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5
     return shown and bool(within)
 
 
-@part
-def clear(out: F32, place: int, channels: int) -> None:
+@device_function
+def clear_pixel(out: F32, place: int, channels: int) -> None:
     """Write 0 to the values of a pixel."""
     for c in range(channels):
         out[U64(place) + U64(c)] = np.float32(0.0)
 
 
-@inlined
-def sample(
+@inline
+def sample_pixel(
     pixels: F32, shape: tuple[int, int, int], x: np.float32, y: np.float32, out: F32, place: int
 ) -> bool:
-    """Write what lies at (x, y), 0 where nothing does, and return whether something finite does."""
+    """Write the pixel at (x, y), or 0; return whether a finite value lies there."""
     height, width, channels = shape
     if (x >= 0) & (y >= 0) & (x < np.float32(width - 1)) & (y < np.float32(height - 1)):
         left, top = np.int32(x), np.int32(y)  # rounds down
@@ -114,38 +96,192 @@ def sample(
         first = U64((top * np.int32(width) + left) * np.int32(channels))
         # A sample of weight 0 must not spread its NaN: whole-pixel motion copies exactly.
         at = first, U64(0 if fx == 0 else channels), U64(0 if fy == 0 else width * channels)
-        if mix(pixels, at, fx, fy, channels, out, place):
+        if _interpolate_pixel(pixels, at, fx, fy, channels, out, place):
             return True
-    elif abs(x) < FURTHEST and abs(y) < FURTHEST:
-        return bool(show_border(pixels, shape, x, y, out, place))
-    clear(out, place, channels)
+    elif abs(x) < MAX_DISTANCE and abs(y) < MAX_DISTANCE:
+        return bool(_show_border(pixels, shape, x, y, out, place))
+    clear_pixel(out, place, channels)
     return False
 
 
-@parallel
-def gather_bilinear(image: F32, field: F32, out: F32, hole: B8, share: Share) -> None:
-    """Sample `image` bilinearly at x + field(x) and mark what cannot be sampled.
-
-    Parameters
-    ----------
-    image
-        float32 [H, W, C], of less than 2^31 values.
-    field
-        float32 [h, w, 2], pixels, +x right, +y down, from a pixel of `out` to its source; NaN where
-        there is none.
-    out
-        float32 [h, w, C], written; 0 where there is no source, the edge's colour where the source
-        lies outside the image.
-    hole
-        bool [h, w], written: no source, a source outside the image's pixel areas, or a non-finite
-        value among the samples.
-    """
+@kernel(parallel=True)
+def gather_bilinear(
+    image: F32,  # [H, W, C], fewer than 2^31 values
+    field: F32,  # [h, w, 2] px, +x right, +y down, from `out` to the source; NaN without one
+    out: F32,  # [h, w, C], written; 0 without a source, the edge's colour outside the image
+    hole: B8,  # [h, w], written: no source, one outside the pixel areas, or a non-finite sample
+    band: Band,
+) -> None:
+    """Sample `image` bilinearly at x + field(x) and mark what cannot be sampled."""
     pixels, channels = np.ascontiguousarray(image).reshape(-1), image.shape[2]
-    for i in turns(out.shape[0], share):
+    for i in band_range(out.shape[0], band):
         line, target = np.ascontiguousarray(field[i]).reshape(-1), out[i].reshape(-1)
-        unseen = hole[i]
+        row_hole = hole[i]
         for j in range(out.shape[1]):
             # Unsigned indices need no test for counting from the end.
             x = np.float32(j) + line[U64(2 * j)]
             y = np.float32(i) + line[U64(2 * j + 1)]
-            unseen[U64(j)] = not sample(pixels, image.shape, x, y, target, channels * j)
+            row_hole[U64(j)] = not sample_pixel(pixels, image.shape, x, y, target, channels * j)
+
+
+Area = tuple[int, int, int, int]
+
+BOUNDS_RADIUS = 2  # Pixels on each side of a place that count: a window of 5x5
+
+ALPHA_CHANNEL = 3  # The channel that holds alpha, where there are more than three
+
+
+@inline
+def _raise_pixel(
+    pixels: F32,  # [H W C]
+    area: Area,  # first pixel, rows, columns, and the frame's width
+    channels: int,
+    clear: bool,
+    sign: np.float32,
+    bound: F32,  # [h w C], changed from `at` on
+    at: int,
+) -> None:
+    begin, rows, columns, width = area
+    for i in range(rows):
+        for j in range(columns):
+            first = U64((begin + i * width + j) * channels)
+            if clear and pixels[first + U64(ALPHA_CHANNEL)] != 0:
+                continue
+            for c in range(channels):
+                value = np.float32(sign * pixels[first + U64(c)])
+                place = U64(at) + U64(c)
+                # Without branches, and false for NaN.
+                more = (value > bound[place]) & (value < np.float32(np.inf))
+                bound[place] = value if more else bound[place]
+
+
+@kernel(parallel=True)
+def raise_bounds(
+    pixels: F32,  # [H, W, C]; non-finite values do not count
+    field: F32,  # [h, w, 2] px from the slot to the frame; beyond the frame its edge counts
+    wanted: B8,  # [h, w]: pixels whose bounds are raised
+    clear: bool,  # only pixels with an alpha of 0 count
+    sign: np.float32,  # 1 for upper bounds, -1 for lower ones, which are negated
+    bound: F32,  # [h, w, C], changed; -inf without a bound so far
+    band: Band,
+) -> None:
+    """Raise bounds to the maximum of `sign` times a frame's values around a motion field's ends."""
+    height, width, channels = pixels.shape
+    flat, bounds = pixels.reshape(-1), bound.reshape(-1)
+    right, bottom = np.float32(pixels.shape[1] - 1), np.float32(pixels.shape[0] - 1)
+    for i in band_range(field.shape[0], band):
+        for j in range(field.shape[1]):
+            x, y = np.float32(j) + field[i, j, 0], np.float32(i) + field[i, j, 1]
+            if wanted[i, j] and not math.isnan(x) and not math.isnan(y):
+                x = min(max(x, np.float32(0)), right)
+                y = min(max(y, np.float32(0)), bottom)
+                # Nothing negative is left, so converting rounds down.
+                row, column = int(y + np.float32(0.5)), int(x + np.float32(0.5))
+                top, left = max(row - BOUNDS_RADIUS, 0), max(column - BOUNDS_RADIUS, 0)
+                rows = min(row + BOUNDS_RADIUS + 1, height) - top
+                columns = min(column + BOUNDS_RADIUS + 1, width) - left
+                area = top * width + left, rows, columns, width
+                at = (i * field.shape[1] + j) * channels
+                # With a number that the compiler knows, channels take a fraction of the time.
+                if channels == 4:
+                    _raise_pixel(flat, area, 4, clear, sign, bounds, at)
+                elif channels == 3:
+                    _raise_pixel(flat, area, 3, False, sign, bounds, at)
+                else:
+                    _raise_pixel(flat, area, channels, clear, sign, bounds, at)
+
+
+@kernel(parallel=True)
+def clamp_to_bounds(
+    bound: F32,  # [H, W, C], `sign` times the bounds; -inf for a bound of 0
+    wanted: B8,  # [H, W]: pixels that are clamped; [0, 0] for all
+    sign: np.float32,  # 1 for upper bounds, -1 for lower ones
+    channels: int,  # number of channels that are clamped
+    frame: F32,  # [H, W, C], changed
+    band: Band,
+) -> None:
+    """Clamp a frame to upper bounds, or to lower ones."""
+    height, width, _ = frame.shape
+    for i in band_range(height, band):
+        for j in range(width):
+            if wanted.size == 0 or wanted[i, j]:
+                for c in range(channels):
+                    most = bound[i, j, c] if bound[i, j, c] > -np.inf else np.float32(0)
+                    if sign * frame[i, j, c] > most:
+                        frame[i, j, c] = sign * most + np.float32(0)  # no negative zero
+
+
+@kernel
+def sample_points(
+    image: F32,  # [H, W, C]
+    target: F64,  # [N, 2], x and y in pixels
+    samples: F64,  # [N, C], written; NaN outside the pixels' centres
+) -> None:
+    """Sample an image bilinearly at scattered places."""
+    height, width, channels = image.shape
+    for n in range(target.shape[0]):
+        x, y = target[n, 0], target[n, 1]
+        if not (x >= 0 and y >= 0 and x <= width - 1 and y <= height - 1):
+            for c in range(channels):
+                samples[n, c] = np.nan
+            continue
+        left, top = np.int64(math.floor(x)), np.int64(math.floor(y))
+        right, low = min(left + 1, width - 1), min(top + 1, height - 1)
+        fx, fy = x - np.float64(left), y - np.float64(top)
+        for c in range(channels):
+            a, b = np.float64(image[top, left, c]), np.float64(image[top, right, c])
+            upper = a * (1 - fx) + b * fx
+            a, b = np.float64(image[low, left, c]), np.float64(image[low, right, c])
+            lower = a * (1 - fx) + b * fx
+            samples[n, c] = upper * (1 - fy) + lower * fy
+
+
+@kernel
+def write_point_losses(
+    samples: F64,  # [N, C]
+    wanted: F64,  # [N, C]
+    tolerance: F64,  # [N], the distance that counts 1, as do greater and unknown ones
+    losses: F64,  # [N], written
+) -> None:
+    """Write the distances of values from those wanted, from 0 to 1."""
+    for n in range(losses.size):
+        square = np.float64(0)
+        for c in range(samples.shape[1]):
+            gap = samples[n, c] - wanted[n, c]
+            square += gap * gap
+        distance = math.sqrt(square) / tolerance[n]
+        losses[n] = distance if distance < 1 else 1.0
+
+
+@kernel
+def write_shifted_losses(
+    xy: F64,  # [N, 2], places in pixels
+    shifts: F32,  # [K, N, 2], added to the places
+    image: F32,  # [H, W, C]
+    wanted: F64,  # [N, C]
+    tolerance: F64,  # [N], as in `write_point_losses`
+    place: int,
+    losses: F64,  # [K, P, N], written at [:, place]
+) -> None:
+    """Write `write_point_losses` of `sample_points` for K displacements of each place."""
+    # One pass for all displacements: two calls for each took twice as long.
+    height, width, channels = image.shape
+    for k in range(shifts.shape[0]):
+        for n in range(xy.shape[0]):
+            x, y = xy[n, 0] + np.float64(shifts[k, n, 0]), xy[n, 1] + np.float64(shifts[k, n, 1])
+            if not (x >= 0 and y >= 0 and x <= width - 1 and y <= height - 1):
+                losses[k, place, n] = 1.0
+                continue
+            left, top = np.int64(math.floor(x)), np.int64(math.floor(y))
+            right, low = min(left + 1, width - 1), min(top + 1, height - 1)
+            fx, fy = x - np.float64(left), y - np.float64(top)
+            square = np.float64(0)
+            for c in range(channels):
+                a, b = np.float64(image[top, left, c]), np.float64(image[top, right, c])
+                upper = a * (1 - fx) + b * fx
+                a, b = np.float64(image[low, left, c]), np.float64(image[low, right, c])
+                lower = a * (1 - fx) + b * fx
+                gap = upper * (1 - fy) + lower * fy - wanted[n, c]
+                square += gap * gap
+            distance = math.sqrt(square) / tolerance[n]
+            losses[k, place, n] = distance if distance < 1 else 1.0

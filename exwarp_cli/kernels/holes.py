@@ -1,49 +1,44 @@
-"""Finding holes: pixels whose source is another surface."""
+"""Hole detection, and filling from the visible pixels around."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, parallel
-from exwarp_cli.kernels._row_bands import Share, turns
+from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._row_bands import Band, band_range
+from exwarp_cli.kernels.array_types import B8, F32, F64, I16, I32
 
-F32 = npt.NDArray[np.float32]
-I32 = npt.NDArray[np.int32]
-B8 = npt.NDArray[np.bool_]
-
+# Pixel footprints that two world positions of one surface may lie apart: the
+# nearest source pixel is up to 0.71 pixels off, and its own sample as much again.
 FOOTPRINTS = np.float32(2.0)
-"""How many pixel footprints two world positions may lie apart and still be the same surface: the
-nearest source pixel is up to 0.71 pixels off, and its own sample as much again."""
 
+# Relative change of depth up to which two pixels may be the same surface, without positions.
 DEPTH_TOLERANCE = np.float32(0.1)
-"""Relative change of depth up to which two pixels may be the same surface, without positions."""
 
+# Steps that rounded depths of one point lie apart at most: one, as far as it can be measured.
 ROUNDINGS = np.float32(1.1)
-"""Steps that rounded depths of one point lie apart at most: one, as far as it can be measured."""
 
+# To which values were rounded: a depth's step in scene units, and that of its inverse.
 Steps = tuple[np.float32, np.float32]
-"""To which values were rounded: a depth's step in scene units, and that of its inverse."""
 
 Limits = tuple[np.float32, np.float32, np.float32, np.float32]
 
 
-@inlined
+@inline
 def same_depth(a: np.float32, b: np.float32, tolerance: np.float32, steps: Steps) -> bool:
-    """Whether two depths, neither of background, differ by no more than a share of the larger.
+    """Return whether two depths, neither of background, differ by at most a share of the larger.
 
-    Rounded depths of one point lie up to a step apart; of the inverse that is |1/a - 1/b|. Added to
-    the share instead of as another bound, the step hid holes at near outlines: 0.1 dB lost.
+    Rounded depths of one point lie up to a step apart; in the inverse that is |1/a - 1/b|.
     """
+    # As a second bound: added to the share, the step hid holes at near outlines (0.1 dB lost).
     rounding = steps[0] + steps[1] * a * b
     return not abs(a - b) > max(tolerance * max(a, b), ROUNDINGS * rounding)
 
 
-@inlined
-def apart(position: F32, i: int, j: int, other: F32, y: int, x: int) -> np.float32:
-    """Squared distance of the positions at (i, j) and, in another frame, at (y, x)."""
+@inline
+def _squared_distance(position: F32, i: int, j: int, other: F32, y: int, x: int) -> np.float32:
     squared = np.float32(0.0)
     # Unsigned indices need no test for counting from the end.
     p, q, r, s = np.uint64(i), np.uint64(j), np.uint64(y), np.uint64(x)
@@ -52,36 +47,34 @@ def apart(position: F32, i: int, j: int, other: F32, y: int, x: int) -> np.float
     return squared
 
 
-@inlined
-def spacing(position: F32, i: int, j: int, down: int, right: int) -> np.float32:
-    """Squared distance to the nearer of the two neighbours on an axis; infinite without any.
-
-    The nearer, so that a silhouette beside the pixel does not enlarge it.
-    """
+@inline
+def _neighbour_distance(position: F32, i: int, j: int, down: int, right: int) -> np.float32:
+    """Return the squared distance to the nearer of the two neighbours on an axis, or infinity."""
+    # The nearer, so that a silhouette beside the pixel does not enlarge it.
     height, width, _ = position.shape
     best = np.float32(np.inf)
     if i >= down and j >= right:
-        best = min(best, apart(position, i - down, j - right, position, i, j))
+        best = min(best, _squared_distance(position, i - down, j - right, position, i, j))
     if i + down < height and j + right < width:
-        best = min(best, apart(position, i + down, j + right, position, i, j))
+        best = min(best, _squared_distance(position, i + down, j + right, position, i, j))
     return best
 
 
-@inlined
-def beyond_footprint(
+@inline
+def _beyond_footprint(
     position: F32, i: int, j: int, squared: np.float32, rounded: np.float32
 ) -> bool:
-    """Whether a squared distance is more than FOOTPRINTS of the pixel at (i, j).
+    """Return whether a squared distance exceeds FOOTPRINTS of the pixel at (i, j).
 
-    The footprint is its size in world space, which grows with distance and at grazing angles: the
-    sum of its spacing on both axes. What is within that of one axis needs no roots. `rounded` is
-    the step of the positions as a share of each; both ends together are off by up to a step.
+    A pixel's footprint in world space is the sum of its spacing on both axes. `rounded` is the step
+    of the positions as a share of each.
     """
-    total, many = np.float32(0.0), FOOTPRINTS * FOOTPRINTS
+    # What is within the footprint of one axis needs no roots.
+    total, squared_footprints = np.float32(0.0), FOOTPRINTS * FOOTPRINTS
     for axis in range(2):
-        step = spacing(position, i, j, 1 - axis, axis)
+        step = _neighbour_distance(position, i, j, 1 - axis, axis)
         if step < np.float32(np.inf):
-            if squared <= many * step:
+            if squared <= squared_footprints * step:
                 return False
             total += np.float32(math.sqrt(step))
     size, p, q = np.float32(0), np.uint64(i), np.uint64(j)
@@ -90,14 +83,13 @@ def beyond_footprint(
     return bool(math.sqrt(squared) > FOOTPRINTS * total + rounded * size)
 
 
-@inlined
-def is_background(depth: F32, i: int, j: int) -> bool:
-    """Whether a pixel shows no surface."""
+@inline
+def _is_background(depth: F32, i: int, j: int) -> bool:
     return math.isinf(depth[np.uint64(i), np.uint64(j)])
 
 
-@inlined
-def other_surface(
+@inline
+def _other_surface(
     i: int,
     j: int,
     y: int,
@@ -107,7 +99,7 @@ def other_surface(
     least_cosine: np.float32,
     rounded: np.float32,
 ) -> bool:
-    """Whether position (static) or normal (dynamic) at (i, j) now and (y, x) then disagree.
+    """Return whether positions (static) or normals (dynamic) at two instants disagree.
 
     `least_cosine` is that of the normals of one dynamic surface, -2 for a static one.
     """
@@ -122,63 +114,47 @@ def other_surface(
             a += now[p, q, c] ** 2
             b += then[r, s, c] ** 2
         return bool(dot < least_cosine * math.sqrt(a * b))
-    here, there = positions
-    if here.shape[0] == 0:
+    current, source = positions
+    if current.shape[0] == 0:
         return False
-    return bool(beyond_footprint(here, i, j, apart(here, i, j, there, y, x), rounded))
+    return bool(
+        _beyond_footprint(current, i, j, _squared_distance(current, i, j, source, y, x), rounded)
+    )
 
 
-@parallel
-def mark(
-    field: F32,
-    depths: tuple[F32, F32],
-    stencils: tuple[I32, I32],
-    positions: tuple[F32, F32],
-    normals: tuple[F32, F32],
+@kernel(parallel=True)
+def mark_holes(
+    field: F32,  # [H, W, 2], from the target instant to the source instant; NaN is a hole
+    depths: tuple[F32, F32],  # [H, W] at target and source; +inf background
+    stencils: tuple[I32, I32],  # [H, W], or [0, 0] if unknown; negative where ids mix
+    positions: tuple[F32, F32],  # [H, W, 3], or [0, 0, 3] if unknown
+    normals: tuple[F32, F32],  # [H, W, 3], or [0, 0, 3] if unknown
+    # limits: cosine of the angle by which a dynamic normal may turn; rounding steps, 0 if none
     limits: Limits,
-    hole: B8,
-    share: Share,
+    hole: B8,  # [H, W], written
+    band: Band,
 ) -> None:
     """Mark pixels whose source along a motion field is not the same surface point.
 
-    Parameters
-    ----------
-    field
-        float32 [H, W, 2], from the target instant to the source instant; NaN is a hole.
-    depths
-        float32 [H, W] at target and source; +inf background.
-    stencils
-        int32 [H, W] or [0, 0] when unknown; negative where ids mix.
-    positions, normals
-        float32 [H, W, 3] or [0, 0, 3] when unknown.
-    limits
-        The cosine of the angle by which the normal of one dynamic surface may turn on the way, and
-        the steps to which values were rounded, 0 if not at all: depths in scene units, their
-        inverse, and positions as a share of each.
-    hole
-        bool [H, W], written.
-
-    Notes
-    -----
-    ExtraNet's tests: ids differ; a static pixel's world positions lie further apart than a bias
-    that grows with depth and grazing angle; a dynamic pixel's normal turned. Without positions the
-    depths stand in. What rounding alone can do is no difference.
+    ExtraNet's tests: ids differ; the world positions of a static pixel lie further apart than a
+    bias that grows with depth and grazing angle; the normal of a dynamic pixel turned. Without
+    positions depths are compared. Differences that rounding explains do not count.
     """
     height, width, _ = field.shape
     known_ids = stencils[0].shape[0] > 0
     known_positions = positions[0].shape[0] > 0
     least_cosine, linear, inverse, rounded = limits
-    for i in turns(height, share):
+    for i in band_range(height, band):
         for j in range(width):
             fx, fy = np.float32(j) + field[i, j, 0], np.float32(i) + field[i, j, 1]
             hole[i, j] = True
             if not (fx >= -0.5 and fy >= -0.5 and fx <= width - 0.5 and fy <= height - 0.5):
                 continue
-            # None is below 0, where whole numbers are cut off otherwise than down.
+            # None is below 0, where conversion would round up.
             x = min(int(fx + np.float32(0.5)), width - 1)
             y = min(int(fy + np.float32(0.5)), height - 1)
-            sky = is_background(depths[0], i, j)
-            if sky != is_background(depths[1], y, x):
+            sky = _is_background(depths[0], i, j)
+            if sky != _is_background(depths[1], y, x):
                 continue
             if sky:
                 hole[i, j] = False
@@ -187,10 +163,267 @@ def mark(
             if now >= 0 and then >= 0 and now != then:
                 continue
             cosine = least_cosine if now > 0 else np.float32(-2)
-            if other_surface(i, j, y, x, positions, normals, cosine, rounded):
+            if _other_surface(i, j, y, x, positions, normals, cosine, rounded):
                 continue
             if not known_positions and now <= 0:
                 a, b = depths[0][i, j], depths[1][y, x]
                 if not same_depth(a, b, DEPTH_TOLERANCE, (linear, inverse)):
                     continue
             hole[i, j] = False
+
+
+# Steps (rows, columns) in which a hole searches visible pixels: its eight neighbours. Sixteen
+# directions scored the same, and a walk along each took 20 times as long as these sweeps.
+DIRECTIONS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
+
+MIN_WEIGHT = 1e-6
+
+INFINITE = np.int32(0x7F800000)  # The bits of infinity; those of NaN are greater
+
+
+@device_function
+def _count_row(hole: B8, bits: I32) -> tuple[np.int32, np.int32]:
+    count, most = np.int32(0), np.int32(0)
+    for j in range(hole.size):
+        count += np.int32(hole[j])
+        most = max(most, bits[j] if (not hole[j]) & (bits[j] < INFINITE) else np.int32(0))
+    return count, most
+
+
+@kernel(parallel=True)
+def count_holes(
+    hole: B8,  # [H, W]
+    bits: I32,  # [H, W], bits of the depth, not negative; +inf background, NaN unknown
+    counts: I32,  # [H], written
+    furthest: I32,  # [H], written: bits of the greatest finite depth outside the holes, or of 0
+    band: Band,
+) -> None:
+    """Count each row's holes, and find the greatest visible depth."""
+    # Bits of non-negative floats sort as the floats do, and their maximum needs no branches.
+    height, _ = hole.shape
+    for i in band_range(height, band):
+        counts[i], furthest[i] = _count_row(hole[i], bits[i])
+
+
+@device_function
+def _list_row(hole: B8, columns: I32) -> None:
+    place = np.int64(0)
+    for j in range(hole.size):
+        # Overwritten unless it is a hole: a branch took twice as long.
+        columns[np.uint64(place)] = j
+        place += np.int64(hole[j])
+
+
+@kernel(parallel=True)
+def list_holes(
+    hole: B8,  # [H, W]
+    first: I32,  # [H + 1]: number of holes in all rows above
+    column: I32,  # [N], written, row by row, ascending
+    band: Band,
+) -> None:
+    """List the holes' columns."""
+    height, width = hole.shape
+    for i in band_range(height, band):
+        begin, end = first[i], first[i + 1]
+        if begin < end:
+            columns = np.empty(width, np.int32)
+            _list_row(hole[i], columns)
+            for n in range(end - begin):
+                column[begin + n] = columns[n]
+
+
+@device_function
+def _answer_row(
+    ahead_distances: I16,  # [W + 2], distances of the row ahead; 0 at the ends, beyond the frame
+    hole: B8,
+    dx: int,  # columns in a step
+    reach: int,  # most steps
+    # distances: [W + 2], written between the ends: 1 if visible, else one more than ahead; 0 out of
+    # reach
+    distances: I16,
+) -> None:
+    """Write the distances that the pixels of a row report to those behind them."""
+    unit, limit = np.int16(1), np.int16(reach)
+    row_ahead = ahead_distances[1 + dx : 1 + dx + hole.size]
+    for j in range(hole.size):
+        step = row_ahead[j]
+        next_step = np.int16(step + unit) if (step > 0) & (step < limit) else np.int16(0)
+        distances[j + 1] = next_step if hole[j] else unit
+
+
+@device_function
+def _march_across_rows(
+    direction: int, hole: B8, first: I32, column: I32, reach: int, steps: I16
+) -> None:
+    """Write one direction of `ray_march_visible` that leads to another row."""
+    # Against the direction, so that pixels read distances that are already known.
+    height, width = hole.shape
+    dy, dx = DIRECTIONS[direction]
+    distances = np.zeros((2, width + 2), np.int16)  # at first none: beyond the frame
+    for row in range(height):
+        i = row if dy < 0 else height - 1 - row
+        ahead, current = distances[row % 2], distances[1 - row % 2]
+        for k in range(first[i], first[i + 1]):
+            steps[k] = ahead[np.uint64(column[k] + 1 + dx)]
+        _answer_row(ahead, hole[i], dx, reach, current)
+
+
+@device_function
+def _march_along_row(dx: int, width: int, first: I32, column: I32, reach: int, steps: I16) -> None:
+    """Write one direction of `ray_march_visible` that stays in the row."""
+    for i in range(first.size - 1):
+        visited, distance = -2, 0
+        for n in range(first[i + 1] - first[i]):
+            k = first[i] + n if dx < 0 else first[i + 1] - 1 - n
+            ahead = column[k] + dx
+            step = distance if ahead == visited else (1 if 0 <= ahead < width else 0)
+            steps[k] = step
+            visited, distance = int(column[k]), (step + 1 if 0 < step < reach else 0)
+
+
+@kernel(parallel=True)
+def ray_march_visible(
+    hole: B8,  # [H, W]
+    first: I32,  # from `list_holes`, as is `column`
+    column: I32,
+    reach: int,  # most steps, 1 to 32,766
+    steps: I16,  # [8, N], written: steps to the visible pixel; 0 without one
+    band: Band,
+) -> None:
+    """Find the first visible pixel that a hole sees in each of eight directions."""
+    # All pixels of a row answer, without branches: a third of the time of holes alone.
+    for direction in band_range(len(DIRECTIONS), band):
+        if DIRECTIONS[direction][0] == 0:
+            _march_along_row(
+                DIRECTIONS[direction][1], hole.shape[1], first, column, reach, steps[direction]
+            )
+        else:
+            _march_across_rows(direction, hole, first, column, reach, steps[direction])
+
+
+@device_function
+def _write_depths(
+    at: int, stride: int, depth: F32, columns: I32, cap: np.float32, steps: I16, far: F32, most: F64
+) -> None:
+    """Write the depths that a row's holes see in one direction, and raise their maximum, `most`.
+
+    `depth` is [H W]; the row begins at `at`, and a step is `stride` pixels.
+    """
+    for n in range(columns.size):
+        away = np.int64(steps[n])
+        # Unsigned indices need no test for counting from the end: a third less time here.
+        visible = min(depth[np.uint64(at + columns[n] + away * stride)], cap)
+        far[n] = visible if away > 0 else np.float32(-1)
+        most[n] = max(most[n], np.float64(far[n]))
+
+
+@device_function
+def _write_wanted(at: int, depth: F32, columns: I32, cap: np.float32, most: F64, known: B8) -> None:
+    """Replace the greatest depth that holes see by that of their own surface, where it is known."""
+    for n in range(columns.size):
+        own = np.float64(depth[np.uint64(at + columns[n])])
+        known[n] = not math.isnan(own)
+        most[n] = min(own, np.float64(cap)) if known[n] else most[n]
+
+
+@device_function
+def _write_weights(
+    squared: int, far: F32, wanted: F64, known: B8, steps: I16, weights: F64
+) -> None:
+    """Write the weights of the pixels that a row's holes see in one direction."""
+    for n in range(weights.size):
+        away = np.float64(steps[n])
+        most = max(np.float64(far[n]), wanted[n])
+        ratio = min(np.float64(far[n]), wanted[n]) / most if most > 0 else 1.0
+        similarity = ratio * ratio
+        similarity = similarity * similarity if known[n] else similarity
+        weight = (similarity + MIN_WEIGHT) / (away * away * np.float64(squared))
+        weights[n] = weight if away > 0 else 0.0
+
+
+@device_function
+def _add_seen(
+    row: tuple[int, int, int],  # index of the row, pixels of a step, and C
+    columns: I32,  # [N], as `steps` and `weights`
+    steps: I16,
+    weights: F64,
+    pixels: F32,  # [H W C]
+    sums: F64,  # [N C], changed
+    totals: F64,  # [N], changed
+) -> None:
+    """Add the colours that a row's holes see in one direction to their weighted sums."""
+    at, stride, channels = row
+    for n in range(totals.size):
+        totals[n] += weights[n]
+    for n in range(weights.size):
+        if weights[n] != 0:
+            p = (at + columns[n] + np.int64(steps[n]) * stride) * channels
+            for c in range(channels):
+                sums[n * channels + c] += weights[n] * np.float64(pixels[p + c])
+
+
+@device_function
+def _write_means(at: int, channels: int, columns: I32, sums: F64, totals: F64, pixels: F32) -> None:
+    for n in range(columns.size):
+        p = (at + columns[n]) * channels
+        for c in range(channels):
+            mean = sums[n * channels + c] / totals[n]
+            pixels[p + c] = np.float32(mean) if totals[n] > 0 else np.float32(0)
+
+
+@device_function
+def _fill_row(
+    at: int,
+    size: tuple[int, int],
+    depth: F32,
+    holes: tuple[int, int],
+    column: I32,
+    cap: np.float32,
+    steps: I16,
+    pixels: F32,
+) -> None:
+    """Fill the holes of a row; `size` is W and C, `at` where it begins in `depth` [H W]."""
+    width, channels = size
+    begin, end = holes
+    columns, count = column[begin:end], end - begin
+    far, weights = np.empty((len(DIRECTIONS), count), np.float32), np.empty(count, np.float64)
+    wanted, known = np.zeros(count, np.float64), np.empty(count, np.bool_)
+    sums, totals = np.zeros(count * channels, np.float64), np.zeros(count, np.float64)
+    for way in range(len(DIRECTIONS)):
+        stride = DIRECTIONS[way][0] * width + DIRECTIONS[way][1]
+        _write_depths(at, stride, depth, columns, cap, steps[way][begin:end], far[way], wanted)
+    _write_wanted(at, depth, columns, cap, wanted, known)
+    for way in range(len(DIRECTIONS)):
+        dy, dx = DIRECTIONS[way]
+        away = steps[way][begin:end]
+        _write_weights(dy * dy + dx * dx, far[way], wanted, known, away, weights)
+        origin = (at, dy * width + dx, channels)
+        _add_seen(origin, columns, away, weights, pixels, sums, totals)
+    _write_means(at, channels, columns, sums, totals, pixels)
+
+
+@kernel(parallel=True)
+def fill_holes(
+    image: F32,  # [H, W, C], changed in holes
+    depth: F32,  # [H, W], +inf background; in holes that of the missing surface, NaN if unknown
+    first: I32,  # from `list_holes`, as is `column`
+    column: I32,
+    cap: np.float32,  # scene units; all that is further counts as equally far
+    steps: I16,  # [8, N], from `ray_march_visible`
+    band: Band,
+) -> None:
+    """Fill holes from the visible pixels around them.
+
+    Each hole averages the first visible pixels in eight directions. Weights fall with the squared
+    distance, and with the ratio of depth to the wanted one: to the fourth power where the hole's
+    surface is known, else squared, against the furthest candidate, as a disocclusion shows what
+    lies behind.
+    """
+    # Squares for both lost 0.1 dB with known depth, fourth powers for both 0.04 dB without. A hole
+    # that sees nothing becomes 0.
+    height, width, channels = image.shape
+    flat, pixels = depth.reshape(-1), image.reshape(-1)
+    for i in band_range(height, band):
+        if first[i] < first[i + 1]:
+            holes = (np.int64(first[i]), np.int64(first[i + 1]))
+            _fill_row(i * width, (width, channels), flat, holes, column, cap, steps, pixels)

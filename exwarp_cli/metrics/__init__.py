@@ -1,1 +1,1 @@
-"""Image quality metrics in one registry."""
+"""The metrics of images and of sequences."""

@@ -1,58 +1,175 @@
-"""The metrics by name, and the score of a frame that is made of them."""
+"""The image metrics by name, and the score of a frame.
+
+PSNR; SSIM (Wang et al. 2004, as scikit-image computes it); FLIP and HDR-FLIP, with the numbers of
+their authors' package:
+
+Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild, "FLIP: A Difference Evaluator for
+Alternating Images", Proceedings of the ACM on Computer Graphics and Interactive Techniques 3(2),
+2020. Andersson, Nilsson, Shirley, Akenine-Möller, "Visualizing Errors in Rendered High Dynamic
+Range Images", Eurographics 2021 (short papers).
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection
+
+import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.metric import DEFAULT_METRICS
 from exwarp_cli.domain.results import Score
-from exwarp_cli.metrics import flip, hdr_flip, psnr, pulse, ssim
-from exwarp_cli.metrics.display import Measured, encode
+from exwarp_cli.kernels.flip_error import (
+    OPPONENT_PLANES,
+    PERCEIVED_PLANES,
+    SATURATED,
+    decode_opponent,
+    expose_opponent,
+    raise_flip_error,
+    write_perceived,
+)
+from exwarp_cli.kernels.ssim_error import RADIUS, ssim_map
+from exwarp_cli.metrics.display import PEAK, MetricMap, encode_display
+from exwarp_cli.metrics.temporal import measure_pulse
 
-Metric = Callable[[Float32, Float32], Measured]
+MAX_DB = 100.0  # PSNR of equal images, in place of infinity, and the largest of any pair
 
+
+def measure_psnr(reference: Float32, test: Float32) -> MetricMap:
+    """Return the map of ``10 log10(255^2 / MSE)`` in dB over the three channels, at most MAX_DB."""
+    error = np.zeros(reference.shape[:2])
+    for c in range(3):
+        difference = np.subtract(reference[..., c], test[..., c], dtype=np.float64)
+        error += difference * difference
+    return MetricMap(error / 3, finish=psnr_from_mse)
+
+
+def psnr_from_mse(mean_squared_error: float) -> float:
+    """Turn a mean squared error on the 255 scale into decibels, at most MAX_DB."""
+    if mean_squared_error <= 0:
+        return MAX_DB
+    return min(MAX_DB, 10 * math.log10(PEAK**2 / mean_squared_error))
+
+
+def measure_ssim(reference: Float32, test: Float32) -> MetricMap:
+    """Return the map of SSIM, the mean of the three channels' maps."""
+    # As in scikit-image, the 5 pixels at every edge are left out, where the window would leave the
+    # image; unless the image has fewer than 11 rows or columns. Of a mask every pixel counts.
+    channels = ssim_map(reference, test)
+    # Added by hand: numpy's mean over a last axis of three is slower than the kernel.
+    mean = (channels[..., 0] + channels[..., 1] + channels[..., 2]) / 3
+    inside = min(mean.shape) > 2 * RADIUS
+    return MetricMap(mean, margin=RADIUS if inside else 0)
+
+
+def _perceive(planes: Float32) -> Float32:
+    out = np.empty((PERCEIVED_PLANES, *planes.shape[1:]), np.float32)
+    write_perceived(planes, out)
+    return out
+
+
+def measure_flip(reference: Float32, test: Float32) -> MetricMap:
+    """Return the map of LDR-FLIP at 67 pixels per degree, 0 (equal) to 1."""
+    shape = reference.shape[:2]
+    planes, error = np.empty((OPPONENT_PLANES, *shape), np.float32), np.zeros(shape, np.float32)
+    views = []
+    for image in (reference, test):
+        decode_opponent(np.ascontiguousarray(image, np.float32), planes)
+        views.append(_perceive(planes))
+    raise_flip_error(*views, error)
+    return MetricMap(error)
+
+
+MAX_COLOUR = 65504.0  # the largest half float, as EXR colour mostly is
+
+DARK_LUMINANCE = 1e-6  # a reference below this luminance everywhere counts as black
+
+MIN_MEDIAN = np.float32(2.0**-23)  # least median luminance, as of an image that is mostly black
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # weights of Rec. 709 primaries
+
+
+def hdr_flip_colour(pixels: Float32) -> Float32:
+    """Return colour as HDR-FLIP takes it: float32 [H, W, 3], finite, 0 to MAX_COLOUR.
+
+    NaN and negative values count as 0, infinities as MAX_COLOUR; alpha is dropped.
+    """
+    colour = np.nan_to_num(pixels[..., :3].astype(np.float32), nan=0.0, posinf=MAX_COLOUR)
+    return np.ascontiguousarray(np.clip(colour, 0, np.float32(MAX_COLOUR)))
+
+
+def hdr_flip_exposures(reference: Float32) -> list[float]:
+    """Return the exposures at which a pair is compared, in stops, ascending (section 3).
+
+    The reference comes from `hdr_flip_colour`.
+    They go from the one that brings the largest luminance to 0.85 of white to the one that does so
+    with the median (the upper one of two), in steps of a stop or a little more. A single one if
+    both are equal; [0.0] for a black reference.
+    """
+    r, g, b = (reference[..., c] * LUMINANCE[c] for c in range(3))
+    luminance = (r + g + b).ravel()
+    largest = luminance.max()
+    if largest < DARK_LUMINANCE:
+        return [0.0]
+    middle = luminance.size // 2
+    median = max(np.partition(luminance, middle)[middle], MIN_MEDIAN)
+    # In float32 as the package has it, since near whole stops the last digit decides on the count;
+    # numpy's own logarithm of float32 is not always the nearest one.
+    start, stop = (np.float32(math.log2(SATURATED / value)) for value in (largest, median))
+    if start == stop:
+        return [float(start)]
+    count = max(2, math.ceil(stop - start))
+    return [float(value) for value in np.linspace(start, stop, count)]
+
+
+def measure_hdr_flip(reference: Float32, test: Float32) -> MetricMap:
+    """Return the map of HDR-FLIP of scene-linear images, with any values.
+
+    67 pixels per degree, ACES as the tone mapper, and `hdr_flip_exposures`: the package's defaults.
+    The largest FLIP error of each pixel counts, 0 to 1. A black reference is compared as it is.
+    """
+    images = hdr_flip_colour(reference), hdr_flip_colour(test)
+    shape = reference.shape[:2]
+    planes, error = np.empty((OPPONENT_PLANES, *shape), np.float32), np.zeros(shape, np.float32)
+    for stops in hdr_flip_exposures(images[0]):
+        views = []
+        for image in images:
+            expose_opponent(image, np.float32(2.0**stops), planes)
+            views.append(_perceive(planes))
+        raise_flip_error(*views, error)
+    return MetricMap(error)
+
+
+Metric = Callable[[Float32, Float32], MetricMap]
+
+# Each compares a reference and a test image, both display-encoded, float32 [H, W, 3], 0 to 255;
+# named as in `Score`.
 METRICS: dict[str, Metric] = {
-    "psnr_db": psnr.measure,
-    "ssim": ssim.measure,
-    "flip": flip.measure,
+    "psnr_db": measure_psnr,
+    "ssim": measure_ssim,
+    "flip": measure_flip,
 }
-"""Each compares a reference and a test image, both display-encoded; named as in `Score`."""
 
-LINEAR_METRICS: dict[str, Metric] = {"hdr_flip": hdr_flip.measure}
-"""The same for those that compare scene-linear images."""
+# Metrics that compare scene-linear images.
+LINEAR_METRICS: dict[str, Metric] = {"hdr_flip": measure_hdr_flip}
 
-FRAME_METRICS: dict[str, Callable[[Float32, Float32], float]] = {"pulse": pulse.measure}
-"""Those of whole frames, which compare scene-linear images and have no map."""
+# Metrics of whole frames, without a map, that compare scene-linear images.
+FRAME_METRICS: dict[str, Callable[[Float32, Float32], float]] = {"pulse": measure_pulse}
 
 
-def score(
-    reference: Float32,
+def score_frame(
+    reference: Float32,  # [H, W, 3 or more], scene-linear, as `test`
     test: Float32,
-    mask: Bool | None,
-    names: Collection[str] = DEFAULT_METRICS,
+    mask: Bool | None,  # bool [H, W], the pixels of the second score
+    names: Collection[str] = DEFAULT_METRICS,  # fields of `Score` to measure
 ) -> tuple[Score, Score | None]:
     """Score a frame against ground truth, over all its pixels and over a mask.
 
-    Parameters
-    ----------
-    reference, test
-        float32 [H, W, 3] or more, scene-linear, of one height and width; see
-        `exwarp_cli.metrics.display.encode` and `exwarp_cli.metrics.hdr_flip.usable` for what
-        becomes of values that a display cannot show.
-    mask
-        bool [H, W], the pixels of the second score.
-    names
-        What is measured, as in `Score`. What takes several frames (VMAF, flicker) is left to
-        `exwarp_cli.pipeline.scoring`.
-
-    Returns
-    -------
-    tuple of Score, and Score or None
-        Over all pixels, and over the mask; None without a mask or with an empty one. No value is
-        NaN or infinite, whatever the pixels are.
+    Frames are float32 [H, W, 3 or more], scene-linear. The mask's score is None without a mask or
+    with an empty one. Metrics of several frames (VMAF, flicker) are left to
+    `exwarp_cli.pipeline.scoring`. No value is NaN or infinite, whatever the pixels are.
     """
-    everywhere: dict[str, float] = {}
+    overall: dict[str, float] = {}
     masked: dict[str, float] = {}
     holes = mask if mask is not None and mask.any() else None
     encoded: tuple[Float32, Float32] | None = None
@@ -60,12 +177,14 @@ def score(
         if name not in names:
             continue
         if name in LINEAR_METRICS:
-            measured = LINEAR_METRICS[name](reference, test)
+            metric_map = LINEAR_METRICS[name](reference, test)
         else:
-            encoded = encoded or (encode(reference), encode(test))
-            measured = METRICS[name](*encoded)
-        everywhere[name] = measured.overall()
+            encoded = encoded or (encode_display(reference), encode_display(test))
+            metric_map = METRICS[name](*encoded)
+        overall[name] = metric_map.overall()
         if holes is not None:
-            masked[name] = measured.within(holes)
-    everywhere |= {name: f(reference, test) for name, f in FRAME_METRICS.items() if name in names}
-    return Score(**everywhere), Score(**masked) if holes is not None else None
+            masked[name] = metric_map.within(holes)
+    overall |= {
+        name: measure(reference, test) for name, measure in FRAME_METRICS.items() if name in names
+    }
+    return Score(**overall), Score(**masked) if holes is not None else None

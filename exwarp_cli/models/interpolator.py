@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import Curve
+from exwarp_cli.domain.colour import ShoulderCurve
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.timeline import MOST
+from exwarp_cli.domain.timeline import MAX_FACTOR
 from exwarp_cli.errors import InputError, LayoutError, OutputExistsError
 from exwarp_cli.io.files import atomic_write_text
 from exwarp_cli.models.interpolator_card import (
@@ -85,7 +85,7 @@ class _EncodedPair:
 
     before: Float32
     after: Float32
-    curve: Curve
+    curve: ShoulderCurve
     first: Float32
     second: Float32
     between: dict[float, Float32] = field(default_factory=dict)
@@ -110,7 +110,7 @@ class OnnxInterpolator(OnnxNetwork):
         pair = self._pair
         if pair is None or pair.before is not before or pair.after is not after:
             colours = (before[..., :3], after[..., :3])
-            curve = Curve.of(self.card.encoding, *colours)
+            curve = ShoulderCurve.of(self.card.encoding, *colours)
             first, second = (curve.encode(colour) for colour in colours)
             # Kept for all slots between these frames.
             pair = self._pair = _EncodedPair(before, after, curve, first, second)
@@ -127,7 +127,7 @@ class OnnxInterpolator(OnnxNetwork):
 
         A network without an input for the time, used thrice, reaches multiples of 1/8.
         """
-        return self.card.timed or MOST * time % 1 == 0
+        return self.card.timed or MAX_FACTOR * time % 1 == 0
 
     def judge(self) -> None:
         """Refuse a network that does not fit its card, by what it declares and by running it."""

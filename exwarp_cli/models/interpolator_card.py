@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from exwarp_cli.domain.extrapolator import ENCODINGS
+from exwarp_cli.domain.colour import ENCODINGS
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.models.model_file import read_file_bytes
 

@@ -25,7 +25,7 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, NamedTuple
 
-from exwarp_cli.domain.network import TIME, NetworkInterface
+from exwarp_cli.domain.network_api import TIME_INPUT, NetworkInterface
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.runtime.read_registry import report_reading
 
@@ -156,7 +156,7 @@ def require_nodes(
 
     Raises LayoutError, which names the first misfit.
     """
-    names = (*interface.inputs, TIME)
+    names = (*interface.inputs, TIME_INPUT)
     if foreign := [name for name in inputs if name not in names]:
         raise LayoutError(
             f"{path} has the input {foreign[0]!r}, which ExWarp does not give; export it "
@@ -173,7 +173,7 @@ def require_nodes(
             f"named {interface.output}"
         )
     for name, node in inputs.items():
-        shape = (1,) if name == TIME else (1, interface.inputs[name], None, None)
+        shape = (1,) if name == TIME_INPUT else (1, interface.inputs[name], None, None)
         _require_shape(path, node, "input", shape)
     _require_shape(path, outputs[interface.output], "output", (1, interface.made, None, None))
 

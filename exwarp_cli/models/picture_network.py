@@ -9,10 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import EXTRAPOLATES, Inputs, Span, Tile, cut
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.lookahead import LOOKAHEAD, LOOKS_AHEAD
-from exwarp_cli.domain.network import TIME, NetworkGiven, NetworkInterface, NetworkPictures
+from exwarp_cli.domain.network_api import (
+    EXTRAPOLATOR_INTERFACE,
+    LOOKAHEAD,
+    LOOKAHEAD_INTERFACE,
+    TIME_INPUT,
+    ExtrapolatorInputs,
+    LazyInputs,
+    NetworkInterface,
+    NetworkPictures,
+    Tile,
+    TileSpan,
+    cut_tiles,
+)
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.models.model_file import (
     STRIDE_KEY,
@@ -56,7 +66,7 @@ def load_extrapolator(path: Path | None, threads: int | None, device: str) -> On
     `threads` is a maximum, None for the command's cores; `device` is "cpu" or "cuda".
 
     Raises InputError if the file is missing, damaged, or does not have the inputs and the output
-    of `exwarp_cli.domain.extrapolator`; MissingExtraError if onnxruntime has no CUDA.
+    of `exwarp_cli.domain.network_api`; MissingExtraError if onnxruntime has no CUDA.
     """
     path, data = read_model(path, SHIPPED_EXTRAPOLATOR, "--extrapolator")
     network = OnnxExtrapolator(path, data, threads or cores.count(), device)
@@ -65,7 +75,7 @@ def load_extrapolator(path: Path | None, threads: int | None, device: str) -> On
 
 
 def load_lookahead(path: Path | None, threads: int | None, device: str) -> OnnxLookAhead:
-    """Load a look-ahead network as `load_extrapolator` does; see `exwarp_cli.domain.lookahead`."""
+    """Load a look-ahead network as `load_extrapolator` does."""
     path, data = read_model(path, SHIPPED_LOOKAHEAD, "--interpolator")
     network = OnnxLookAhead(path, data, threads or cores.count(), device)
     network.judge()
@@ -83,13 +93,13 @@ class PictureNetwork(OnnxNetwork):
         self._stride = stated_stride(self.path, self._metadata)
         self._buffer: Float32 | None = None
 
-    def answers(self, inputs: NetworkGiven) -> Iterator[tuple[Tile, Float32]]:
+    def answers(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
         """Yield each tile and the planes that are kept of its answer, float32 [C, h, w]."""
         height, width = inputs.shape
         rows, columns = (-(-pixels // self._stride) * self._stride for pixels in inputs.shape)
-        tiles: tuple[Tile, ...] = ((Span(0, rows, 0, rows), Span(0, columns, 0, columns)),)
+        tiles: tuple[Tile, ...] = ((TileSpan(0, rows, 0, rows), TileSpan(0, columns, 0, columns)),)
         if rows * columns > MAX_PIXELS and self._reach is not None:
-            tiles = cut((rows, columns), self._stride, self._reach, MAX_PIXELS)
+            tiles = cut_tiles((rows, columns), self._stride, self._reach, MAX_PIXELS)
         for number, (down, across) in enumerate(tiles, start=1):
             shape = (self._interface.channels, down.end - down.begin, across.end - across.begin)
             # One buffer serves all tiles of a size. When it went back to the pool in between, it
@@ -153,8 +163,8 @@ class PictureNetwork(OnnxNetwork):
             for name, planes in pictures.items()
             if name in self.inputs
         }
-        if TIME in self.inputs:
-            feeds[TIME] = np.array([time], np.float32)
+        if TIME_INPUT in self.inputs:
+            feeds[TIME_INPUT] = np.array([time], np.float32)
         advice = (
             f"export it with any height and width that are multiples of {self._stride}, or state "
             f"another {STRIDE_KEY} in its metadata"
@@ -168,9 +178,9 @@ class OnnxExtrapolator(PictureNetwork):
     """An extrapolator that is ready to run; parameters as for `OnnxNetwork`."""
 
     def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
-        super().__init__(path, data, threads, device, EXTRAPOLATES)
+        super().__init__(path, data, threads, device, EXTRAPOLATOR_INTERFACE)
 
-    def __call__(self, inputs: Inputs) -> Float32:
+    def __call__(self, inputs: ExtrapolatorInputs) -> Float32:
         """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""
         colour = np.empty((3, *inputs.shape), np.float32)
         for (rows, columns), answer in self.answers(inputs):
@@ -193,13 +203,13 @@ class OnnxLookAhead(PictureNetwork):
     card_checksum: str | None = None  # it has no card
 
     def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
-        super().__init__(path, data, threads, device, LOOKS_AHEAD)
+        super().__init__(path, data, threads, device, LOOKAHEAD_INTERFACE)
 
     def reaches(self, time: float | Fraction) -> bool:
         """Return True: it makes a frame at any time."""
         return True
 
-    def weigh(self, inputs: NetworkGiven) -> Iterator[tuple[Tile, Float32]]:
+    def weigh(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
         """Yield the weights of each tile of a slot: float32 [CANDIDATES, h, w]."""
         return self.answers(inputs)
 

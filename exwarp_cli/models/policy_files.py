@@ -9,7 +9,7 @@ A .npz archive (zip of .npy files, nothing compressed, no pickles) with
 - where it was kept, the network before quantisation: ``w{k}`` float32 [out, in] and ``b{k}``
   float32 [out].
 
-Ranges and arithmetic are those of `exwarp_cli.accel.quantised_mlp`. The same network and metadata
+Ranges and arithmetic are those of `exwarp_cli.accelerator.mlp`. The same network and metadata
 give the same bytes on every machine.
 """
 
@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.accel.quantised_mlp import QuantisedLayer, QuantisedMlp, Requantisation
+from exwarp_cli.accelerator.mlp import QuantisedLayer, QuantisedMlp, Requantisation
 from exwarp_cli.domain.tiles import TILE_STATE
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.files import atomic_write_bytes

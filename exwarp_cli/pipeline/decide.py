@@ -12,31 +12,30 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.accel.fixed_point import to_fixed
+from exwarp_cli.accelerator.fixed_point import to_fixed
 from exwarp_cli.domain.decision import (
     CHOICES,
     EXTRAPOLATE,
+    NODE_SLOTS,
     NODES,
     ONLY_WARPS,
     PATHS,
-    SLOTS,
     WARP,
     Decision,
     Features,
     Plan,
 )
-from exwarp_cli.domain.frame import Float32, GBuffer, Window, place
-from exwarp_cli.domain.risk import ROWS
+from exwarp_cli.domain.frame import Float32, GBuffer, Window, place_on_canvas
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
-from exwarp_cli.domain.tiles import TilePlan
+from exwarp_cli.domain.tiles import TILE_ROWS, TilePlan
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader, PolicyObservation
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.source import Source, open_source
-from exwarp_cli.policy.features import Shapes, compare
-from exwarp_cli.policy.state import KEYS_BACK, LearnedPolicy, Surroundings
+from exwarp_cli.policy.features import FrameStatistics, compare
+from exwarp_cli.policy.state import OLDER_KEYS, LearnedPolicy, StateHistory
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval, tile_features
 from exwarp_cli.synthesis.methods import CAUSAL, FRAMEWISE, DecisionSource, Method, predict_path
@@ -102,17 +101,17 @@ class TilePaths:
     """
 
     def __init__(self, policy: PolicyFile, effort: float) -> None:
-        from exwarp_cli.policy.tile_state import TilePolicy, price_of
+        from exwarp_cli.policy.state import TilePolicy, interpolate_price
 
         self._fixed_path = {0.0: "S6", 1.0: "S3"}.get(effort)
-        self._policy = TilePolicy(policy.network, price_of(policy.efforts, effort))
+        self._policy = TilePolicy(policy.network, interpolate_price(policy.efforts, effort))
 
     def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
         """Compute the features of an interval's tiles, and decide by them."""
         tiles = interval.tiles
         if self._fixed_path is not None or not interval.has_motion:
             path = self._fixed_path or ONLY_WARPS
-            return Choice(TilePlan.fixed(tiles.columns, ROWS, path))
+            return Choice(TilePlan.fixed(tiles.columns, TILE_ROWS, path))
         timing_ms: dict[str, float] = {}
         with record_time(timing_ms, "features"):
             features = [tile_features(interval, slot) for slot in range(1, FACTOR)]
@@ -150,7 +149,7 @@ class OraclePath:
             scores = outcomes_of(interval, truth, self.display, as_written)
             best = outcomes.best_psnr(scores) if by_psnr else outcomes.best_return(scores)
             path = tuple(PATHS)[int(best)]
-            values = scores[..., 0] if by_psnr else outcomes.rewards(scores)
+            values = scores[..., 0] if by_psnr else outcomes.choice_rewards(scores)
             decisions = []
             for node, choice in PATHS[path].choices.items():
                 warp, extrapolate = (
@@ -206,24 +205,26 @@ def outcomes_of(
     float64 [5, 2, 2]
         As `exwarp_cli.policy.outcomes` has it.
     """
-    from exwarp_cli.metrics.display import encode  # numba: only an oracle measures while it decides
+    from exwarp_cli.metrics.display import (
+        encode_display,  # numba: only an oracle measures while it decides
+    )
     from exwarp_cli.metrics.registry import METRICS
     from exwarp_cli.policy.outcomes import METRICS as JUDGED
 
     canvas = interval.key.image.data_window
-    encoded = {slot: encode(pixels) for slot, pixels in truth.items()}
+    encoded = {slot: encode_display(pixels) for slot, pixels in truth.items()}
     scores: dict[tuple[str, str], list[float]] = {}
     for node in NODES:
         for choice in CHOICES:
             if (node, choice) in SAME:
                 scores[node, choice] = scores[SAME[node, choice]]
                 continue
-            slot = SLOTS[node]
+            slot = NODE_SLOTS[node]
             path = next(name for name, p in PATHS.items() if p.choices.get(node) == choice)
             pixels = predict_path(path, interval, slot).pixels
             if as_written is not None:
                 pixels = as_written(pixels)
-            test = encode(place(pixels, canvas, display or canvas))
+            test = encode_display(place_on_canvas(pixels, canvas, display or canvas))
             scores[node, choice] = [METRICS[name](encoded[slot], test).overall() for name in JUDGED]
     return np.array([[scores[node, choice] for choice in CHOICES] for node in NODES])
 
@@ -239,9 +240,9 @@ class Observer:
         self._span = FACTOR if setting == "key" else 1
         self._at_keys: dict[int, Features] = {}
         self._shot_begin = 0
-        self._last: Shapes | None = None
+        self._last: FrameStatistics | None = None
 
-    def of(self, inputs: IntervalInputs, interval: Interval) -> Surroundings:
+    def of(self, inputs: IntervalInputs, interval: Interval) -> StateHistory:
         """Return what the states of an interval are made of that was read and built."""
         # Motion settled on another window than the display's differs in its last digits, as other
         # points are looked at; so it is settled again then. It is, too, where the interval took
@@ -266,7 +267,7 @@ class Observer:
         slots: Sequence[GBuffer],
         settled: GBuffer | None = None,
         read: Sequence[GBuffer] = (),
-    ) -> Surroundings:
+    ) -> StateHistory:
         """Return what the states of an interval are made of.
 
         Parameters
@@ -306,18 +307,20 @@ class Observer:
                 at_key, self._features(first, instants[0], 1), self._features(second, first, 1)
             )  # fmt: skip
             self._last = None  # the next key frame is compared with slot 3
-        older = range(key - 1, max(key - KEYS_BACK, self._shot_begin) - 1, -1)
+        older = range(key - 1, max(key - OLDER_KEYS, self._shot_begin) - 1, -1)
         before_it = tuple(self._at_keys[i] for i in older)
-        self._at_keys = {i: at for i, at in self._at_keys.items() if i > key - KEYS_BACK}
-        return Surroundings(now_on, before_it)
+        self._at_keys = {i: at for i, at in self._at_keys.items() if i > key - OLDER_KEYS}
+        return StateHistory(now_on, before_it)
 
     def _features(self, now: GBuffer, before: GBuffer | None, span: int) -> Features:
         """Return the features of an instant; statistics of the one before are mostly known."""
         shapes_before = None
         if before is not None:
             last = self._last
-            shapes_before = last if last is not None and last.are_of(before) else Shapes(before)
-        self._last = Shapes(now)
+            shapes_before = (
+                last if last is not None and last.are_of(before) else FrameStatistics(before)
+            )
+        self._last = FrameStatistics(now)
         return compare(now, self._last, shapes_before, span)
 
 
@@ -389,10 +392,10 @@ def features(
             number = source.timeline.numbers[key]
             for node in NODES:
                 yield NodeFeatures(
-                    source.timeline.number(Slot(key, SLOTS[node])),
+                    source.timeline.number(Slot(key, NODE_SLOTS[node])),
                     number,
                     node,
-                    surroundings.now[SLOTS[node] - 1],
+                    surroundings.now[NODE_SLOTS[node] - 1],
                     tuple(int(x) for x in to_fixed(surroundings.inputs(node))),
                 )
             progress.advance(number)

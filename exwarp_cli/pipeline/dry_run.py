@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.results import FrameKind, RunOutcome, RunSummary
-from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.domain.timeline import Cut, Slot
 from exwarp_cli.io.files import output_error, path_exists
 from exwarp_cli.pipeline.fingerprint import key_fingerprint
 from exwarp_cli.pipeline.frame_writer import FrameWriter

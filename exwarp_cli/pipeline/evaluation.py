@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Float32, place
+from exwarp_cli.domain.frame import Float32, place_on_canvas
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.domain.timeline import parse_frames, ranges
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.footage import close_sequences, find_frames, read_sequence_picture
 from exwarp_cli.io.frames import read_plane
@@ -175,7 +175,7 @@ class _Files:
         if self.mask is not None:
             plane, data, display = read_plane(self.mask, MASK_CHANNEL)
             _require_shape(display.shape, self.mask, shape, reference)
-            mask = np.asarray(place(plane, data, display) > 0.5)
+            mask = np.asarray(place_on_canvas(plane, data, display) > 0.5)
         return Pair(self.a, truth, test, mask)
 
 
@@ -265,7 +265,7 @@ def pair(
         runs = "".join("r" if kind in (None, KEY) else "n" for kind in kinds).split("r")
         interval = 0 if set(kinds) <= {None} else max(map(len, runs)) + 1
         if not by_number and abs(len(a) - len(b)) < interval:
-            left = f"the last {counted(abs(len(a) - len(b)), 'frame')} of the longer sequence"
+            left = f"the last {pluralise(abs(len(a) - len(b)), 'frame')} of the longer sequence"
             return "order", dict(zip(a, b, strict=False)), (f"{left} have no partner",)
     if by_number:
         return "number", {n: n for n in a if n in test.files}, ()

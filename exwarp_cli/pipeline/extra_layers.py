@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Float32, Window, outside, place
+from exwarp_cli.domain.frame import Float32, Window, outside_mask, place_on_canvas
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.io.channels import ChannelRef, Role
 from exwarp_cli.io.cryptomatte import find_cryptomattes
@@ -450,7 +450,7 @@ class _LayerRetimer:
         for i, ref in enumerate(refs):
             ends = [frame[ref].window for frame in (frames.before, frames.after) if frame]
             if any(not end.covers(window) for end in ends):
-                values[self.retiming.data(*(outside(window, end) for end in ends)), i] = 0
+                values[self.retiming.data(*(outside_mask(window, end) for end in ends)), i] = 0
         return values
 
     @cached_property
@@ -472,7 +472,7 @@ class _LayerRetimer:
         return self.retiming.data(self._placed(before), after)
 
     def _placed(self, plane: Plane, fill: float = 0.0) -> np.ndarray:
-        return place(plane.values, plane.window, self.view.window, fill)
+        return place_on_canvas(plane.values, plane.window, self.view.window, fill)
 
     def _stack(self, planes: Planes, refs: tuple[ChannelRef, ...], fill: float = 0.0) -> Float32:
         members = [
@@ -487,7 +487,7 @@ class _LayerRetimer:
         window, display = self.view.window, self.view.interval.key.image.display_window
         for i, ref in enumerate(refs):
             if planes[ref].window != window:
-                unknown = outside(window, planes[ref].window) & outside(window, display)
+                unknown = outside_mask(window, planes[ref].window) & outside_mask(window, display)
                 stack[unknown, i] = np.nan
         return stack
 

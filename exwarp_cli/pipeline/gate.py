@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.extrapolator import HISTORY
-from exwarp_cli.domain.frame import Image, KeyFrame, Window, place
-from exwarp_cli.domain.gate import BLOCK, Trial
-from exwarp_cli.domain.risk import ROWS, columns_of, edges
+from exwarp_cli.domain.decision import TRIAL_BLOCK, Trial
+from exwarp_cli.domain.frame import Image, KeyFrame, Window, place_on_canvas
+from exwarp_cli.domain.network_api import HISTORY_FRAMES
+from exwarp_cli.domain.tiles import TILE_ROWS, count_columns, tile_edges
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.pipeline.ground_truth import IntervalTruth
 from exwarp_cli.pipeline.key_frames import (
@@ -84,19 +84,21 @@ class TrialReader:
 
     def choose(self, key: int) -> int | None:
         """Return the key frame that is predicted for an interval; None if no one can be."""
-        block = key // BLOCK * BLOCK
-        begin = self._shots.begin(key, key - block + BLOCK)
+        block = key // TRIAL_BLOCK * TRIAL_BLOCK
+        begin = self._shots.begin(key, key - block + TRIAL_BLOCK)
         candidates: Iterable[int]
         if self._lookahead:
             # The first one of the interval's block, else the last one before the block, that has
             # a neighbour on both sides.
             first = max(block, begin) + 1
-            within = takewhile(lambda i: not self._shots.starts_at(i), range(first, block + BLOCK))
+            within = takewhile(
+                lambda i: not self._shots.starts_at(i), range(first, block + TRIAL_BLOCK)
+            )
             candidates = chain(within, range(first - 1, begin, -1))
         else:
             # The newest that the block begins with. Early in a shot that is the fourth at most:
             # with less history a network has nothing to go by.
-            newest = block if block - begin >= HISTORY else min(key, begin + HISTORY)
+            newest = block if block - begin >= HISTORY_FRAMES else min(key, begin + HISTORY_FRAMES)
             candidates = range(newest, begin, -1)
         return next((index for index in candidates if self._is_predictable(index)), None)
 
@@ -249,16 +251,16 @@ class Gate:
         return self._last_trial
 
     def _predict(self, material: TrialMaterial) -> Trial:
-        from exwarp_cli.metrics.display import encode
-        from exwarp_cli.metrics.psnr import measure
+        from exwarp_cli.metrics.display import encode_display
+        from exwarp_cli.metrics.registry import measure_psnr
 
         interval = self._builder.build(material.around)
         lookahead, count = self._method.lookahead, len(interval.times)
         slot = count // 2 + 1 if lookahead else count
         canvas = interval.key.image.data_window
-        truth = encode(material.truth.on(self._display).pixels)
+        truth = encode_display(material.truth.on(self._display).pixels)
         warped, by_network = (
-            measure(truth, encode(place(pixels, canvas, self._display)))
+            measure_psnr(truth, encode_display(place_on_canvas(pixels, canvas, self._display)))
             for pixels in predict_both_ways(interval, slot, lookahead)
         )
         if lookahead:
@@ -281,8 +283,8 @@ def mean_tile_psnr(error: npt.NDArray[np.floating]) -> float:
     # ones, and a network that mends these may harm all the rest. With the PSNR of the whole frame a
     # network of spoilt weights was chosen on one scene of seven, where it lost 0.6 dB.
     height, width = error.shape
-    rows = edges(height, min(2 * ROWS, height))
-    columns = edges(width, min(2 * columns_of(width, height), width))
+    rows = tile_edges(height, min(2 * TILE_ROWS, height))
+    columns = tile_edges(width, min(2 * count_columns(width, height), width))
     sums = np.add.reduceat(np.add.reduceat(error, rows[:-1]), columns[:-1], axis=1)
     means = sums / np.outer(np.diff(rows), np.diff(columns))
     return float(np.mean(10 * np.log10(PEAK**2 / (means + NEGLIGIBLE))))

@@ -8,19 +8,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exwarp_cli.domain.decision import Plan
-from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator, Interpolator
+from exwarp_cli.domain.decision import Plan, Trial
 from exwarp_cli.domain.frame import (
     SURFACE_PARTS,
     Float32,
     GBuffer,
     KeyFrame,
     Window,
-    broken_pixels,
+    nonfinite_pixels,
     require_canvas,
 )
-from exwarp_cli.domain.gate import Trial
-from exwarp_cli.domain.lookahead import LookAheadNetwork
+from exwarp_cli.domain.network_api import (
+    HISTORY_FRAMES,
+    Extrapolator,
+    Interpolator,
+    LookAheadNetwork,
+)
 from exwarp_cli.domain.tiles import TilePlan
 from exwarp_cli.domain.timeline import Slot, ranges
 from exwarp_cli.io.layers import LayerKind
@@ -103,7 +106,7 @@ class IntervalBuilder:
         self._bare = bare
         self._scratch = scratch
         self._linear = linear
-        self._back = back if network is None else HISTORY - 1
+        self._back = back if network is None else HISTORY_FRAMES - 1
         self._moving = MovingObjects()
         self._frames: dict[FrameKey, KeyFrame] = {}
         self._instants: dict[tuple[Slot, Basis], GBuffer] = {}
@@ -414,7 +417,7 @@ def count_broken(inputs: IntervalInputs, counted: Mapping[int, int]) -> dict[int
         if frame is not None:
             count = counted.get(frame.number, frame.broken)
             if count is None:
-                count = int(np.count_nonzero(broken_pixels(frame.image.pixels)))
+                count = int(np.count_nonzero(nonfinite_pixels(frame.image.pixels)))
             counts[frame.number] = count
     return counts
 

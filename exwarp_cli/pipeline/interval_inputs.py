@@ -8,11 +8,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
 
-from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import FACTOR, Slot
+from exwarp_cli.domain.timeline import FACTOR, Cut, Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.generated_frames import FrameTemplate
 from exwarp_cli.io.sequences import Sequence
@@ -32,7 +31,7 @@ from exwarp_cli.pipeline.rendered_frames import (
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.shots import UnreadableFrames
 from exwarp_cli.pipeline.source import FrameOf, Source
-from exwarp_cli.policy.state import KEYS_BACK
+from exwarp_cli.policy.state import OLDER_KEYS
 from exwarp_cli.synthesis.interval import QUARTERS
 from exwarp_cli.synthesis.methods import DecisionSource, Method
 
@@ -334,7 +333,7 @@ class IntervalReader:
         pairs = ((Slot(index, 0), self._instant_before(index)) for index in observed_keys)
         instants = [slot for pair in pairs for slot in pair if slot is not None]
         if self._observes:
-            back = KEYS_BACK
+            back = OLDER_KEYS
         else:  # fingerprints hold the files of a warp's history
             back = self._keys_back(lookahead) if self._method.extrapolates else 0
         back = max(back, int(older is not None))
@@ -407,7 +406,7 @@ class IntervalReader:
 
     def _observed_keys(self, key: int) -> range:
         """Return the indices of the key frames whose features a state at this one holds."""
-        return range(self.shots.begin(key, KEYS_BACK), key + 1) if self._observes else range(0)
+        return range(self.shots.begin(key, OLDER_KEYS), key + 1) if self._observes else range(0)
 
     def _observe(self, key: int) -> tuple[PolicyObservation, ...]:
         """Return the instants of key frames that no earlier interval brought along."""
@@ -419,7 +418,7 @@ class IntervalReader:
                 now = self.shots.within(index, self.store.get_shape(Slot(index, 0)))
                 observed.append(PolicyObservation(index, now, before))
                 self.observed_keys |= {index}
-        self.observed_keys = frozenset(i for i in self.observed_keys if i > key - KEYS_BACK)
+        self.observed_keys = frozenset(i for i in self.observed_keys if i > key - OLDER_KEYS)
         return tuple(observed)
 
     def _instant_before(self, key: int) -> Slot | None:

@@ -6,8 +6,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 
-from exwarp_cli.domain.extrapolator import HISTORY
-from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, KeyFrame, Window, place, require_canvas
+from exwarp_cli.domain.frame import (
+    SURFACE_PARTS,
+    GBuffer,
+    KeyFrame,
+    Window,
+    place_on_canvas,
+    require_canvas,
+)
+from exwarp_cli.domain.network_api import HISTORY_FRAMES
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
@@ -220,7 +227,7 @@ class KeyFrameStore:
         self._shapes = {slot: shape for slot, shape in self._shapes.items() if slot.key >= key}
         # The interval before the one that was read may ask for its frames meanwhile.
         for index in list(self._complete):
-            if index < key - HISTORY:
+            if index < key - HISTORY_FRAMES:
                 self._complete.pop(index, None)
         self.shots.release_before(min(oldest, key))
         if self._estimates is not None:
@@ -423,7 +430,10 @@ class MotionEstimates:
             require_canvas(f"frame {frames[0].number} and the next one", canvas)
             flows = estimate_flow(*(frame.image.on(canvas).pixels for frame in frames))
             to_next, to_previous = (
-                Flow(place(flow.motion, canvas, window), place(flow.mismatch, canvas, window))
+                Flow(
+                    place_on_canvas(flow.motion, canvas, window),
+                    place_on_canvas(flow.mismatch, canvas, window),
+                )
                 for flow, window in zip(flows, windows, strict=True)
             )
             self._flows[key] = to_next, to_previous

@@ -19,8 +19,8 @@ from exwarp_cli.domain.results import (
     RunSummary,
 )
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import NEAR, Slot, Timeline, ranges
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.timeline import RATE_TOLERANCE, Slot, Timeline, ranges
+from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import IncompleteError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.cryptomatte import MAX_NAMES, quote_name
@@ -188,7 +188,7 @@ def announce(
     if source.estimated or is_plain(sequence):
         geometry = "no AOVs" if is_plain(sequence) else "no motion vectors"
     progress.message(
-        f"{sequence.pattern}: {counted(count, 'key frame')} at "
+        f"{sequence.pattern}: {pluralise(count, 'key frame')} at "
         f"{float(source.fps):g} fps ({source.fps_source}), {geometry}"
     )
     for note in _input_notes(settings, source):
@@ -227,7 +227,9 @@ def _input_notes(settings: UpsampleSettings, source: Source) -> Iterator[str | N
     yield sequence.version_note
     yield step_note(source.timeline.numbers, fps, source.fps_source)
     target, rate = settings.source.to_fps, source.output_fps
-    if target is not None and abs(target - rate) > NEAR * rate:  # one that keeps key frames
+    if (
+        target is not None and abs(target - rate) > RATE_TOLERANCE * rate
+    ):  # one that keeps key frames
         every, seldom = source.timeline.factor.denominator, (target / fps).denominator
         kept = "every key frame" if every == 1 else f"one key frame in {every}"
         yield (
@@ -277,7 +279,7 @@ def announce_contents(progress: Progress, contents: tuple[Content, ...]) -> None
                     f"{content.source.keys.view}: motion {finding.source}: {finding.evidence}"
                 )
     if leader.names:
-        many = counted(len(leader.names), "layer")
+        many = pluralise(len(leader.names), "layer")
         progress.message(f"{many} beside the beauty: {', '.join(leader.names)}")
     if leader.layers and (apart := files_apart(shot)):
         progress.message(
@@ -354,7 +356,7 @@ def require_complete(run: RunSummary) -> None:
     clauses, causes = [], []
     if intervals:
         frames = [number for skipped in intervals for number in skipped.frames]
-        total = counted(len(run.selected), "key interval")
+        total = pluralise(len(run.selected), "key interval")
         clauses.append(f"{len(intervals)} of {total} {_was(intervals)} left out ({_named(frames)})")
         causes.append("the input")
     if scores:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.frame import place
+from exwarp_cli.domain.frame import place_on_canvas
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.domain.timeline import number_step
 from exwarp_cli.errors import InputError, MotionError, UsageError
@@ -431,7 +431,7 @@ class _Measurement:
             compared = Role.POSITION if by_position else Role.COLOUR
             raw = read_raw(self._shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, compared))
             assert raw.motion is not None
-            motion = place(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
+            motion = place_on_canvas(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
             colour = None if raw.image is None else raw.image.on(self._shot.display).pixels
             self._frames[key] = sample_frame(
                 MotionFrame(number, raw.gbuffer.on(self._shot.display), motion, colour)
@@ -495,7 +495,9 @@ class _Measurement:
             for number in between:
                 raw = read_raw(self._shot, number, (Role.MOTION,))
                 assert raw.motion is not None
-                vectors.append(place(raw.motion, raw.gbuffer.window, self._shot.display, np.nan))
+                vectors.append(
+                    place_on_canvas(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
+                )
         except InputError:
             if not keys.keep_going:
                 raise

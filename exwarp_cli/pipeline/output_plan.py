@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot, Timeline, ranges
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import OutputError, OutputExistsError, UsageError
 from exwarp_cli.io.files import make_folder, output_error, path_exists, remove_leftovers
 from exwarp_cli.io.footage import clip_rate, digest_frame, is_plain, make_video_look
@@ -310,8 +310,8 @@ def require_own(
     listed = ", ".join(f"{path.name} ({reason})" for path, reason in foreign[:NAMED])
     more = f" and {len(foreign) - NAMED} more" if len(foreign) > NAMED else ""
     raise OutputExistsError(
-        f"{foreign[0][0].parent} has {counted(len(foreign), 'file')} that this run did not write: "
-        f"{listed}{more}; move what you want to keep, or give --overwrite to replace it"
+        f"{foreign[0][0].parent} has {pluralise(len(foreign), 'file')} that this run did not "
+        f"write: {listed}{more}; move what you want to keep, or give --overwrite to replace it"
     )
 
 

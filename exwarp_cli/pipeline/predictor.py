@@ -15,19 +15,25 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.accel import verilog as verilog_files
-from exwarp_cli.accel.fixed_point import I32, ONE
-from exwarp_cli.accel.kernel import MlpKernel
-from exwarp_cli.accel.mac_array import (
+from exwarp_cli.accelerator import verilog as verilog_files
+from exwarp_cli.accelerator.fixed_point import ONE
+from exwarp_cli.accelerator.mac_array import (
     MacArray,
     Schedule,
     missing_words,
     resident_words,
     schedule,
 )
-from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, Inference, QuantisedMlp, infer_reference
+from exwarp_cli.accelerator.mlp import (
+    PAPER_SIZES,
+    Inference,
+    MlpKernel,
+    QuantisedMlp,
+    infer_reference,
+)
 from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.io.files import atomic_write_text, make_folder
+from exwarp_cli.kernels.array_types import I32
 from exwarp_cli.models.policy_files import StateRow, load_policy, read_states
 
 FORMAT = "exwarp.policy-hex/1"

@@ -15,9 +15,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Protocol, TextIO
 
-from exwarp_cli.domain.line import one_line
 from exwarp_cli.domain.timeline import Slot
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import one_line, pluralise
 from exwarp_cli.errors import (
     ExwarpError,
     IncompleteError,
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 
     from exwarp_cli.domain.frame import Bool, Float32
     from exwarp_cli.domain.results import Score
-    from exwarp_cli.domain.risk import Risk
+    from exwarp_cli.domain.tiles import Risk
 
 INTERVAL_S = 5.0  # least seconds between two lines of a log
 ANY = ""  # the kind of all frames where kinds are not distinguished
@@ -266,7 +265,7 @@ class PlainProgress(_Counting):
     """Lines such as ``exwarp:  25% 10/40, frame 1010, 1:20 left``, for logs."""
 
     def _show_start(self) -> None:
-        self._show(f"{counted(self._estimate.total, 'frame')} to do")
+        self._show(f"{pluralise(self._estimate.total, 'frame')} to do")
 
     def _show_frame(self, frame: int, note: str | None) -> None:
         estimate = self._estimate
@@ -304,7 +303,7 @@ class OpenJdProgress(PlainProgress):
     def _show(self, status: str) -> None:
         estimate = self._estimate
         if estimate.done and estimate.done == estimate.total:
-            status = f"{counted(estimate.total, 'frame')} done"
+            status = f"{pluralise(estimate.total, 'frame')} done"
         _print_line(self._stream, f"openjd_progress: {estimate.tenths}")
         _print_line(self._stream, f"openjd_status: {status}")
 

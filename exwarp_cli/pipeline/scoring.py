@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, Image, UInt8, Window, place
+from exwarp_cli.domain.frame import Bool, Float32, Image, UInt8, Window, place_on_canvas
 from exwarp_cli.domain.metric import WITHOUT_TRUTH
 from exwarp_cli.domain.results import BrokenPixels, FrameRecord, Score
 from exwarp_cli.domain.settings import UpsampleSettings
@@ -19,8 +19,16 @@ from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.display_colour import to_display
 from exwarp_cli.io.ffmpeg_filters import compute_vmaf, require_vmaf_size
 from exwarp_cli.io.footage import read_sequence_picture
-from exwarp_cli.metrics.flicker import Transition, error, flicker, landing, transition
-from exwarp_cli.metrics.pulse import between, mean_gradient, pulse
+from exwarp_cli.metrics.temporal import (
+    Transition,
+    compare_with_previous,
+    compare_with_rendered,
+    display_error,
+    interpolate_gradient,
+    interval_flicker,
+    mean_gradient,
+    pulse,
+)
 from exwarp_cli.synthesis.interval import Interval
 
 if TYPE_CHECKING:
@@ -53,8 +61,8 @@ def steps_of(interval: Interval, display: Window, followed: bool = True) -> Step
     slots = range(1, len(interval.times) + 1)
     motion = {s: interval.back(1) if s == 1 else interval.step_back(s) for s in slots}
     return Steps(
-        {slot: place(m.field, canvas, display, np.nan) for slot, m in motion.items()},
-        {slot: place(m.hole, canvas, display, True) for slot, m in motion.items()},
+        {slot: place_on_canvas(m.field, canvas, display, np.nan) for slot, m in motion.items()},
+        {slot: place_on_canvas(m.hole, canvas, display, True) for slot, m in motion.items()},
         followed,
     )
 
@@ -79,12 +87,12 @@ def flicker_of(
         if slot not in errors or (slot > 1 and slot - 1 not in errors):
             return None
         before = errors.get(slot - 1)
-        return transition(errors[slot], before, steps.fields[slot], steps.hidden[slot])
+        return compare_with_previous(errors[slot], before, steps.fields[slot], steps.hidden[slot])
 
     slots = sorted(steps.fields)
     last = errors.get(slots[-1]) if steps.followed else None
-    transitions = [*map(into, slots), None if last is None else landing(last)]
-    return flicker(transitions, [masks.get(slot) for slot in slots])
+    transitions = [*map(into, slots), None if last is None else compare_with_rendered(last)]
+    return interval_flicker(transitions, [masks.get(slot) for slot in slots])
 
 
 def vmaf_of(truth: Mapping[int, Float32], rows: Sequence[Sequence[Float32]]) -> list[list[float]]:
@@ -182,13 +190,13 @@ class IntervalScores:
         mask
             bool [H, W], the slot's holes; None without motion.
         """
-        from exwarp_cli.metrics.registry import score  # not every run needs its kernels
+        from exwarp_cli.metrics.registry import score_frame  # not every run needs its kernels
 
-        self._scores[slot] = score(truth, test, mask, self._names)
+        self._scores[slot] = score_frame(truth, test, mask, self._names)
         if mask is not None:
             self._masks[slot] = mask
         if self._steps is not None:
-            self._errors[slot] = error(truth, test)
+            self._errors[slot] = display_error(truth, test)
         if "vmaf" in self._names:
             self._shown[slot] = (to_display(truth), to_display(test))
         return self._scores[slot]
@@ -311,4 +319,4 @@ class KeyedPulses:
                 self._keys[following] = mean_gradient(image.on(keys.display).pixels)
         after = None if slot.key in self._last_of_shot else self._keys.get(following)
         time = float(self._source.timeline.time(slot))
-        return pulse(gradient, between(self._keys[slot.key], after, time))
+        return pulse(gradient, interpolate_gradient(self._keys[slot.key], after, time))

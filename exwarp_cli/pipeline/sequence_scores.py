@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
-from exwarp_cli.domain.decision import maker_of
+from exwarp_cli.domain.decision import infer_maker
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
 from exwarp_cli.domain.metric import GENERATED, METRICS
 from exwarp_cli.domain.motion import MotionConvention
@@ -23,10 +23,10 @@ from exwarp_cli.io.generated_frames import read_facts
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot import Shot, open_shot
 from exwarp_cli.io.video_reader import is_clip
-from exwarp_cli.metrics import extranet
-from exwarp_cli.metrics.display import rounded
-from exwarp_cli.metrics.flicker import error, of_frames, transition
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.metrics import extranet_scores
+from exwarp_cli.metrics.display import round_display
+from exwarp_cli.metrics.registry import score_frame
+from exwarp_cli.metrics.temporal import compare_with_previous, display_error, frame_flicker
 from exwarp_cli.pipeline.motion_convention import find_motion
 from exwarp_cli.synthesis.motion_fields import field_between, reproject, settle_motion
 
@@ -143,7 +143,7 @@ class MetricScorer(SequenceScorer):
 
     def add(self, pair: Pair) -> None:
         """Score the next pair by what needs no later one."""
-        overall, inside = score(pair.truth, pair.test, pair.mask, self._names)
+        overall, inside = score_frame(pair.truth, pair.test, pair.mask, self._names)
         if self._vmaf is not None:
             self._vmaf.write(to_display(pair.truth), to_display(pair.test))
         if self._motion is not None:
@@ -159,7 +159,7 @@ class MetricScorer(SequenceScorer):
             values = self._vmaf.close()
             scores = [(replace(s, vmaf=v), h) for (s, h), v in zip(scores, values, strict=True)]
         if self._motion is not None:
-            flickers = of_frames([*self._transitions, None])
+            flickers = frame_flicker([*self._transitions, None])
             pairs = zip(scores, flickers, strict=True)
             scores = [(replace(s, flicker=v), h) for (s, h), v in pairs]
         return scores
@@ -167,15 +167,15 @@ class MetricScorer(SequenceScorer):
     def _transition(self, motion: SequenceMotion, pair: Pair) -> tuple[float | None, float | None]:
         """Return how the error changes into a frame, over all pixels and in holes."""
         into = motion.into(pair.reference)
-        before, self._error = self._error, error(pair.truth, pair.test)
+        before, self._error = self._error, display_error(pair.truth, pair.test)
         if into is None or before is None:
             return None, None
-        change = transition(self._error, before, *into)
+        change = compare_with_previous(self._error, before, *into)
         return change.mean(), None if pair.mask is None else change.within(pair.mask)
 
 
 class ExtranetScorer(SequenceScorer):
-    """Scores as ExtraNet's release takes them: see `exwarp_cli.metrics.extranet`.
+    """Scores as ExtraNet's release takes them: see `exwarp_cli.metrics.extranet_scores`.
 
     VMAF is of H.264 videos of both sequences, rendered frames included.
 
@@ -211,11 +211,11 @@ class ExtranetScorer(SequenceScorer):
     def add(self, pair: Pair) -> None:
         """Score the next pair if it counts, and append it to the videos."""
         index = len(self._scores)
-        truth, test = rounded(pair.truth), rounded(pair.test)
+        truth, test = round_display(pair.truth), round_display(pair.test)
         is_different = bool((truth != test).any())
         counts = is_different if self._generated is None else self._generated[index]
         self._counted += counts
-        values = extranet.score(pair.truth, pair.test) if counts else Score()
+        values = extranet_scores.score_like_extranet(pair.truth, pair.test) if counts else Score()
         self._scores.append(
             Score(
                 psnr_db=values.psnr_db if "psnr_db" in self._names else None,
@@ -272,7 +272,7 @@ def origins_of(files: Listed[Path]) -> list[Origin]:
         facts = {} if is_clip(str(path)) else read_facts(path)
         values = (facts.get(name) for name in ("kind", "madeBy", "path", "method"))
         kind, made_by, decided, method = (v if isinstance(v, str) else None for v in values)
-        origins.append(Origin(kind, maker_of(made_by, method), decided))
+        origins.append(Origin(kind, infer_maker(made_by, method), decided))
     return origins
 
 

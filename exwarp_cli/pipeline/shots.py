@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.cuts import Cut, CutWish
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
-from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.domain.timeline import Cut, CutOption, Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.synthesis.cut_detection import Thumbnail, is_cut_between, make_thumbnail
 from exwarp_cli.synthesis.holds import RECENT_PAIRS, PictureChange, change_between, is_same_picture
@@ -86,7 +85,7 @@ class Shots:
 
     def __init__(
         self,
-        wish: CutWish,
+        wish: CutOption,
         numbers: Sequence[int],  # of the input's key frames
         # Reads a key frame that was not seen, or released; shows it by `see`, and returns it.
         read: Callable[[int], KeyFrame],

@@ -13,12 +13,10 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.decision import Decision, Features, Plan, maker_of, step_of
-from exwarp_cli.domain.frame import Bool, Image, place
-from exwarp_cli.domain.gate import Trial
+from exwarp_cli.domain.decision import Decision, Features, Plan, Trial, infer_maker, timing_step
+from exwarp_cli.domain.frame import Bool, Image, place_on_canvas
 from exwarp_cli.domain.results import FrameKind, FrameRecord
-from exwarp_cli.domain.risk import Risk
-from exwarp_cli.domain.tiles import TileMakers, TilePlan
+from exwarp_cli.domain.tiles import Risk, TileMakers, TilePlan
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io.exr.template import PREFIX, Plane, PlaneKey, Template
@@ -29,7 +27,7 @@ from exwarp_cli.io.generated_frames import (
     quantise_picture,
 )
 from exwarp_cli.io.layers import LayerKind
-from exwarp_cli.metrics.pulse import mean_gradient
+from exwarp_cli.metrics.temporal import mean_gradient
 from exwarp_cli.pipeline.extra_layers import ExtraLayers, named_by_path
 from exwarp_cli.pipeline.frame_writer import FrameWriter
 from exwarp_cli.pipeline.interval_builder import PreparedInterval
@@ -96,7 +94,7 @@ class SlotRenderer:
             predicted = self._predict(around, plan, index)
         if part is not None:
             around.forget(index)
-        timing[step_of(predicted.made_by)] = timing.pop("render")
+        timing[timing_step(predicted.made_by)] = timing.pop("render")
         image = Image(predicted.pixels, interval.key.image.data_window, self._source.keys.display)
         with record_time(layers_timing, "layers"):
             layers = self._make_layers(slot, predicted, inputs, plan)
@@ -194,7 +192,7 @@ class SlotRenderer:
         mask = interval.hole_mask(slot.index)
         if mask is None:
             return None
-        return place(mask, interval.key.image.data_window, self._source.keys.display)
+        return place_on_canvas(mask, interval.key.image.data_window, self._source.keys.display)
 
     def _predict(self, interval: Interval, plan: Plan | TilePlan | None, slot: int) -> Predicted:
         if interval.held:
@@ -269,7 +267,7 @@ class SlotRenderer:
             rendered_sources=_parse_numbers(str(header.get(RENDERED_SOURCES, ""))),
             hole_fraction=None if holes is None else float(holes),
             resumed=True,
-            made_by=maker_of(header.get("madeBy"), str(header["method"])),
+            made_by=infer_maker(header.get("madeBy"), str(header["method"])),
             path=header.get("path"),
             decision=parse_decision(header.get("decision")),
             risk=None if error is None else Risk.parsed(float(error), str(header["risk"])),

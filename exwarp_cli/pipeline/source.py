@@ -8,18 +8,19 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 
-from exwarp_cli.domain.cuts import CutWish, parse_cuts
-from exwarp_cli.domain.frame import allow
+from exwarp_cli.domain.frame import set_max_pixels
 from exwarp_cli.domain.motion import MotionConvention, MotionFinding
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import (
     FACTOR,
-    MOST,
+    MAX_FACTOR,
+    CutOption,
     OutputRate,
     Slot,
     Timeline,
     compatible_rate,
     number_step,
+    parse_cuts,
     ranges,
     standard_rate,
 )
@@ -64,7 +65,7 @@ class Source:
     finding: MotionFinding | None  # convention of the vectors in use: of `slots`, else of the keys
     fps: Fraction  # base rate
     fps_source: str  # "option", "header", "file" (a video's) or "assumed"
-    cuts: CutWish  # those that are given lie at key frames
+    cuts: CutOption  # those that are given lie at key frames
     estimated: bool = False  # True if motion is needed and estimated from colour
     unusable: str = ""  # why vectors that exist are not used, and motion is estimated instead
     # Where large key frames lie when a network may extrapolate.
@@ -235,7 +236,7 @@ def open_plain(settings: SourceSettings) -> Shot | None:
     UsageError
         When options are given that say how EXR is read.
     """
-    allow(settings.max_pixels)
+    set_max_pixels(settings.max_pixels)
     sequence = find_footage(settings.sequence, settings.keep_going, settings.scan)
     if sequence is None:
         return None
@@ -269,7 +270,7 @@ def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
     UsageError
         When the map's motion is not understood.
     """
-    allow(settings.max_pixels)
+    set_max_pixels(settings.max_pixels)
     options = _channel_options(settings)
     shot = open_shot(settings.sequence, settings.view, *options, settings.keep_going)
     require_visible(shot)
@@ -362,11 +363,11 @@ def _output_factor(settings: SourceSettings, fps: Fraction) -> Fraction:
     if settings.factor is not None:
         raise UsageError("--factor and --to-fps say the same in two ways; give one of them")
     factor = compatible_rate(fps, standard_rate(settings.to_fps)) / fps
-    if not 1 < factor <= MOST:
+    if not 1 < factor <= MAX_FACTOR:
         raise UsageError(
             f"--to-fps {float(settings.to_fps):g} is {float(factor):g} times the input's "
-            f"{float(fps):g} fps; give more than that and at most {MOST} times it, or correct the "
-            "input's rate with --fps"
+            f"{float(fps):g} fps; give more than that and at most {MAX_FACTOR} times it, or correct "
+            "the input's rate with --fps"
         )
     return factor
 

@@ -1,65 +1,64 @@
-"""What each choice would lead to: quality, rewards, returns, and the best path, exactly.
+"""Outcomes of each choice: quality, rewards, returns, and the best path, exactly.
 
 An outcome is the quality of the frame that a node shows under either choice, float64 [5, 2, 2]:
 by node, choice (warp, extrapolate) and metric (PSNR in dB, SSIM). As a node's frames do not depend
-on how it was reached, these twenty numbers tell everything of a key interval.
+on how it was reached, these twenty numbers describe a key interval completely. Under a clock a late
+frame repeats the one before, which depends on the whole path so far: see `clocked_returns`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.decision import CHOICES, DROPPING, EXTRAPOLATE, NODES, PATHS
+from exwarp_cli.domain.decision import (
+    CHOICES,
+    EXTRAPOLATE,
+    NODE_SLOTS,
+    NODES,
+    PATHS,
+    REPEATING_CHOICES,
+)
 
 F64 = npt.NDArray[np.float64]
 
-METRICS = ("psnr_db", "ssim")
-"""The last axis of an outcome."""
+METRICS = ("psnr_db", "ssim")  # The last axis of an outcome
 
-DROP_PENALTY = -0.1
-"""Alpha of the paper's reward, once for each repeated frame."""
+DROP_PENALTY = -0.1  # Alpha of the paper's reward, once for each repeated frame
 
+# float64 [5, 2]: what each choice is docked for the frame that it drops.
 PENALTIES = np.array(
-    [[DROP_PENALTY * ((node, choice) in DROPPING) for choice in CHOICES] for node in NODES]
+    [[DROP_PENALTY * ((node, choice) in REPEATING_CHOICES) for choice in CHOICES] for node in NODES]
 )
-"""float64 [5, 2]: what each choice is docked for the frame that it drops."""
 
 
-def rewards(outcomes: F64) -> F64:
-    """Return the reward of every choice at every node (paper, section IV-C1).
+def choice_rewards(
+    outcomes: F64,  # [..., 5, 2, 2]
+) -> F64:
+    """Return the reward of every choice at every node, [..., 5, 2] (paper, section IV-C1).
 
-    The gain in PSNR and SSIM of the frame shown over the one that the other choice would show,
-    plus alpha where the choice repeats a frame.
-
-    Parameters
-    ----------
-    outcomes
-        [..., 5, 2, 2].
-
-    Returns
-    -------
-    float64 [..., 5, 2]
+    It is the gain in PSNR and SSIM of the frame over that of the other choice, plus alpha where the
+    choice repeats a frame. Outcomes are [..., 5, 2, 2].
     """
     gain = outcomes - outcomes[..., ::-1, :]
     return np.asarray(gain.sum(axis=-1) + PENALTIES)
 
 
-def returns(outcomes: F64) -> F64:
+def path_returns(outcomes: F64) -> F64:
     """Return the undiscounted sum of rewards along each path, float64 [..., 6]."""
-    found = rewards(outcomes)
+    rewards = choice_rewards(outcomes)
     sums = [
-        sum(found[..., NODES.index(node), CHOICES.index(choice)] for node, choice in steps)
+        sum(rewards[..., NODES.index(node), CHOICES.index(choice)] for node, choice in steps)
         for steps in (path.choices.items() for path in PATHS.values())
     ]
     return np.stack(sums, axis=-1)
 
 
-def shown(outcomes: F64) -> F64:
-    """Return the quality of slots 1 to 3 along each path, float64 [..., 6, 3, 2].
-
-    Slot 2 shows E(F) without a node of its own where d1 chose to extrapolate: what d2 would show.
-    """
+def slot_quality(outcomes: F64) -> F64:
+    """Return the quality of slots 1 to 3 along each path, float64 [..., 6, 3, 2]."""
+    # Where d1 extrapolates, slot 2 shows E(F) without a node of its own: what d2 would show.
     paths = []
     for path in PATHS.values():
         steps = dict(path.choices)
@@ -72,17 +71,36 @@ def shown(outcomes: F64) -> F64:
 
 def best_return(outcomes: F64) -> npt.NDArray[np.intp]:
     """Return the index of the path with the best return of each interval; a tie goes to warping."""
-    return _last_best(returns(outcomes))
+    return _last_best(path_returns(outcomes))
 
 
 def best_psnr(outcomes: F64) -> npt.NDArray[np.intp]:
     """Return the index of the path with the best mean PSNR of slots 1 to 3; ties to warping."""
-    return _last_best(shown(outcomes)[..., 0].mean(axis=-1))
+    return _last_best(slot_quality(outcomes)[..., 0].mean(axis=-1))
 
 
 def _last_best(values: F64) -> npt.NDArray[np.intp]:
-    """Return the index of the largest value along the last axis; of equal ones the last.
-
-    Paths are in the order from most to least extrapolation.
-    """
+    # Paths are ordered from most to least extrapolation.
     return np.asarray(values.shape[-1] - 1 - np.argmax(values[..., ::-1], axis=-1))
+
+
+def clocked_returns(
+    quality: F64,  # [6, 3, 2], PSNR (dB) and SSIM of slots 1 to 3 of each path
+    # dropped: by path, how many slots repeat the frame before: alpha counts once for each
+    dropped: Sequence[int],
+) -> F64:
+    """Return the undiscounted sum of rewards along each path, float64 [6] (section IV-C1)."""
+    names = list(PATHS)
+    sums = DROP_PENALTY * np.asarray(dropped, np.float64)
+    for i, path in enumerate(PATHS.values()):
+        for node, choice in path.choices.items():
+            slot = NODE_SLOTS[node] - 1
+            rival = names.index(_rival(node, choice))
+            sums[i] += (quality[i, slot] - quality[rival, slot]).sum()
+    return np.asarray(sums)
+
+
+def _rival(node: str, choice: str) -> str:
+    """Return the name of a path with the other choice at a node."""
+    # Exactly one way leads to a node, so both paths are equal up to it.
+    return next(name for name, path in PATHS.items() if path.choices.get(node, choice) != choice)

@@ -1,52 +1,52 @@
-"""The state that a decision is made in: the network's 44 inputs (paper, section IV-C).
+"""The states that decisions are made in, and the policies that decide (paper, section IV-C).
 
-A state is S = (E, T): the six features of an instant, each scaled to 0 … 1, and the node as five
-numbers, one of them 1. The input is the current state and the last three, the newest first: the
-earlier nodes of this key interval, then node d1 of the key frames before. The oldest is repeated
-where there are fewer.
+A state is S = (E, T): six features of an instant, each scaled to 0 … 1, and the node as five
+numbers, one of them 1. The network's 44 inputs are the current state and three earlier ones, newest
+first; the oldest is repeated where there are fewer. For a frame, those are the earlier nodes of the
+key interval, then node d1 of the key frames before. For a tile, only the nodes of the key interval
+count, so that any part of a sequence is decided alike.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.accel.fixed_point import to_fixed
-from exwarp_cli.accel.kernel import MlpKernel
-from exwarp_cli.accel.quantised_mlp import QuantisedMlp
+from exwarp_cli.accelerator.fixed_point import to_fixed
+from exwarp_cli.accelerator.mlp import MlpKernel, QuantisedMlp
 from exwarp_cli.domain.decision import (
     CHOICES,
     FEATURES,
-    FIRST,
+    FIRST_NODE,
+    NODE_SLOTS,
     NODES,
     PATHS,
-    SLOTS,
     Decision,
     Features,
     Plan,
-    path_of,
-    walk,
+    find_path,
+    walk_tree,
 )
+from exwarp_cli.domain.tiles import TILE_FEATURES, TilePlan
+from exwarp_cli.domain.timeline import FACTOR
 
 F64 = npt.NDArray[np.float64]
 
-STATES = 4
-"""The current one and three before."""
+STATE_COUNT = 4  # the current one and three before
 
 STATE_SIZE = len(FEATURES) + len(NODES)
-INPUTS = STATES * STATE_SIZE
-"""44."""
+INPUTS = STATE_COUNT * STATE_SIZE  # 44
 
-STATE_VERSION = 1
-"""Of the order and the scales below; a policy's metadata have it as ``state``."""
+STATE_VERSION = 1  # of the order and the scales below; ``state`` in a policy's metadata
 
-KEYS_BACK = 3
-"""Key frames before F_k whose features are looked at: at d1 all of them."""
+OLDER_KEYS = 3  # key frames before F_k whose features count: at d1 all of them
 
-PASSED = {
+# The nodes that lead to each node; there is one way to each.
+PRECEDING_NODES = {
     node: next(
         tuple(path.choices)[: tuple(path.choices).index(node)]
         for path in PATHS.values()
@@ -54,33 +54,29 @@ PASSED = {
     )
     for node in NODES
 }
-"""The nodes that lead to each node; there is one way to each."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """How a feature becomes a number from 0 to 1: log(1 + v / unit), 1 at `top` and beyond.
+    """How a feature becomes a number from 0 to 1: log(1 + v / unit), 1 at `top` and beyond."""
 
-    Attributes
-    ----------
-    unit
-        Below it the scale is nearly linear.
-    top
-        Where it saturates.
-    """
-
-    unit: float
-    top: float
+    unit: float  # below it the scale is nearly linear
+    top: float  # where it saturates
 
     def __call__(self, value: float) -> float:
         """Scale a value that is 0 or more."""
         return min(math.log1p(value / self.unit) / math.log1p(self.top / self.unit), 1.0)
 
-    def of_all(self, values: F64) -> F64:
-        """Scale many values that are 0 or more, float64 of any shape."""
+    def scale_array(self, values: F64) -> F64:
+        """Scale values that are 0 or more, of any shape."""
         return np.minimum(np.log1p(values / self.unit) / math.log1p(self.top / self.unit), 1.0)
 
 
+# EMD_Wp in median distances from the camera; variances in squared frame widths; R in megapixels,
+# saturating at 8K. Raw R alone would overflow Q16.16 at 480p.
+#
+# Units are where differences stop to matter: with a tenth of those of the distances, and a
+# hundredth of those of the variances, shots calmer than all training shots were decided badly.
 SCALES = {
     "N_d": Scale(1.0, 63.0),
     "EMD_Wn": Scale(1e-3, 0.5),
@@ -89,44 +85,34 @@ SCALES = {
     "Var_y": Scale(1e-7, 1e-2),
     "R": Scale(0.05, 33.2),
 }
-"""Of N_d; EMD_Wn; EMD_Wp in median distances from the camera; variances in squared frame widths; R
-in megapixels (saturating at 8K). Raw R alone would overflow Q16.16 at 480p.
-
-Units are where differences stop to matter: with a tenth of those of the distances, and a hundredth
-of those of the variances, a shot calmer than all that were learned from was another world."""
 
 
 @dataclass(frozen=True)
-class Surroundings:
-    """What the states of a key interval are made of.
+class StateHistory:
+    """What the states of a key interval are made of."""
 
-    Attributes
-    ----------
-    now
-        Features of the instants t, t + 1/4 and t + 1/2, at which slots 1, 2 and 3 are decided; with
-        G-buffers of key frames only, three times those of F_k.
-    before
-        Features of F_k-1, F_k-2 and F_k-3, the newer first, as far as they are there.
-    """
-
+    # At t, t + 1/4 and t + 1/2, for slots 1 to 3; with G-buffers of key frames only, three times
+    # F_k's
     now: tuple[Features, Features, Features]
-    before: tuple[Features, ...]
+    before: tuple[Features, ...]  # of F_k-1, F_k-2 and F_k-3, the newer first, as far as they exist
 
     def inputs(self, node: str) -> F64:
         """Return the network's inputs at a node, float64 [44], 0 to 1."""
-        here = [node, *reversed(PASSED[node])]
-        found = [(self.now[SLOTS[name] - 1], name) for name in here]
-        found += [(features, FIRST) for features in self.before]
-        found = (found + [found[-1]] * STATES)[:STATES]
-        return np.concatenate([state(features, name) for features, name in found])
+        nodes = [node, *reversed(PRECEDING_NODES[node])]
+        states = [(self.now[NODE_SLOTS[name] - 1], name) for name in nodes]
+        states += [(features, FIRST_NODE) for features in self.before]
+        states = (states + [states[-1]] * STATE_COUNT)[:STATE_COUNT]
+        return np.concatenate([state(features, name) for features, name in states])
 
 
 def state(features: Features, node: str) -> F64:
     """Return one state, float64 [11], 0 to 1: scaled features and the node."""
-    return np.concatenate([scaled(features), np.array([name == node for name in NODES], float)])
+    return np.concatenate(
+        [scale_features(features), np.array([name == node for name in NODES], float)]
+    )
 
 
-def scaled(features: Features) -> F64:
+def scale_features(features: Features) -> F64:
     """Return the features scaled, float64 [6], 0 to 1, in the order of FEATURES."""
     relative = {
         "N_d": features.objects,
@@ -140,35 +126,118 @@ def scaled(features: Features) -> F64:
 
 
 class LearnedPolicy:
-    """The predictor as the accelerator runs it: integers from the state's inputs to the decision.
-
-    Parameters
-    ----------
-    network
-        Takes the 44 inputs of `exwarp_cli.policy.state`.
-    """
+    """The policy for whole frames, in integers as the accelerator runs it."""
 
     def __init__(self, network: QuantisedMlp) -> None:
         self._kernel = MlpKernel(network)
 
-    def plan(self, surroundings: Surroundings) -> Plan:
+    def plan(self, history: StateHistory) -> Plan:
         """Decide all slots of a key interval; the larger output wins, a tie goes to warping."""
         decisions: list[Decision] = []
 
         def choose(node: str) -> str:
-            state = surroundings.inputs(node)
-            fixed = to_fixed(state)
+            fixed = to_fixed(history.inputs(node))
             outputs, chosen = self._kernel.decide(fixed)
-            choice = CHOICES[chosen]
+            features = history.now[NODE_SLOTS[node] - 1]
             decisions.append(
-                Decision(
-                    node,
-                    choice,
-                    surroundings.now[SLOTS[node] - 1],
-                    tuple(int(value) for value in fixed),
-                    outputs,
-                )
+                Decision(node, CHOICES[chosen], features, tuple(fixed.tolist()), outputs)
             )
-            return choice
+            return CHOICES[chosen]
 
-        return Plan(path_of(dict(walk(choose))), tuple(decisions))
+        return Plan(find_path(dict(walk_tree(choose))), tuple(decisions))
+
+
+# Nodes that decide about a tile; d1 always warps, as repeated frames are not wanted.
+TILE_NODES = ("d2", "d4", "d5")
+
+# Shares of pixels; variances in squared frame widths a slot; squared display levels. A change of
+# these, or of their order, needs another `domain.tiles.TILE_STATE`.
+TILE_SCALES = {
+    "holes": Scale(0.01, 1.0),
+    "outlines": Scale(0.01, 1.0),
+    "Var_x": Scale(1e-7, 1e-2),
+    "Var_y": Scale(1e-7, 1e-2),
+    "light": Scale(1.0, 4000.0),
+    "motion": Scale(1.0, 4000.0),
+}
+
+
+def scale_tile_features(features: F64, width: int) -> F64:
+    """Return features [..., 6], in the order of `TILE_FEATURES`, scaled to 0 … 1.
+
+    `width`: that of the frame, in pixels.
+    """
+    units = {name: (width * FACTOR) ** 2 if name.startswith("Var") else 1 for name in TILE_SCALES}
+    return np.stack(
+        [
+            TILE_SCALES[name].scale_array(features[..., index] / units[name])
+            for index, name in enumerate(TILE_FEATURES)
+        ],
+        axis=-1,
+    )
+
+
+def tile_inputs(
+    slots: Sequence[F64],  # scaled features of slots 1 to 3, float64 [N, 6] each
+    node: str,
+) -> F64:
+    """Return the network's inputs at a node of TILE_NODES, float64 [N, 44]."""
+    nodes = [node, *reversed(PRECEDING_NODES[node])]
+    nodes = (nodes + [nodes[-1]] * STATE_COUNT)[:STATE_COUNT]
+    count = len(slots[0])
+    parts = []
+    for name in nodes:
+        marks = np.tile(np.array([name == node_name for node_name in NODES], float), (count, 1))
+        parts += [slots[NODE_SLOTS[name] - 1], marks]
+    return np.concatenate(parts, axis=-1)
+
+
+def tile_paths(chosen: Mapping[str, npt.NDArray[np.bool_]]) -> npt.NDArray[np.str_]:
+    """Return the path of each tile, by whether each node of TILE_NODES extrapolates."""
+    after_e = np.where(chosen["d4"], "S3", "S4")
+    after_w = np.where(chosen["d5"], "S5", "S6")
+    return np.where(chosen["d2"], after_e, after_w)
+
+
+class TilePolicy:
+    """The policy for tiles, in integers as the accelerator runs it.
+
+    `price`: margin that the output for extrapolation needs over that for warping.
+    """
+
+    def __init__(self, network: QuantisedMlp, price: int = 0) -> None:
+        self._kernel = MlpKernel(apply_price(network, price))
+
+    def plan(self, features: Sequence[F64], width: int) -> TilePlan:
+        """Decide all tiles; the larger output wins, a tie goes to warping.
+
+        Features are those of slots 1 to 3, [rows, columns, 6], in the order of `TILE_FEATURES`;
+        `width` is that of the frame, in pixels.
+        """
+        rows, columns = features[0].shape[:2]
+        slots = [scale_tile_features(f, width).reshape(-1, len(TILE_FEATURES)) for f in features]
+        chosen = {}
+        for node in TILE_NODES:
+            _, choices = self._kernel.decide_many(to_fixed(tile_inputs(slots, node)))
+            chosen[node] = choices == 1
+        return TilePlan(columns, rows, tuple(map(str, tile_paths(chosen))))
+
+
+def interpolate_price(efforts: Sequence[Sequence[float]], share: float) -> int:
+    """Return the price at which a share of the area is extrapolated on the training scenes.
+
+    `efforts`: ascending shares, each with its price, from a policy's metadata; none for no price.
+    Beyond the first and the last, theirs counts.
+    """
+    if not efforts:
+        return 0
+    shares, prices = zip(*efforts, strict=True)
+    return round(float(np.interp(share, shares, prices)))
+
+
+def apply_price(network: QuantisedMlp, price: int) -> QuantisedMlp:
+    """Return a network whose output for warping is larger by a price, in the units of its sums."""
+    last = network.layers[-1]
+    biases = last.biases.copy()
+    biases[0] += price
+    return QuantisedMlp(network.inputs, (*network.layers[:-1], replace(last, biases=biases)))

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli import __version__
-from exwarp_cli.accel.fixed_point import MOST_ACTIVATION, from_fixed
-from exwarp_cli.accel.mac_array import COMPARE_CYCLES, PAPER_LATENCY_NS, Schedule
+from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION, from_fixed
+from exwarp_cli.accelerator.mac_array import COMPARE_CYCLES, PAPER_LATENCY_NS, Schedule
 from exwarp_cli.domain.decision import CHOICES, FEATURES
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import ranges
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.pipeline.decide import NodeFeatures
 from exwarp_cli.pipeline.dry_run import DryRun, Fate, ForeseenFrame
 from exwarp_cli.pipeline.predictor import Decided, Trace
@@ -229,8 +229,8 @@ def trace_lines(trace: Trace) -> Iterator[str]:
         if k < len(inference.activations):
             values = inference.activations[k]
             yield f"  int8   {_first_numbers(values)}"
-            zeros, saturated = int((values == 0).sum()), int((values == MOST_ACTIVATION).sum())
-            yield f"  {zeros} are 0, {saturated} saturate at {MOST_ACTIVATION}"
+            zeros, saturated = int((values == 0).sum()), int((values == MAX_ACTIVATION).sum())
+            yield f"  {zeros} are 0, {saturated} saturate at {MAX_ACTIVATION}"
     warp, extrapolate = inference.outputs.tolist()
     yield f"outputs: warp {warp}, extrapolate {extrapolate}"
     yield f"decision: {CHOICES[int(inference.choices)]}, {COMPARE_CYCLES} cycle"
@@ -277,7 +277,7 @@ def dry_run_lines(plan: DryRun) -> list[str]:
     place = plan.output or plan.video
     count = "no frame"
     if plan.frames:
-        count = f"{counted(len(plan.frames), 'frame')}, {_short_ranges(plan.frames)},"
+        count = f"{pluralise(len(plan.frames), 'frame')}, {_short_ranges(plan.frames)},"
     lines = [f"dry run, nothing is written: {count} in {place}"]
     for kind, words in KINDS.items():
         if frames := [f for f in plan.frames if f.kind is kind]:
@@ -297,7 +297,7 @@ def dry_run_lines(plan: DryRun) -> list[str]:
         lines.append("cuts: none are looked for")
     if plan.spread is not None:
         sizes = " or ".join(map(str, sorted({len(chunk) for chunk in plan.chunks})))
-        chunks = counted(len(plan.chunks), "chunk")
+        chunks = pluralise(len(plan.chunks), "chunk")
         lines.append(f"{plan.spread}: {chunks} of {sizes} key frames")
     return lines
 

@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from exwarp_cli.domain.line import printable
-from exwarp_cli.domain.wording import enumerated
+from exwarp_cli.domain.wording import enumerated, printable
 from exwarp_cli.pipeline.doctor.checkup import DoctorReport, Outcome
 
 _TITLES = {"exr": "EXR"}

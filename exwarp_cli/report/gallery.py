@@ -27,7 +27,7 @@ from typing import Any
 
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.results import FrameRecord, RunSummary, Score
-from exwarp_cli.domain.risk import Risk
+from exwarp_cli.domain.tiles import Risk
 from exwarp_cli.report.pictures import (
     LONGEST,
     Picture,

@@ -17,7 +17,7 @@ from typing import Any
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.results import FrameRecord, RunSummary, join_cuts
-from exwarp_cli.domain.timeline import listed, ranges
+from exwarp_cli.domain.timeline import list_numbers, ranges
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.report.comparison import SCHEMA as COMPARISON
 from exwarp_cli.report.folder import (
@@ -183,7 +183,7 @@ def _read_keys(folder: Path) -> frozenset[int]:
     """Read the input numbers of a report's key frames from report.json, which is small."""
     _, document = _read_report(folder)
     try:
-        return frozenset(map(int, listed(document["input"]["selected"] or "")))
+        return frozenset(map(int, list_numbers(document["input"]["selected"] or "")))
     except (AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         raise _unusable(folder, document) from error
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, UInt8
-from exwarp_cli.metrics.display import PEAK, encode
+from exwarp_cli.metrics.display import PEAK, encode_display
 
 # Media types of colour and errors, and of masks.
 WEBP, PNG = "image/webp", "image/png"
@@ -122,7 +122,9 @@ def encode_error(reference: Float32, test: Float32, room: int, longest: int = LO
     code 255 is the whole range, by a square root that keeps small errors visible. Frames are
     float32 [H, W, 3] or more, scene-linear, of one size.
     """
-    apart = np.abs(encode(reference) - encode(test)).mean(axis=-1) / np.float32(PEAK)
+    apart = np.abs(encode_display(reference) - encode_display(test)).mean(axis=-1) / np.float32(
+        PEAK
+    )
     grey = _to_bytes(np.sqrt(_shrink_plane(apart, longest)))
     return _encode_webp(np.repeat(grey[..., None], 3, axis=-1), room, 0)
 

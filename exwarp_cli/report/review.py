@@ -1,6 +1,6 @@
 """What of a run is most worth a look, and which frames are most worth rendering after all.
 
-Both go by the predicted error of new frames, see `exwarp_cli.domain.risk`, and by the frames'
+Both go by the predicted error of new frames, see `exwarp_cli.domain.tiles`, and by the frames'
 records alone, so that joined chunks have the lists of a single run.
 """
 
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from exwarp_cli.domain.decision import SOFTSPLAT
-from exwarp_cli.domain.lookahead import LOOKAHEAD
+from exwarp_cli.domain.network_api import LOOKAHEAD
 from exwarp_cli.domain.results import FrameRecord, RunSummary
-from exwarp_cli.domain.risk import REASONS, Risk, edges
+from exwarp_cli.domain.tiles import REASONS, Risk, tile_edges
 from exwarp_cli.domain.timeline import ranges
 
 MAX_PLACES = 100  # of a list
@@ -53,7 +53,7 @@ class Place:
     y: int
     width: int
     height: int
-    reason: str  # out of `exwarp_cli.domain.risk.REASONS`
+    reason: str  # out of `exwarp_cli.domain.tiles.REASONS`
 
 
 def _rank_by_risk(frames: Iterable[FrameRecord]) -> list[tuple[float, FrameRecord]]:
@@ -145,7 +145,7 @@ def _connected_tiles(tiles: set[int], columns: int) -> set[int]:
 
 
 def _place(number: int, risk: Risk, group: set[int], size: tuple[int, int]) -> Place:
-    across, down = edges(size[0], risk.columns), edges(size[1], risk.rows)
+    across, down = tile_edges(size[0], risk.columns), tile_edges(size[1], risk.rows)
     levels = risk.levels
     rows, columns = zip(*(divmod(tile, risk.columns) for tile in group), strict=True)
     x, y = across[min(columns)], down[min(rows)]

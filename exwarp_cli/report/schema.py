@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, SOFTSPLAT, WARP
-from exwarp_cli.domain.gate import Trial
-from exwarp_cli.domain.lookahead import LOOKAHEAD
+from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, SOFTSPLAT, WARP, Trial
 from exwarp_cli.domain.metric import GROUND_TRUTH, KEY_FRAMES, METRICS
+from exwarp_cli.domain.network_api import LOOKAHEAD
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary, Score
-from exwarp_cli.domain.tiles import paths_of
+from exwarp_cli.domain.tiles import paths_from_makers
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.report.review import summarise_review
 
@@ -210,7 +209,7 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
         if taken:
             paths.append(taken[-1])
         elif second is not None and third is not None:
-            paths += paths_of(second, third)
+            paths += paths_from_makers(second, third)
     block = count_decisions(paths if run.decides else None)
 
     keys: dict[Trial, dict[int, None]] = {}

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from exwarp_cli.domain.timeline import ranges
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 
 
 def format_number(value: float | None, digits: int = 1) -> str | None:
@@ -72,7 +72,7 @@ def describe_left_out(left_out: Sequence[Mapping[str, Any]]) -> str:
     )
     lines = []
     if missing:
-        lines.append(f"{counted(missing, 'key interval')} left out: frames {frames}")
+        lines.append(f"{pluralise(missing, 'key interval')} left out: frames {frames}")
     if scores:
         lines.append(f"not scored: frames {scores}")
     if rendered:
@@ -85,8 +85,8 @@ def describe_nonfinite(nonfinite: Sequence[Mapping[str, Any]]) -> str:
     pixels = Counter[str]()
     for entry in nonfinite:
         pixels[entry["channels"]] += entry["pixels"]
-    text = ", ".join(f"{channels} in {counted(n, 'pixel')}" for channels, n in pixels.items())
-    frames = counted(len({(entry["key"], entry["slot"]) for entry in nonfinite}), "frame")
+    text = ", ".join(f"{channels} in {pluralise(n, 'pixel')}" for channels, n in pixels.items())
+    frames = pluralise(len({(entry["key"], entry["slot"]) for entry in nonfinite}), "frame")
     return f"NaN or infinite in {frames} of the input: {text}; nothing is made of them"
 
 
@@ -96,7 +96,7 @@ def describe_gate(trials: list[dict[str, Any]]) -> str:
     for trial in trials:
         used[trial["used"]] += len(trial["keys"])
     untried = sum(len(trial["keys"]) for trial in trials if trial["frame"] is None)
-    shares = ", ".join(f"{name} in {counted(count, 'interval')}" for name, count in used.items())
+    shares = ", ".join(f"{name} in {pluralise(count, 'interval')}" for name, count in used.items())
     alone = f"; {untried} of these without a key frame to try it on" if untried else ""
     return f"network tried on the shot's own key frames: {shares}{alone}"
 
@@ -110,5 +110,5 @@ def describe_review(review: dict[str, Any]) -> str:
     )
     if not review["places"]:
         return f"{line}; nothing stands out"
-    line += f"; {counted(review['places'], 'place')} worth a look"
+    line += f"; {pluralise(review['places'], 'place')} worth a look"
     return f"{line}; frames most worth rendering: {review['render']}" if review["render"] else line

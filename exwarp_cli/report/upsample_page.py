@@ -8,7 +8,7 @@ from exwarp_cli.domain.decision import CHOICES, FEATURES, HOLD, NODES
 from exwarp_cli.domain.metric import KEY_FRAMES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.timeline import ranges
-from exwarp_cli.domain.wording import counted
+from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.metrics.display import PEAK
 from exwarp_cli.report.gallery import Album, worst_frame
 from exwarp_cli.report.html import (
@@ -148,7 +148,9 @@ def headline(document: dict[str, Any]) -> list[Number]:
         note = "from colour by optical flow, far less exact than a renderer's vectors"
         numbers.append(Number("Motion", "estimated", note))
     if holes["mean_fraction"] is not None:
-        note = f"of the pixels of {counted(sum(holes['histogram']['counts']), 'frame')}, on average"
+        note = (
+            f"of the pixels of {pluralise(sum(holes['histogram']['counts']), 'frame')}, on average"
+        )
         numbers.append(Number("Holes", f"{format_percent(holes['mean_fraction'])}", note))
     if decisions["warp_share"] is not None:
         note = "of decisions" if decisions["cost"] is None else "of the area"

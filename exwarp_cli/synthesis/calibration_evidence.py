@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from exwarp_cli.domain.motion import ABOUT, MIDDLE, AxisMap
+from exwarp_cli.domain.motion import STILL_MIDDLE, STILL_TOLERANCE, AxisMap
 from exwarp_cli.synthesis.calibration_samples import (
     FrameSamples,
     KeyPair,
@@ -94,13 +94,13 @@ def find_forms(
     if length is not None:
         size = raw[:, length]
         moving = np.abs(size) > 1e-6
-        for form in (Form(length=length), Form(MIDDLE, length, unit=2.0)):
+        for form in (Form(length=length), Form(STILL_MIDDLE, length, unit=2.0)):
             norms = np.linalg.norm(form.unit * (values[moving] - form.still), axis=1)
             if moving.any() and np.mean(np.abs(norms - 1) < UNIT_TOLERANCE) >= USUAL:
                 return (form,)
     forms = [Form()]
     if np.mean((values >= -1e-3) & (values <= 1 + 1e-3)) > 1 - 1e-3:  # perhaps clamped vectors
-        forms.append(Form(MIDDLE))
+        forms.append(Form(STILL_MIDDLE))
     if alpha is not None and np.mean((raw[:, alpha] > 0) & (raw[:, alpha] < 1)) > 0:
         forms += [replace(form, alpha=alpha) for form in forms]
     return tuple(forms)
@@ -201,7 +201,7 @@ class Evidence:
         if not any(p.resting for p in self.probes):
             return constant
         # Of moving pixels alone, that value has to be one of no motion: all may move alike.
-        rests = (values[0] == 0) | (np.abs(values[0] - MIDDLE) < ABOUT)
+        rests = (values[0] == 0) | (np.abs(values[0] - STILL_MIDDLE) < STILL_TOLERANCE)
         return constant and bool(rests.all())
 
     @property

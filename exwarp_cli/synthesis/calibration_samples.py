@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
-from exwarp_cli.domain.motion import ABOUT, MIDDLE, AxisMap
-from exwarp_cli.kernels import lookup, misses
+from exwarp_cli.domain.motion import STILL_MIDDLE, STILL_TOLERANCE, AxisMap
+from exwarp_cli.kernels import gather
 from exwarp_cli.synthesis.camera import F64, Index
 
 # Pixels looked up of each frame, out of GRID times as many on a regular grid.
@@ -143,7 +143,9 @@ def is_moving(vectors: Float32) -> Bool:
         return np.zeros(len(vectors), bool)
     samples = used[:: max(1, len(used) // SAMPLES)]
     usual = np.median(np.where(np.isfinite(samples), samples, 0), axis=0)
-    middle = (np.abs(usual - MIDDLE) < ABOUT) & (np.mean(samples == usual, axis=0) > FEW_MOVE)
+    middle = (np.abs(usual - STILL_MIDDLE) < STILL_TOLERANCE) & (
+        np.mean(samples == usual, axis=0) > FEW_MOVE
+    )
     distance = np.abs(used - np.where(middle, usual, 0).astype(np.float32))
     distance[~np.isfinite(distance)] = 0
     lengths = distance.max(axis=1)
@@ -275,13 +277,15 @@ class Probe:
             values = np.ascontiguousarray(each.values[part])
             tolerance = np.ascontiguousarray(each.tolerance[part])
             if values.shape[1] > 1:
-                misses.count_misses_of(xy, shifts, each.image, values, tolerance, index, losses)
+                gather.write_shifted_losses(
+                    xy, shifts, each.image, values, tolerance, index, losses
+                )
                 continue
             for loss, shift in zip(losses[:, index], shifts, strict=True):
                 depth = np.empty_like(values)
-                lookup.look_up(each.image, xy + shift.astype(np.float64), depth)
+                gather.sample_points(each.image, xy + shift.astype(np.float64), depth)
                 wanted = values if self.resting else _depth_later(values, depth, xy, tolerance)
-                lookup.count_misses(depth, wanted, tolerance, loss)
+                gather.write_point_losses(depth, wanted, tolerance, loss)
         return np.asarray(np.average(losses.mean(axis=2), axis=1, weights=self._weights))
 
 

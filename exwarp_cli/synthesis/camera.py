@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
-from exwarp_cli.kernels import project, resection
+from exwarp_cli.kernels import projection
 
 Index = npt.NDArray[np.intp]
 F64 = npt.NDArray[np.float64]
@@ -181,7 +181,9 @@ def seen_by(scene: Scene, camera: Camera) -> Float32:
     float32 [H, W, 2] in pixels; NaN for what lies behind the camera.
     """
     out = np.empty((*scene.depth.shape, 2), np.float32)
-    project.rigid(*_kernel_inputs(scene, camera), np.zeros((0, 0), np.bool_), False, out)
+    projection.write_rigid_motion(
+        *_kernel_inputs(scene, camera), np.zeros((0, 0), np.bool_), False, out
+    )
     return out
 
 
@@ -192,7 +194,7 @@ def place_still(
 
     With `kept`, what lies behind the camera keeps its motion.
     """
-    project.rigid(*_kernel_inputs(scene, camera), still, kept, motion)
+    projection.write_rigid_motion(*_kernel_inputs(scene, camera), still, kept, motion)
 
 
 def standing(scene: Scene, camera: Camera, step: Float32, tolerance: float) -> Bool:
@@ -201,7 +203,7 @@ def standing(scene: Scene, camera: Camera, step: Float32, tolerance: float) -> B
     `tolerance` is in pixels, for either component; unknown motion (NaN) is not still.
     """
     out = np.empty(scene.depth.shape, np.bool_)
-    project.standing(*_kernel_inputs(scene, camera), step, np.float32(tolerance), out)
+    projection.mark_static(*_kernel_inputs(scene, camera), step, np.float32(tolerance), out)
     return out
 
 
@@ -249,10 +251,10 @@ def fit(
         if unit is None:
             return None
         matrix = from_unit @ unit @ to_unit
-        resection.write_errors(points @ matrix.T, pixels, errors)
+        projection.write_projection_errors(points @ matrix.T, pixels, errors)
         median = float(np.median(errors))
         limit = max(4.0 * median, INLIER_FLOOR)
-        inside, is_same = resection.mark_inliers(errors, limit, inliers)
+        inside, is_same = projection.mark_inliers(errors, limit, inliers)
         if inside < MIN_SAMPLES or not math.isfinite(median):
             return None
         if count and is_same:
@@ -260,7 +262,7 @@ def fit(
         # Without these weights an object on a sixth of the points drags the camera with it: it
         # pulls the first fit so far that it stays within four median errors.
         depths = unit_points @ unit[2]
-        resection.write_weights(errors, inliers, depths, max(median, INLIER_FLOOR), weights)
+        projection.write_inlier_weights(errors, inliers, depths, max(median, INLIER_FLOOR), weights)
     camera = Camera(matrix, float(np.median(errors[inliers])))
     return camera if camera.median_error <= MAX_MEDIAN_ERROR else None
 
@@ -319,7 +321,7 @@ class _LinearSystem:
 
     def solve(self, weights: F64) -> F64 | None:
         """Return the 3x4 matrix of least algebraic error, None if points do not determine it."""
-        used = resection.write_equations(
+        used = projection.write_equations(
             self._points, self._pixels, weights, self._scaled, self._rows
         )
         if used < MIN_SAMPLES:

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, Int32, KeyFrame, Window
-from exwarp_cli.kernels import cells
+from exwarp_cli.kernels import frame_statistics
 from exwarp_cli.synthesis.camera import F64, Index
 
 # Cells along a frame's longer side.
@@ -172,7 +172,7 @@ def _light(pixels: Float32, window: Window, display: Window, size: int) -> Float
     height, width, channels = pixels.shape
     light = np.empty((len(rows) // len(offsets), len(columns) // len(offsets)), np.float32)
     lines = np.ascontiguousarray(pixels).reshape(height, width * channels)
-    cells.mean_roots(lines, channels, rows, columns, len(offsets), light)
+    frame_statistics.mean_square_roots(lines, channels, rows, columns, len(offsets), light)
     return light
 
 

@@ -7,11 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import HISTORY, INPUTS, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
+from exwarp_cli.domain.network_api import (
+    EXTRAPOLATOR_INPUTS,
+    HISTORY_FRAMES,
+    ExtrapolatorInputs,
+    NetworkInputs,
+)
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.kernels import _row_bands, planes
-from exwarp_cli.kernels._row_bands import Share, rows_of
+from exwarp_cli.kernels import _row_bands, network_planes
+from exwarp_cli.kernels._row_bands import Band, band_slice
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.history import SMOOTH, HistorySamples, OlderKeyFrame, is_lit_alike
 from exwarp_cli.synthesis.motion_fields import SlotField
@@ -79,7 +84,7 @@ class SlotInputs:
             (span.start or 0, size if span.stop is None else span.stop)
             for span, size in zip((rows, columns), self.shape, strict=True)
         )
-        shape = sum(INPUTS.values()), bottom - top, right - left
+        shape = sum(EXTRAPOLATOR_INPUTS.values()), bottom - top, right - left
         out = np.empty(shape, np.float32) if room is None else room
         surface = (
             _plane(self.surface.depth),
@@ -90,10 +95,12 @@ class SlotInputs:
         defaults = UNKNOWN_DEPTH, UNKNOWN_ROUGHNESS, UNKNOWN_METALLIC
         frames = tuple((frame.pixels, frame.visible) for frame in self.frames)
         median, corner = np.float32(self.median), (top, left)
-        planes.spread(frames, self.filled, surface, defaults, median, corner, out)
+        network_planes.write_input_planes(
+            frames, self.filled, surface, defaults, median, corner, out
+        )
         self.scratch.page_out()  # before the network takes its memory
-        _row_bands.run(_encode_colour, (out.reshape(len(out), -1),), _row_bands.threads())
-        ends = np.cumsum(list(INPUTS.values()))[:-1]
+        _row_bands.run_bands(_encode_colour, (out.reshape(len(out), -1),), _row_bands.threads())
+        ends = np.cumsum(list(EXTRAPOLATOR_INPUTS.values()))[:-1]
         warped, mask, features, history = np.split(out, ends)
         return NetworkInputs(warped, mask, features, history, self.time)
 
@@ -130,7 +137,7 @@ class SlotInputs:
 class Prepared:
     """What the network needs for a slot, and what turns its answer into a frame."""
 
-    inputs: Inputs
+    inputs: ExtrapolatorInputs
     modulation: Float32 | None  # [H, W, 3], factor of the answer; None if the answer is colour
     warped: Float32  # [H, W, C]: W's frame, whose alpha is taken over
     sources: SlotSources  # the key frames, in whose range the frame is held
@@ -139,7 +146,7 @@ class Prepared:
         """Turn the network's answer, float32 [3, H, W], into scene-linear colour [H, W, C]."""
         out: Float32 = pool.empty(self.warped.shape, np.float32)
         modulation = NO_VECTORS if self.modulation is None else self.modulation
-        planes.join(decode(answer), modulation, self.warped, out)
+        network_planes.write_network_frame(decode(answer), modulation, self.warped, out)
         hold_within(out, self.sources)
         return out
 
@@ -183,7 +190,7 @@ def prepare(
             older.append(ColourSource(step.frame.image.pixels, field, moved.visible))
         del moved
         scratch.page_out()
-    history += [history[-1]] * (HISTORY - len(history))
+    history += [history[-1]] * (HISTORY_FRAMES - len(history))
     depth = np.ones(1) if surface.depth is None else np.maximum(surface.depth, 0)
     depth = depth[np.isfinite(depth)]
     median = float(np.median(depth)) if depth.size else 1.0
@@ -193,9 +200,9 @@ def prepare(
     return Prepared(inputs, modulation, warped, sources)
 
 
-def _encode_colour(values: Float32, share: Share) -> None:
+def _encode_colour(values: Float32, share: Band) -> None:
     """Encode the colour of a network's planes [C, N], of a share of their pixels."""
-    part = values[:, rows_of(values.shape[1], share)]
+    part = values[:, band_slice(values.shape[1], share)]
     for first, count in COLOUR_PLANES:
         for line in part[first : first + count]:
             encode(line, out=line)
@@ -214,12 +221,12 @@ def modulation_of(gbuffer: GBuffer) -> Float32 | None:
     if gbuffer.albedo is None or gbuffer.specular is None:
         return None
     total: Float32 = pool.empty(gbuffer.albedo.shape, np.float32)
-    _row_bands.run(_modulate, (gbuffer.albedo, gbuffer.specular, total), _row_bands.threads())
+    _row_bands.run_bands(_modulate, (gbuffer.albedo, gbuffer.specular, total), _row_bands.threads())
     return total
 
 
-def _modulate(albedo: Float32, specular: Float32, out: Float32, share: Share) -> None:
-    rows = rows_of(len(out), share)
+def _modulate(albedo: Float32, specular: Float32, out: Float32, share: Band) -> None:
+    rows = band_slice(len(out), share)
     np.add(albedo[rows], specular[rows], out=out[rows])
     np.clip(out[rows], np.float32(DARKEST), np.float32(BRIGHTEST), out=out[rows])
 
@@ -231,7 +238,7 @@ def demodulated(frame: KeyFrame) -> Float32 | None:
         return None
     out = np.empty_like(pixels)
     surface = np.ascontiguousarray(gbuffer.albedo), np.ascontiguousarray(gbuffer.specular)
-    planes.demodulate(pixels, *surface, (DARKEST, BRIGHTEST), out)
+    network_planes.divide_by_albedo(pixels, *surface, (DARKEST, BRIGHTEST), out)
     return out
 
 
@@ -247,12 +254,12 @@ def decode(coded: Float32) -> Float32:
     """Invert :func:`encode`."""
     out: Float32 = pool.empty(coded.shape, np.float32)
     flat = np.ascontiguousarray(coded).reshape(-1)
-    _row_bands.run(_decode, (flat, out.reshape(-1)), _row_bands.threads())
+    _row_bands.run_bands(_decode, (flat, out.reshape(-1)), _row_bands.threads())
     return out
 
 
-def _decode(coded: Float32, out: Float32, share: Share) -> None:
-    part = rows_of(coded.size, share)
+def _decode(coded: Float32, out: Float32, share: Band) -> None:
+    part = band_slice(coded.size, share)
     _signed(np.expm1, coded[part], out[part])
 
 

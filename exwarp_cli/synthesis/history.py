@@ -12,8 +12,8 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.kernels import surface
-from exwarp_cli.kernels.follow import follow, follow_shown
+from exwarp_cli.kernels import point_motion
+from exwarp_cli.kernels.point_motion import follow_points, follow_visible
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.camera import Camera, Index, Scene, camera_by, place_still, scene_of
 from exwarp_cli.synthesis.gbuffer_values import EXACT
@@ -198,13 +198,13 @@ def _look_back_reprojected(slot: int, back: SlotField, history: KeyHistory) -> H
         assert gbuffer is not None
         history.scratch.page_out()
         led, missed = pool.empty(moved.shape, np.float32), pool.empty(lost.shape, np.bool_)
-        follow_shown(older.motion, stencil_of(newer), gone, moved, lost, led, missed)
+        follow_visible(older.motion, stencil_of(newer), gone, moved, lost, led, missed)
         moved, lost = led, missed
         if gbuffer.has_motion:
             motion = _predict_motion(older, gbuffer, count, time, camera)
             history.scratch.page_out()
             predicted = splat_motion(gbuffer, motion).field
-            surface.go_on(predicted, moved, lost)
+            point_motion.fill_predicted(predicted, moved, lost)
             sources.append((gbuffer, predicted))
         fields.append(moved)
         hidden.append(lost)
@@ -245,7 +245,7 @@ def _look_back_rendered(
         # 1.4 dB further from the truth where things move. Depth shows a hidden point only where
         # something else predicts its motion.
         ids = stencil_of(newer), stencil_of(gbuffer)
-        follow(older.motion, ids, _UNCOMPARED, EXACT, np.float32(0), _UNFORESEEN, moved)
+        follow_points(older.motion, ids, _UNCOMPARED, EXACT, np.float32(0), _UNFORESEEN, moved)
         placed, there = moved.copy(), older.scene
         if scene and there and there.camera and gbuffer.stencil is not None:
             place_still(scene, there.camera, gbuffer.stencil == 0, placed)
@@ -301,7 +301,7 @@ def _take_over(
         return np.ascontiguousarray(values)
 
     own = {name: getattr(gbuffer, name) for name in (*NEAREST, *SMOOTH)}
-    surface.take_over(
+    point_motion.copy_surface(
         field,
         tuple(array(name, own) for name in NEAREST),
         tuple(array(name, own).reshape(-1) for name in SMOOTH),

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.colour import SRGB
 from exwarp_cli.domain.frame import Bool, Float32, Image, KeyFrame
 from exwarp_cli.synthesis.calibration_samples import FrameSamples
 from exwarp_cli.synthesis.motion_fields import splat_motion

@@ -9,9 +9,13 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import Extrapolator, Inputs, Interpolator
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, Window, place
-from exwarp_cli.domain.lookahead import LookAheadNetwork
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, Window, place_on_canvas
+from exwarp_cli.domain.network_api import (
+    Extrapolator,
+    ExtrapolatorInputs,
+    Interpolator,
+    LookAheadNetwork,
+)
 from exwarp_cli.domain.tiles import TILE_FEATURES
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
@@ -340,7 +344,7 @@ class Interval:
         network, mosaic = self.extrapolator, self.mosaic
         assert network is not None
 
-        def answer(inputs: Inputs) -> Float32:
+        def answer(inputs: ExtrapolatorInputs) -> Float32:
             return extrapolate_in(mosaic, chosen, lambda *part: network(inputs.part(*part)))
 
         return self._extrapolate(slot, network if chosen.all() else answer)
@@ -351,7 +355,7 @@ class Interval:
             self._composed[slot] = self.scratch.store(make())
         return self._composed[slot]
 
-    def _extrapolate(self, slot: int, network: Callable[[Inputs], Float32]) -> Float32:
+    def _extrapolate(self, slot: int, network: Callable[[ExtrapolatorInputs], Float32]) -> Float32:
         self._back[slot] = self.scratch.store(self.back(slot))
         prepared = self.prepared(slot)
         self._looked.pop(slot, None)
@@ -399,7 +403,7 @@ class Interval:
             replace(
                 step,
                 frame=step.frame.on(window),
-                motion=place(step.motion, step.frame.image.data_window, window, np.nan),
+                motion=place_on_canvas(step.motion, step.frame.image.data_window, window, np.nan),
             )
             for step in self.past
         )

@@ -15,10 +15,10 @@ from functools import cached_property
 import numpy as np
 
 from exwarp_cli.domain.decision import HELD, HOLD, PATHS
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32, broken_pixels
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32, nonfinite_pixels
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.kernels import nearest
+from exwarp_cli.kernels import blend
 from exwarp_cli.synthesis.camera import scene_of
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.look_ahead import LookAhead
@@ -70,7 +70,7 @@ class PixelSources:
         floats = [plane for plane in planes if plane.dtype.kind == "f"]
         broken = np.logical_or.reduce(
             [
-                np.isnan(plane) if np.isinf(nothing) else broken_pixels(plane[..., None])
+                np.isnan(plane) if np.isinf(nothing) else nonfinite_pixels(plane[..., None])
                 for plane in floats
             ]
             or [False]
@@ -83,7 +83,7 @@ class PixelSources:
         source, later = alone.copy(), np.zeros(self.pixel.shape, np.bool_)
         around = find_hole_neighbours(depth, broken)
         assert around is not None
-        nearest.adopt(source, later, depth, *around)
+        blend.adopt_sources(source, later, depth, *around)
         empty = broken & (np.isinf(depth) | (source == alone))
         taken = broken & ~empty
         for plane in planes:
@@ -112,20 +112,20 @@ def moved_sources(
 ) -> PixelSources:
     """Return the sources of a slot that shows one moved key frame, or those on both sides."""
 
-    def side(source: SlotField, gbuffer: GBuffer) -> nearest.Side:
+    def side(source: SlotField, gbuffer: GBuffer) -> blend.SourceSide:
         return source.field, source.depth, depth_of(gbuffer), source.hole, source.fringe
 
     empty, mask = np.zeros((0, 0), np.float32), np.zeros((0, 0), np.bool_)
-    after: nearest.Side = np.zeros((0, 0, 2), np.float32), empty, empty, mask, mask
+    after: blend.SourceSide = np.zeros((0, 0, 2), np.float32), empty, empty, mask, mask
     if forward is not None and following is not None:
         after = side(forward, following)
     shape = back.depth.shape
     pixel, depth = np.empty(shape, np.int32), np.empty(shape, np.float32)
     later, hole = np.empty(shape, np.bool_), np.empty(shape, np.bool_)
-    nearest.choose(side(back, key), after, np.float32(time), pixel, later, depth, hole)
+    blend.choose_sources(side(back, key), after, np.float32(time), pixel, later, depth, hole)
     around = find_hole_neighbours(depth, hole)
     if around is not None:
-        nearest.adopt(pixel, later, depth, *around)
+        blend.adopt_sources(pixel, later, depth, *around)
     return PixelSources(pixel, later, hole, depth)
 
 
@@ -161,7 +161,7 @@ class PointMotion:
     ) -> Float32:
         """Return how a layer's values change on the way, float32 [H, W, C]; 0 if unknown."""
         change = np.empty_like(here)
-        nearest.sample_surface(there, self.depth, self.field, change)
+        blend.sample_surface(there, self.depth, self.field, change)
         with np.errstate(invalid="ignore", over="ignore"):
             change -= here
         change[self.lost | ~np.isfinite(change).all(axis=-1)] = 0
@@ -180,7 +180,7 @@ def lead_points(
     field = displacement(here, way)
     depth, later = depth_of(here), depth_of(there)
     sampled = np.empty((*depth.shape, 1), np.float32)
-    nearest.sample_surface(later[..., None], later, field, sampled)
+    blend.sample_surface(later[..., None], later, field, sampled)
     with np.errstate(invalid="ignore"):
         same = np.abs(sampled[..., 0] - depth) <= np.float32(MAX_DEPTH_CHANGE) * depth
     lost = find_holes(here, there, field, FACTOR) | ~same  # background, too: inf - inf is NaN

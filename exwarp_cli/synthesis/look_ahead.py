@@ -11,11 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import Tile
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.lookahead import LOOKS_AHEAD, LookAheadNetwork
-from exwarp_cli.domain.network import NetworkPictures
-from exwarp_cli.kernels import candidates
+from exwarp_cli.domain.network_api import (
+    LOOKAHEAD_INTERFACE,
+    LookAheadNetwork,
+    NetworkPictures,
+    Tile,
+)
+from exwarp_cli.kernels import blend
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.mosaic import Tiles
 from exwarp_cli.synthesis.motion_fields import SlotField
@@ -166,9 +169,9 @@ class Candidates:
         size = min(rows.stop, height) - rows.start, min(columns.stop, width) - columns.start
         planes = room
         if planes is None or planes.shape[1:] != size:
-            planes = np.empty((LOOKS_AHEAD.channels, *size), np.float32)
-        ends = np.cumsum(list(LOOKS_AHEAD.inputs.values()))[:-1]
-        pictures = dict(zip(LOOKS_AHEAD.inputs, np.split(planes, ends), strict=True))
+            planes = np.empty((LOOKAHEAD_INTERFACE.channels, *size), np.float32)
+        ends = np.cumsum(list(LOOKAHEAD_INTERFACE.inputs.values()))[:-1]
+        pictures = dict(zip(LOOKAHEAD_INTERFACE.inputs, np.split(planes, ends), strict=True))
         for i, picture in enumerate((self._mixed, *(side.pixels for side in self._sides))):
             colour = np.ascontiguousarray(picture[rows, columns, :3])
             shown = linear_to_srgb(colour) if self._linear else colour
@@ -210,4 +213,4 @@ class Candidates:
     def _mix(self, tile: Tile, weights: np.ndarray, out: Float32) -> None:
         corner = tile[0].first, tile[1].first
         sides = tuple(side.pixels for side in self._sides)
-        candidates.mix_candidates(self._mixed, sides, weights.astype(np.float32), corner, out)
+        blend.mix_candidates(self._mixed, sides, weights.astype(np.float32), corner, out)

@@ -8,12 +8,10 @@ from enum import Enum
 from functools import partial
 
 from exwarp_cli.domain.decision import BLEND, EXTRAPOLATE, HELD, HOLD, PATHS, SOFTSPLAT, WARP
-from exwarp_cli.domain.extrapolator import HISTORY, INTERPOLATE
 from exwarp_cli.domain.frame import Float32, KeyFrame
-from exwarp_cli.domain.lookahead import LOOKAHEAD, LookAheadNetwork
+from exwarp_cli.domain.network_api import HISTORY_FRAMES, INTERPOLATE, LOOKAHEAD, LookAheadNetwork
 from exwarp_cli.domain.results import FrameKind
-from exwarp_cli.domain.risk import Risk
-from exwarp_cli.domain.tiles import REWARP, TilePlan
+from exwarp_cli.domain.tiles import REWARP, Risk, TilePlan
 from exwarp_cli.synthesis.camera import F64
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.mosaic import lay_over
@@ -101,7 +99,7 @@ class Method:
         `looks_ahead` says whether the interval has a next key frame that is used.
         """
         if self.extrapolates:
-            return HISTORY - 1
+            return HISTORY_FRAMES - 1
         return int(self.carries_light and not looks_ahead)
 
     @property

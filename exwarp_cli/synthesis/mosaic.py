@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, Window
-from exwarp_cli.domain.risk import ROWS, columns_of, edges
+from exwarp_cli.domain.tiles import TILE_ROWS, count_columns, tile_edges
 from exwarp_cli.synthesis.camera import F64
 
 # A frame is sampled in about so many of its rows at most, and in as many of its columns to their
@@ -53,7 +53,7 @@ class Tiles:
     @property
     def columns(self) -> int:
         """Number of columns of tiles; rows are `ROWS`."""
-        return columns_of(self.display.width, self.display.height)
+        return count_columns(self.display.width, self.display.height)
 
     def sample(self, values: np.ndarray) -> np.ndarray:
         """Return the samples of an array [H, W, ...] on the canvas."""
@@ -72,10 +72,10 @@ class Tiles:
         """Return the rows and columns of each tile in an array of every `stride`-th pixel."""
         out = []
         for offset, size, parts, end in (
-            (self.display.y - self.canvas.y, self.display.height, ROWS, shape[0]),
+            (self.display.y - self.canvas.y, self.display.height, TILE_ROWS, shape[0]),
             (self.display.x - self.canvas.x, self.display.width, self.columns, shape[1]),
         ):
-            first = (-(-(offset + edge) // stride) for edge in edges(size, parts))
+            first = (-(-(offset + edge) // stride) for edge in tile_edges(size, parts))
             out.append(list(pairwise(min(max(place, 0), end) for place in first)))
         return out[0], out[1]
 

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32, combine_3x3
-from exwarp_cli.kernels import edges, holes, settling, splat
+from exwarp_cli.kernels import holes, silhouettes, splat
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.camera import (
     Index,
@@ -25,10 +25,10 @@ from exwarp_cli.synthesis.camera import (
 from exwarp_cli.synthesis.gbuffer_values import coarser, depth_step, normal_step, relative_step
 from exwarp_cli.synthesis.trajectory import (
     displacement_and_reach,
-    follow_points,
     move_rigidly,
     reach_of,
     stencil_of,
+    trace_points,
 )
 
 # Radians by which the normal of one dynamic surface may turn from slot to slot: ExtraNet's
@@ -75,7 +75,7 @@ class SlotField:
         if self.source is None:
             return np.zeros(self.depth.shape, np.bool_)
         out: Bool = pool.empty(self.depth.shape, np.bool_)
-        edges.find_fringe(self.field, self.depth, self.source, out)
+        silhouettes.find_ghosts(self.field, self.depth, self.source, out)
         return out
 
     @cached_property
@@ -114,7 +114,7 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
     rendered = tuple(_NO_PLANE if each is None else _as_rows(each) for each in vectors)
     settled = tuple(pool.empty(each.shape, np.float32) for each in rendered)
     cameras = cameras_around(scene, vectors, gbuffer.stencil)
-    settling.settle(rendered, surfaces, cameras, np.float32(STATIC_TOLERANCE), settled)
+    silhouettes.clean_vectors(rendered, surfaces, cameras, np.float32(STATIC_TOLERANCE), settled)
     bend = move_rigidly(gbuffer, scene, cameras, settled)
     before, after = (
         None if old is None else new.reshape(old.shape)
@@ -130,7 +130,7 @@ def _as_rows(array: Float32) -> Float32:
 
 def _find_edges(gbuffer: GBuffer) -> Bool:
     out: Bool = pool.empty(gbuffer.window.shape, np.bool_)
-    edges.find_edges(depth_of(gbuffer), stencil_of(gbuffer), out)
+    silhouettes.find_edges(depth_of(gbuffer), stencil_of(gbuffer), out)
     return out
 
 
@@ -192,7 +192,7 @@ def compose(
         scenes = scene_of(slot), scene_of(others[-1] if others else key), scene_of(key)
     step = slot.to_next if way > 0 else slot.to_previous
     assert step is not None
-    field = follow_points(slot, others[::-1], way)
+    field = trace_points(slot, others[::-1], way)
     scene, adjacent, last = (
         None if each is None or each.camera is None else each for each in scenes
     )
@@ -231,7 +231,9 @@ def find_holes(slot: GBuffer, key: GBuffer, field: Float32, count: int) -> Bool:
         steps = *coarser(*map(depth_step, depths)), nothing
     cosine = math.cos(min(count * TURN_PER_SLOT + turn, math.pi))
     hole = np.empty(depths[0].shape, np.bool_)
-    holes.mark(field, depths, stencils, positions, normals, (np.float32(cosine), *steps), hole)
+    holes.mark_holes(
+        field, depths, stencils, positions, normals, (np.float32(cosine), *steps), hole
+    )
     return hole
 
 

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.colour import SRGB
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, UInt8, Window
 from exwarp_cli.kernels._row_bands import threads
 from exwarp_cli.synthesis.motion_fields import splat_motion

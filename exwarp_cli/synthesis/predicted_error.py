@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, KeyFrame
-from exwarp_cli.domain.risk import Risk, code_of
+from exwarp_cli.domain.tiles import Risk, encode_level
 from exwarp_cli.synthesis.camera import F64
 from exwarp_cli.synthesis.mosaic import Tiles
 from exwarp_cli.synthesis.warp import Warped, linear_to_srgb
@@ -202,7 +202,7 @@ def predict_risk(terms: F64, formula: Formula, time: float) -> Risk:
         float(np.float32(error)),  # as the header of the frame stores it
         columns,
         rows,
-        tuple(code_of(float(level)) for level in np.sqrt(squares).flat),
+        tuple(encode_level(float(level)) for level in np.sqrt(squares).flat),
         tuple(map(int, reasons.flat)),
     )
 

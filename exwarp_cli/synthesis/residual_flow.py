@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, broken_pixels
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, nonfinite_pixels
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.kernels.edges import find_edges
+from exwarp_cli.kernels.silhouettes import find_edges
 from exwarp_cli.synthesis.history import OlderKeyFrame, is_lit_alike
 from exwarp_cli.synthesis.motion_fields import (
     SlotField,
@@ -158,7 +158,7 @@ def find_light_flow(key: KeyFrame, older: OlderKeyFrame) -> LightFlow | None:
     if source is None:
         return None
     pixels = key.image.pixels
-    broken = broken_pixels(pixels)
+    broken = nonfinite_pixels(pixels)
     codes = linear_to_srgb(np.where(broken[..., None], np.float32(0), pixels))
     now = Warped(codes, np.zeros(broken.shape, np.float32), broken, np.zeros_like(broken))
     codes = linear_to_srgb(older.frame.image.pixels)

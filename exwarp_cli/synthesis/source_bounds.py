@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32
-from exwarp_cli.kernels import extremes, fill
+from exwarp_cli.kernels import gather, holes
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.motion_fields import SlotField
 from exwarp_cli.synthesis.warp import HoleNeighbourhood, find_hole_neighbours, sample_bilinear
@@ -90,13 +90,13 @@ def _clamp(frame: Float32, bounds: Callable[[np.float32, bool], Float32]) -> Non
     """Clamp a frame, where its alpha is 0 also to the bounds of source pixels whose alpha is 0."""
     channels = frame.shape[2]
     for sign in SIGNS:
-        extremes.hold(bounds(sign, False), EVERYWHERE, sign, channels, frame)
-    if channels <= extremes.ALPHA:
+        gather.clamp_to_bounds(bounds(sign, False), EVERYWHERE, sign, channels, frame)
+    if channels <= gather.ALPHA_CHANNEL:
         return
-    clear: Bool = np.abs(frame[..., extremes.ALPHA]) <= CLEAR
+    clear: Bool = np.abs(frame[..., gather.ALPHA_CHANNEL]) <= CLEAR
     if clear.any():
         for sign in SIGNS:
-            extremes.hold(bounds(sign, True), clear, sign, extremes.ALPHA, frame)
+            gather.clamp_to_bounds(bounds(sign, True), clear, sign, gather.ALPHA_CHANNEL, frame)
 
 
 def _bounds(
@@ -113,7 +113,7 @@ def _bounds(
 
     def raise_to(source: ColourSource, wanted: Bool) -> None:
         pixels = np.ascontiguousarray(source.pixels)
-        extremes.raise_bounds(pixels, source.field, wanted, clear, sign, bound)
+        gather.raise_bounds(pixels, source.field, wanted, clear, sign, bound)
 
     shape = (*hole.shape, sources.sides[0].pixels.shape[2])
     bound: Float32 = pool.empty(shape, np.float32)
@@ -122,7 +122,7 @@ def _bounds(
         raise_to(side, side.seen)
     if around is not None:
         bound[np.isneginf(bound)] = 0  # alpha is 0 in no source pixel: what is mixed in holes
-        fill.fill(bound, sources.depth, *around)
+        holes.fill_holes(bound, sources.depth, *around)
         lone = ~around.steps.any(axis=0)
         if lone.any():
             rows = np.repeat(np.arange(len(hole)), np.diff(around.first))
@@ -133,7 +133,7 @@ def _bounds(
     if sources.warp is not None:
         warp = sign * sources.warp
         if clear:
-            warp[np.abs(sources.warp[..., extremes.ALPHA]) > CLEAR] = -np.inf
+            warp[np.abs(sources.warp[..., gather.ALPHA_CHANNEL]) > CLEAR] = -np.inf
         np.maximum(bound, warp, out=bound)
     return bound
 
@@ -142,7 +142,7 @@ def _range(frames: Sequence[Float32], sign: np.float32, clear: bool) -> Float32:
     """Return `sign` times the bounds of whole frames, float32 [C]; -inf where nothing counts."""
     ends = np.full(frames[0].shape[2], -np.inf, np.float32)
     for pixels in frames:
-        counts = pixels[..., extremes.ALPHA] == 0 if clear else np.True_
+        counts = pixels[..., gather.ALPHA_CHANNEL] == 0 if clear else np.True_
         for c in range(len(ends)):
             values = sign * pixels[..., c]
             finite = counts & np.isfinite(values)

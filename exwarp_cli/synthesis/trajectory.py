@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32, combine_3x3
-from exwarp_cli.kernels import parabola
-from exwarp_cli.kernels import reach as rows
-from exwarp_cli.kernels.follow import CLOSE, follow
+from exwarp_cli.kernels import splat
+from exwarp_cli.kernels import splat as rows
+from exwarp_cli.kernels.point_motion import CLOSE_DEPTH, follow_points
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.camera import (
     F64,
@@ -81,7 +81,7 @@ def displacement(
     if after is not None and before is not None:
         out: Float32 = pool.empty(after.shape, np.float32)
         before, after = np.ascontiguousarray(before), np.ascontiguousarray(after)
-        parabola.parabola(before, after, t, out, _NO_REACH if reach is None else reach)
+        splat.quadratic_displacement(before, after, t, out, _NO_REACH if reach is None else reach)
         if not len(gbuffer.turning):
             return out
     elif after is not None:
@@ -92,20 +92,20 @@ def displacement(
     if len(gbuffer.turning) and 0 < abs(time) < 1:
         out.reshape(-1, 2)[gbuffer.turning] = _on_arc(gbuffer, gbuffer.turning, time)
     if reach is not None:
-        rows.row_reach(out, reach)
+        rows.splat_row_extents(out, reach)
     return out
 
 
 def displacement_and_reach(gbuffer: GBuffer, time: float) -> tuple[Float32, Float32]:
     """Return a `displacement`, and its `reach_of`."""
-    reach = np.empty(rows.reach_shape(gbuffer.window.shape), np.float32)
+    reach = np.empty(rows.row_extents_shape(gbuffer.window.shape), np.float32)
     return displacement(gbuffer, time, reach), reach
 
 
 def reach_of(motion: Float32) -> Float32:
     """Return the target rows of displacements [H, W, 2], as the splatting kernel takes them."""
-    reach = np.empty(rows.reach_shape(motion.shape), np.float32)
-    rows.row_reach(motion, reach)
+    reach = np.empty(rows.row_extents_shape(motion.shape), np.float32)
+    rows.splat_row_extents(motion, reach)
     return reach
 
 
@@ -142,7 +142,7 @@ def _by_vectors(gbuffer: GBuffer, index: Index, time: float) -> Float32:
     return out
 
 
-def follow_points(
+def trace_points(
     start: GBuffer,  # with settled motion
     # The instants after it if `way` is 1, before it if -1, the nearest first; with settled motion
     # that way.
@@ -167,8 +167,8 @@ def follow_points(
         assert step is not None
         ids, depths = (stencil_of(other), stencil_of(start)), (_depth_or_empty(other), depth)
         steps = coarser(rounding, depth_step(depths[0]))
-        close = np.float32(CLOSE * (count - 1))
-        follow(step, ids, depths, steps, close, after - before, moved)
+        close = np.float32(CLOSE_DEPTH * (count - 1))
+        follow_points(step, ids, depths, steps, close, after - before, moved)
         before = after
     return moved
 
@@ -188,7 +188,7 @@ def span_motion(
     What stands still follows the recovered cameras, what moves is followed from instant to instant.
     """
     start, *others = steps[:-1]
-    moved = follow_points(start, others, way)
+    moved = trace_points(start, others, way)
     scene, end_scene = scene_of(start), scene_of(steps[-1])
     if scene is None or end_scene is None or end_scene.camera is None or start.stencil is None:
         return moved
@@ -322,7 +322,7 @@ def _pose_at(poses: Poses, time: float) -> Pose | None:
 def _between(before: F64, after: F64, time: float) -> F64:
     """Interpolate displacements to the frames before and after, -1 < time < 1.
 
-    Acceleration is limited as in :func:`exwarp_cli.kernels.parabola.parabola`.
+    Acceleration is limited as in :func:`exwarp_cli.kernels.splat.quadratic_displacement`.
     """
     nearer, acceleration = after if time > 0 else before, before + after
     bound, size = 2 * float(np.linalg.norm(nearer)), float(np.linalg.norm(acceleration))

@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.extrapolator import Interpolator
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32, broken_pixels
-from exwarp_cli.kernels import blend, fill, gather, resample, shown
-from exwarp_cli.kernels.edges import APART, find_moving_edges
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32, nonfinite_pixels
+from exwarp_cli.domain.network_api import Interpolator
+from exwarp_cli.kernels import blend, gather, holes, resample
+from exwarp_cli.kernels.silhouettes import MOTION_GAP, find_moving_edges
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.camera import Index
 from exwarp_cli.synthesis.motion_fields import SlotField, splat_motion
@@ -147,19 +147,19 @@ def linear_to_srgb(pixels: Float32) -> Float32:
     The curve continues below 0 and above 1.
     """
     out: Float32 = pool.empty(pixels.shape, np.float32)
-    shown.show(pixels, out)
+    resample.encode_srgb(pixels, out)
     return out
 
 
 def srgb_to_linear(codes: Float32) -> Float32:
     """Invert `linear_to_srgb`, in place."""
-    shown.light(codes, codes)
+    resample.decode_srgb(codes, codes)
     return codes
 
 
 def fill_nonfinite(pixels: Float32) -> Float32:
     """Return a frame whose non-finite pixels are filled from around them; itself if it has none."""
-    broken = broken_pixels(pixels)
+    broken = nonfinite_pixels(pixels)
     if not broken.any():
         return pixels
     clean = np.where(broken[..., None], np.float32(0), pixels)
@@ -182,7 +182,7 @@ def fill_holes(
     if around is None:
         return pixels
     out = np.ascontiguousarray(pixels)
-    fill.fill(out, depth, *around)
+    holes.fill_holes(out, depth, *around)
     return out
 
 
@@ -192,25 +192,25 @@ class HoleNeighbourhood(NamedTuple):
     first: Int32  # [H + 1]: how many holes there are in all rows above each
     column: Int32  # [N]: their columns, row by row
     cap: np.float32  # depth at which everything further counts as equally far, scene units
-    steps: npt.NDArray[np.int16]  # [8, N], from :func:`exwarp_cli.kernels.fill.look`
+    steps: npt.NDArray[np.int16]  # [8, N], from :func:`exwarp_cli.kernels.holes.ray_march_visible`
 
 
 def find_hole_neighbours(depth: Float32, hole: Bool) -> HoleNeighbourhood | None:
     """Find what is visible around holes; parameters as of `fill_holes`. None without holes."""
     hole = np.ascontiguousarray(hole)
     counts, bits = np.empty(len(hole), np.int32), np.empty(len(hole), np.int32)
-    fill.count_holes(hole, depth.view(np.int32), counts, bits)
+    holes.count_holes(hole, depth.view(np.int32), counts, bits)
     first = np.zeros(len(hole) + 1, np.int32)
     np.cumsum(counts, out=first[1:])
     if first[-1] == 0:
         return None
     column = np.empty(first[-1], np.int32)
-    fill.list_holes(hole, first, column)
+    holes.list_holes(hole, first, column)
     furthest = float(bits.max(keepdims=True).view(np.float32)[0])
     cap = BEYOND * furthest if furthest > 0 else 1.0
     reach = min(int(FILL_REACH * max(hole.shape)) + 1, 32000)
-    steps = np.empty((len(fill.WAYS), len(column)), np.int16)
-    fill.look(hole, first, column, reach, steps)
+    steps = np.empty((len(holes.DIRECTIONS), len(column)), np.int16)
+    holes.ray_march_visible(hole, first, column, reach, steps)
     return HoleNeighbourhood(first, column, np.float32(cap), steps)
 
 
@@ -372,7 +372,7 @@ class Coverage:
         share, depth = pool.empty(shape, np.float32), pool.empty(shape, np.float32)
         hole: Bool = pool.empty(shape, np.bool_)
         first, second = ((field.depth, field.hole, field.fringe) for field in fields)
-        blend.weigh(first, second, np.float32(self._time), share, depth, hole)
+        blend.write_later_weights(first, second, np.float32(self._time), share, depth, hole)
         return _Place(offset, vectors, holes, share.flat[index], hole.flat[index])
 
     def _make_movers(self, place: _Place, crossed: Bool, index: Index) -> _PlaceMovers:
@@ -380,13 +380,13 @@ class Coverage:
         order = np.arange(len(index))
         rows, columns = np.divmod(index, width)
         movers = []
-        for vectors, holes in zip(place.vectors, place.holes, strict=True):
+        for vectors, hole_mask in zip(place.vectors, place.holes, strict=True):
             # Colour is sampled halfway to the centre: at the place itself the mean of several blurs
             # textures (0.2 dB on lab), at the centre edges are too near (0.2 dB on market).
             field = vectors[crossed] + place.offset / np.float32(2)
             field[:, 0] += (columns - order % ROW).astype(np.float32)
             field[:, 1] += (rows - order // ROW).astype(np.float32)
-            hole = _in_rows(holes[crossed], fill=True)
+            hole = _in_rows(hole_mask[crossed], fill=True)
             unknown = np.zeros(hole.shape, np.float32)
             source = SlotField(_in_rows(field, fill=np.nan), unknown, hole)
             movers.append(Mover(source, self._linear))
@@ -396,7 +396,7 @@ class Coverage:
 
 def _moves_apart(vectors: Float32, centre: Float32) -> Bool:
     """Return which pixels, bool [N], move otherwise at a place than at their centre."""
-    same = (np.abs(vectors - centre) <= APART) | (np.isnan(vectors) & np.isnan(centre))
+    same = (np.abs(vectors - centre) <= MOTION_GAP) | (np.isnan(vectors) & np.isnan(centre))
     return np.asarray(~(same[:, 0] & same[:, 1]))
 
 
@@ -417,5 +417,5 @@ def _colour_at(place: _PlaceMovers, codes: Sequence[Float32]) -> tuple[Float32, 
     second, second_lost = moved[1]
     # A source that is not finite, or outside its frame, leaves all to the other one.
     share = np.where(lost, np.float32(1), np.where(second_lost, np.float32(0), place.share))
-    blend.mix(first, second, share, first)
+    blend.mix_frames(first, second, share, first)
     return first, place.visible & ~(lost & second_lost)

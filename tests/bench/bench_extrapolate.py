@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import Extrapolator, NetworkInputs
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
-from exwarp_cli.domain.network import TIME
+from exwarp_cli.domain.network_api import TIME_INPUT, Extrapolator, NetworkInputs
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.models.model_file import shipped_folder, stated_stride
 from exwarp_cli.models.picture_network import load_extrapolator
@@ -82,7 +81,7 @@ def _padded(inputs: NetworkInputs, stride: int) -> Fed:
     height, width = inputs.shape
     padding = ((0, 0), (0, -height % stride), (0, -width % stride))
     fed = {n: np.pad(p, padding, mode="edge")[None] for n, p in inputs.pictures.items()}
-    return fed | {TIME: np.array([inputs.time], np.float32)}
+    return fed | {TIME_INPUT: np.array([inputs.time], np.float32)}
 
 
 def _round(

@@ -20,7 +20,7 @@ import OpenEXR
 from scipy.stats import wasserstein_distance
 
 from exwarp_cli.domain.frame import GBuffer, Int32
-from exwarp_cli.kernels import _row_bands, emd, labelling
+from exwarp_cli.kernels import _row_bands, connected_components, frame_statistics
 from exwarp_cli.policy.features import observe
 from exwarp_cli.synthesis.motion_fields import settle_motion
 from tests.bench import goals
@@ -72,7 +72,7 @@ def _labelling(stencil: Int32) -> tuple[Work, Work]:
     theirs = np.empty(stencil.shape, np.int32)
 
     def ours() -> int:
-        return labelling.label(stencil, labels)
+        return connected_components.label_components(stencil, labels)
 
     def peer() -> int:
         return cv2.connectedComponents(mask, theirs, 8, cv2.CV_32S)[0] - 1
@@ -109,7 +109,9 @@ def _distances() -> dict[str, tuple[Work, Work]]:
             for c in range(3)
         ]
         works[f"distances, {layer.lower()}s"] = (
-            lambda pair=pair: emd.distances(*map(emd.Values, pair, shown)),
+            lambda pair=pair: frame_statistics.earth_movers_distances(
+                *map(frame_statistics.ValueDistribution, pair, shown)
+            ),
             lambda laid=laid: [wasserstein_distance(*samples) for samples in laid],
         )
     return works

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
-from exwarp_cli.kernels import _row_bands, edges, gather, holes, resample, splat
+from exwarp_cli.kernels import _row_bands, gather, holes, resample, silhouettes, splat
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.motion_fields import TURN_PER_SLOT, SlotField, reproject, settle_motion
@@ -111,9 +111,9 @@ def _geometry(raw: KeyFrame, settled: KeyFrame) -> dict[str, tuple[Work, Work]]:
     works: dict[str, Work] = {
         "row_reach": lambda: reach_of(motion),
         "row_reach + splat": splat_all,
-        "mark": lambda: holes.mark(source.field, *pairs, limits, mask),
-        "find_edges": lambda: edges.find_edges(depth, stencil, edge),
-        "find_fringe": lambda: edges.find_fringe(source.field, source.depth, depth, mask),
+        "mark": lambda: holes.mark_holes(source.field, *pairs, limits, mask),
+        "find_edges": lambda: silhouettes.find_edges(depth, stencil, edge),
+        "find_fringe": lambda: silhouettes.find_ghosts(source.field, source.depth, depth, mask),
         "displacement()": lambda: displacement(moving, TIME),
         "settle_motion()": lambda: settle_motion(buffers),
         "reproject()": lambda: reproject(moving, TIME),

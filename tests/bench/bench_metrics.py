@@ -13,10 +13,10 @@ from skimage.metrics import structural_similarity
 
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.kernels.ssim import SIGMA, ssim_map
-from exwarp_cli.metrics import flip, psnr, pulse, ssim
-from exwarp_cli.metrics.display import PEAK, encode
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.kernels.ssim_error import SIGMA, ssim_map
+from exwarp_cli.metrics import registry, temporal
+from exwarp_cli.metrics.display import PEAK, encode_display
+from exwarp_cli.metrics.registry import score_frame
 from tests.bench import goals
 from tests.bench.street import key_frame
 from tests.bench.timing import Work, compare
@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     _row_bands.set_threads(options.threads)
     linear = [np.ascontiguousarray(key_frame(i).image.pixels[..., :3]) for i in (1, 2)]
-    shown, judged = (encode(image) for image in linear)
+    shown, judged = (encode_display(image) for image in linear)
     ratios = compare(_ssim(shown, judged), options.rounds)
     title = f"SSIM, {options.threads} threads, {options.rounds} rounds"
     figures = goals.table("metrics", title, "scikit-image", ratios, GOALS)
@@ -62,17 +62,17 @@ def _ssim(reference: Float32, test: Float32) -> dict[str, tuple[Work, Work]]:
 
 def _scoring(reference: Float32, test: Float32) -> dict[str, tuple[Work, Work]]:
     """Parts of a frame's score."""
-    shown, judged = encode(reference), encode(test)
+    shown, judged = encode_display(reference), encode_display(test)
 
     def whole() -> object:
-        return score(reference, test, None)
+        return score_frame(reference, test, None)
 
     return {
-        "encode, both frames": (lambda: (encode(reference), encode(test)), whole),
-        "PSNR": (lambda: psnr.measure(shown, judged).overall(), whole),
-        "SSIM": (lambda: ssim.measure(shown, judged).overall(), whole),
-        "FLIP": (lambda: flip.measure(shown, judged).overall(), whole),
-        "pulse": (lambda: pulse.measure(reference, test), whole),
+        "encode, both frames": (lambda: (encode_display(reference), encode_display(test)), whole),
+        "PSNR": (lambda: registry.measure_psnr(shown, judged).overall(), whole),
+        "SSIM": (lambda: registry.measure_ssim(shown, judged).overall(), whole),
+        "FLIP": (lambda: registry.measure_flip(shown, judged).overall(), whole),
+        "pulse": (lambda: temporal.measure_pulse(reference, test), whole),
     }
 
 

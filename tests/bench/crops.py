@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw
 
 from exwarp_cli.domain.frame import UInt8
 from exwarp_cli.io.generated_frames import read_picture
-from exwarp_cli.metrics.display import rounded
+from exwarp_cli.metrics.display import round_display
 
 SCALE = 4
 WIDTH, HEIGHT = 72, 44
@@ -87,7 +87,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
 def _cut(crop: Crop, folder: Path) -> UInt8:
     """Return a crop as shown, enlarged without smoothing."""
     image = read_picture(sorted(folder.glob("*.exr"))[crop.frame])
-    shown = rounded(np.ascontiguousarray(image.pixels[..., :3]))
+    shown = round_display(np.ascontiguousarray(image.pixels[..., :3]))
     part = shown[crop.y : crop.y + HEIGHT, crop.x : crop.x + WIDTH]
     return part.repeat(SCALE, axis=0).repeat(SCALE, axis=1)
 

@@ -20,13 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import Extrapolator
 from exwarp_cli.domain.frame import SURFACE_PARTS, Bool, Float32
+from exwarp_cli.domain.network_api import Extrapolator
 from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import find_scenes
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.metrics.registry import METRICS, score
+from exwarp_cli.metrics.registry import METRICS, score_frame
 from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.methods import METHODS
@@ -149,7 +149,7 @@ def _scored(
     """Score a frame, once for all the methods that show it."""
     token = hashlib.sha1(truth.tobytes() + made.tobytes()).digest()
     if token not in known:
-        known[token] = score(truth, made, mask)
+        known[token] = score_frame(truth, made, mask)
     found: tuple[Score, Score | None] = known[token]
     return found
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io import ffmpeg_filters as ffmpeg
-from exwarp_cli.metrics.display import PEAK, encode
+from exwarp_cli.metrics.display import PEAK, encode_display
 
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
@@ -32,7 +32,7 @@ def to_linear(shown: F32) -> F32:
 
 def to_bytes(linear: F32) -> U8:
     """Return scene-linear pixels as 8-bit sRGB, [H, W, 3]."""
-    return np.rint(encode(linear)).astype(np.uint8)
+    return np.rint(encode_display(linear)).astype(np.uint8)
 
 
 def minterpolate(keys: Sequence[F32]) -> Frames:
@@ -73,5 +73,5 @@ def _moved(linear: F32, flow: F32) -> F32:
     height, width = flow.shape[:2]
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     at = np.stack([x, y], axis=-1) + flow
-    shown = encode(linear) / np.float32(PEAK)
+    shown = encode_display(linear) / np.float32(PEAK)
     return cv2.remap(shown, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -21,9 +21,8 @@ from exwarp_cli.domain.frame import Bool, GBuffer, Image
 from exwarp_cli.domain.metric import DEFAULT_METRICS
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import RenderedScene, find_scenes
-from exwarp_cli.metrics.display import encode
-from exwarp_cli.metrics.psnr import decibels
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.metrics.display import encode_display
+from exwarp_cli.metrics.registry import psnr_from_mse, score_frame
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.motion_fields import SlotField
 from exwarp_cli.synthesis.warp import sample_bilinear
@@ -166,8 +165,8 @@ def _stands_still(gbuffer: GBuffer) -> Bool:
 
 def _changes(truth: Image, key: Image, field: SlotField) -> Bool:
     """Find where a slot's truth differs from the same surfaces in a key frame."""
-    moved, _ = sample_bilinear(encode(key.pixels), np.nan_to_num(field.field))
-    difference = (moved - encode(truth.pixels)).mean(axis=-1)
+    moved, _ = sample_bilinear(encode_display(key.pixels), np.nan_to_num(field.field))
+    difference = (moved - encode_display(truth.pixels)).mean(axis=-1)
     changes: Bool = np.abs(ndimage.uniform_filter(difference, 5)) > CHANGE
     return changes
 
@@ -182,14 +181,14 @@ def _judge(
     for (k, slot), found in places.items():
         truth = footage.truth(k, slot).pixels[..., :3]
         made = shown_pixels(files[FACTOR * k + slot])
-        scores.append(score(truth, made, None)[0])
-        error = ((encode(made) - encode(truth)) ** 2).mean(axis=-1)
+        scores.append(score_frame(truth, made, None)[0])
+        error = ((encode_display(made) - encode_display(truth)) ** 2).mean(axis=-1)
         for place, mask in found.items():
             squares[place] += float(error[mask].sum())
             counts[place] += int(mask.sum())
     row = {name: float(np.mean([getattr(s, name) for s in scores])) for name in DEFAULT_METRICS}
     for place in PLACES[1:]:
-        row[place] = decibels(squares[place] / counts[place]) if counts[place] else np.nan
+        row[place] = psnr_from_mse(squares[place] / counts[place]) if counts[place] else np.nan
         row[f"{place}_share"] = counts[place] / counts[PLACES[0]]
     return row
 

@@ -23,7 +23,7 @@ from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.generated_frames import read_picture
 from exwarp_cli.io.sequences import find_sequence
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.metrics.registry import score_frame
 from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.synthesis.methods import METHODS
 from tests.bench.peers import Frames, dis_flow, minterpolate, to_bytes
@@ -110,7 +110,7 @@ def _upsampled(settings: UpsampleSettings, count: int) -> Frames:
 
 
 def _mean(frames: Frames, truth: Frames, slots: list[tuple[int, int]]) -> dict[str, float]:
-    scores = [score(truth[slot], frames[slot], None)[0] for slot in slots]
+    scores = [score_frame(truth[slot], frames[slot], None)[0] for slot in slots]
     return {name: float(np.mean([getattr(s, name) for s in scores])) for name in DEFAULT_METRICS}
 
 

@@ -21,10 +21,10 @@ from scipy.optimize import minimize
 from scipy.stats import spearmanr
 
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.risk import ROWS, edges
+from exwarp_cli.domain.tiles import TILE_ROWS, tile_edges
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import RenderedScene, find_scenes
-from exwarp_cli.metrics.display import encode
+from exwarp_cli.metrics.display import encode_display
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis import predicted_error
 from exwarp_cli.synthesis.interval import Interval
@@ -153,8 +153,11 @@ def _warped(interval: Interval, slot: int, truth: Float32) -> tuple[float, F64, 
 
 def _squares(interval: Interval, made: Float32, truth: Float32) -> F64:
     """Return the true mean squared error of each tile, of all its pixels."""
-    apart = ((encode(made) - encode(truth)) ** 2).mean(axis=-1, dtype=np.float64)
-    down, across = edges(apart.shape[0], ROWS), edges(apart.shape[1], interval.tiles.columns)
+    apart = ((encode_display(made) - encode_display(truth)) ** 2).mean(axis=-1, dtype=np.float64)
+    down, across = (
+        tile_edges(apart.shape[0], TILE_ROWS),
+        tile_edges(apart.shape[1], interval.tiles.columns),
+    )
     sums = np.add.reduceat(np.add.reduceat(apart, down[:-1], axis=0), across[:-1], axis=1)
     return np.asarray(sums / np.outer(np.diff(down), np.diff(across)))
 

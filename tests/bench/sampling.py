@@ -18,9 +18,9 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, read_raw
 from exwarp_cli.io.shot import open_shot
-from exwarp_cli.kernels.resample import weights_of
-from exwarp_cli.metrics.pulse import measure
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.kernels.resample import tabulate_weights
+from exwarp_cli.metrics.registry import score_frame
+from exwarp_cli.metrics.temporal import measure_pulse
 from exwarp_cli.pipeline.motion_convention import motion_names, parse_motion
 from exwarp_cli.synthesis import warp
 from exwarp_cli.synthesis.history import older_key_frames
@@ -86,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for light, (codes, back) in LIGHTS.items():
         for name, kernel in KERNELS.items():
             with (
-                mock.patch.object(warp, "LANCZOS", weights_of(kernel)),
+                mock.patch.object(warp, "LANCZOS", tabulate_weights(kernel)),
                 mock.patch.object(warp, "as_shown", codes),
                 mock.patch.object(warp, "as_light", back),
             ):
@@ -103,8 +103,8 @@ def _cell(method: str, keys: Sequence[KeyFrame], truth: Sequence[Path]) -> str:
         for slot in range(1, FACTOR):
             wanted = shown_pixels(truth[FACTOR * k + slot])
             made = np.ascontiguousarray(METHODS[method].predict(interval, slot).pixels[..., :3])
-            found = score(wanted, made, None)[0]
-            rows.append((found.psnr_db, found.ssim, measure(wanted, made)))
+            found = score_frame(wanted, made, None)[0]
+            rows.append((found.psnr_db, found.ssim, measure_pulse(wanted, made)))
     psnr, ssim, pulse = np.mean(rows, axis=0)
     return f"{psnr:.2f}, {ssim:.3f}, {pulse:+.1f}"
 

@@ -14,7 +14,7 @@ from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import BENCHMARK, TRAINING, find_scenes, open_scene
 from exwarp_cli.io.frames import read_image, read_raw
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.metrics.registry import score_frame
 from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.scene_clip import SceneClip
@@ -176,7 +176,7 @@ def test_a_benchmark_scene_renders(script, tmp_path, name):
     for number in frames - {first + 1}:
         again = read_image(scene.folder / "floor" / f"{name}.{number:04d}.exr")
         rendered = read_image(scene.path(manifest.instants, number))
-        assert 12 < score(rendered.pixels, again.pixels, None)[0].psnr_db < 60
+        assert 12 < score_frame(rendered.pixels, again.pixels, None)[0].psnr_db < 60
     seen: set[int] = set()
     for number in frames - {first + 1}:
         raw = read_raw(scene.instants, number)
@@ -238,7 +238,7 @@ def test_more_renders_of_a_frame_leave_less_noise(script, tmp_path):
         assert done.returncode == 0, done.stderr
         frames = [data / "village" / kind / "village.0001.exr" for kind in ("instants", "floor")]
         one, other = (read_image(path).pixels for path in frames)
-        floors.append(score(one, other, None)[0].psnr_db)
+        floors.append(score_frame(one, other, None)[0].psnr_db)
     assert floors[1] > floors[0] + 5
     refused = script("village", "--data", data, "--frames", "1", *SIZE)
     assert refused.returncode == 1 and "holds another rendering (" in refused.stderr

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from exwarp_cli.domain.line import misleads
+from exwarp_cli.domain.wording import has_control_chars
 from tests.cli import shots
 from tests.cli.shots import FORWARD, SMALL
 
@@ -87,7 +87,7 @@ def shot(request, folder) -> tuple[Path, str]:
 def require_plain(*texts: str) -> None:
     """Refuse what a terminal would obey."""
     for text in texts:
-        bad = [line for line in text.split("\n") if misleads(line)]
+        bad = [line for line in text.split("\n") if has_control_chars(line)]
         assert not bad
 
 

@@ -14,8 +14,8 @@ import click
 import pytest
 
 from exwarp_cli import cli
-from exwarp_cli.accel.mac_array import COMPARE_CYCLES, MacArray, schedule
-from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, infer_reference
+from exwarp_cli.accelerator.mac_array import COMPARE_CYCLES, MacArray, schedule
+from exwarp_cli.accelerator.mlp import PAPER_SIZES, infer_reference
 from exwarp_cli.commands.options import print_json
 from exwarp_cli.domain.decision import CHOICES
 from exwarp_cli.models.policy_files import save_network

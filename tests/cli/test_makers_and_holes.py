@@ -11,7 +11,7 @@ import OpenEXR
 import pytest
 
 from exwarp_cli import cli
-from exwarp_cli.domain.decision import maker_of
+from exwarp_cli.domain.decision import infer_maker
 from tests.cli.shots import FORWARD
 from tests.unit import tiny_interpolators
 
@@ -65,9 +65,9 @@ class TestMakers:
     def test_frames_of_an_earlier_version_have_the_same_name(self):
         """ExWarp 0.1 wrote "warp" for both."""
         methods = ("softsplat", "blend", "s6", "causal", None)
-        makers = [maker_of("warp", method) for method in methods]
+        makers = [infer_maker("warp", method) for method in methods]
         assert makers == ["softsplat", "blend", "warp", "warp", "warp"]
-        assert maker_of(None, "key") is None and maker_of("hold", "blend") == "hold"
+        assert infer_maker(None, "key") is None and infer_maker("hold", "blend") == "hold"
 
 
 class TestHoles:

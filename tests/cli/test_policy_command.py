@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.accel.mac_array import MacArray, schedule
-from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, infer_reference
+from exwarp_cli.accelerator.mac_array import MacArray, schedule
+from exwarp_cli.accelerator.mlp import PAPER_SIZES, infer_reference
 from exwarp_cli.domain.decision import CHOICES
 from exwarp_cli.models.policy_files import save_network
 from tests.unit.mlp_cases import network, states

@@ -18,9 +18,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import exwarp_cli.accel.verilog as design
-from exwarp_cli.accel.mac_array import schedule
-from exwarp_cli.accel.quantised_mlp import PAPER_SIZES
+import exwarp_cli.accelerator.verilog as design
+from exwarp_cli.accelerator.mac_array import schedule
+from exwarp_cli.accelerator.mlp import PAPER_SIZES
 from exwarp_cli.io.files import atomic_write_text
 from exwarp_cli.models.policy_files import load_policy
 from tests.hardware.designs import DEFAULT, REFILLED, missing_tools, result, run, write

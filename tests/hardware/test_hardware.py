@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from exwarp_cli.accel.mac_array import MacArray, schedule
-from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, infer_reference
+from exwarp_cli.accelerator.mac_array import MacArray, schedule
+from exwarp_cli.accelerator.mlp import PAPER_SIZES, infer_reference
 from exwarp_cli.models.policy_files import load_policy
 from exwarp_cli.pipeline.predictor import sample_states
 from tests.hardware import designs

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from exwarp_cli.domain.extrapolator import NetworkInputs
 from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.network_api import NetworkInputs
 
 
 class Filled:

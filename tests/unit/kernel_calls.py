@@ -2,35 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from types import ModuleType
+
 import numpy as np
 
 from exwarp_cli.kernels import (
     blend,
-    blocks,
-    candidates,
-    edges,
-    emd,
-    extents,
-    fill,
-    flip,
-    flip_colour,
-    follow,
+    connected_components,
+    flip_error,
+    frame_statistics,
     gather,
     holes,
-    ids,
-    labelling,
-    lookup,
-    medians,
-    misses,
-    nearest,
-    parabola,
-    project,
-    reach,
+    point_motion,
+    projection,
+    raw_channels,
     resample,
-    settling,
-    shown,
+    silhouettes,
     splat,
-    vectors,
 )
 from exwarp_cli.kernels._row_bands import set_threads
 
@@ -45,17 +34,20 @@ NO_MASK = np.zeros((0, 0), np.bool_)
 NO_VECTORS = np.zeros((0, 0, 3), np.float32)
 
 
-def build(module: object, name: str, serial: bool) -> object:
+def build(module: ModuleType, name: str, serial: bool) -> Callable[..., None]:
     kernel = getattr(module, name)
 
-    def by_one_thread(*arguments: object) -> None:
-        set_threads(1)
+    def on_one_thread(*arguments: object) -> None:
+        if hasattr(kernel, "serial"):
+            kernel.serial(*arguments)
+            return
+        set_threads(1)  # a function that calls kernels
         try:
             kernel(*arguments)
         finally:
             set_threads(None)
 
-    return by_one_thread if serial else kernel
+    return on_one_thread if serial else kernel
 
 
 def gathered(image: np.ndarray, field: np.ndarray, serial: bool = False) -> Arrays:
@@ -88,13 +80,13 @@ def resampled_alike(
 
 def as_shown(pixels: np.ndarray, serial: bool = False) -> Arrays:
     out = np.full_like(pixels, np.nan)
-    build(shown, "show", serial)(pixels, out)
+    build(resample, "encode_srgb", serial)(pixels, out)
     return (out,)
 
 
 def as_light(codes: np.ndarray, serial: bool = False) -> Arrays:
     out = np.full_like(codes, np.nan)
-    build(shown, "light", serial)(codes, out)
+    build(resample, "decode_srgb", serial)(codes, out)
     return (out,)
 
 
@@ -108,7 +100,7 @@ def followed(
     rounded: tuple[float, float] = (0, 0),
 ) -> Arrays:
     out = moved.copy()
-    build(follow, "follow", serial)(
+    build(point_motion, "follow_points", serial)(
         step,
         stencils or (NO_IDS, NO_IDS),
         depths or (NO_DEPTH, NO_DEPTH),
@@ -121,8 +113,8 @@ def followed(
 
 
 def reached(displacement: np.ndarray, serial: bool = False) -> Arrays:
-    found = np.zeros(reach.reach_shape(displacement.shape), np.float32)
-    build(reach, "row_reach", serial)(displacement, found)
+    found = np.zeros(splat.row_extents_shape(displacement.shape), np.float32)
+    build(splat, "splat_row_extents", serial)(displacement, found)
     return (found,)
 
 
@@ -144,7 +136,7 @@ def marked(
     steps: tuple[float, float, float] = (0, 0, 0),
 ) -> Arrays:
     hole = np.zeros(field.shape[:2], np.bool_)
-    build(holes, "mark", serial)(
+    build(holes, "mark_holes", serial)(
         field,
         depths,
         stencils or (NO_IDS, NO_IDS),
@@ -161,13 +153,13 @@ def listed(hole: np.ndarray, serial: bool = False) -> Arrays:
     counts, _ = holes_counted(hole, np.ones(hole.shape, np.float32), serial)
     first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
     column = np.full(first[-1], -1, np.int32)
-    build(fill, "list_holes", serial)(hole, first, column)
+    build(holes, "list_holes", serial)(hole, first, column)
     return first, column
 
 
 def holes_counted(hole: np.ndarray, depth: np.ndarray, serial: bool = False) -> Arrays:
     counts, furthest = np.full(len(hole), -1, np.int32), np.full(len(hole), -1, np.int32)
-    build(fill, "count_holes", serial)(hole, depth.view(np.int32), counts, furthest)
+    build(holes, "count_holes", serial)(hole, depth.view(np.int32), counts, furthest)
     return counts, furthest.view(np.float32)
 
 
@@ -175,7 +167,7 @@ def seen(hole: np.ndarray, reach: int, serial: bool = False) -> Arrays:
     """The steps from each hole, [8, N]."""
     first, column = listed(hole, serial)
     steps = np.full((8, len(column)), -1, np.int16)
-    build(fill, "look", serial)(hole, first, column, reach, steps)
+    build(holes, "ray_march_visible", serial)(hole, first, column, reach, steps)
     return (steps,)
 
 
@@ -189,20 +181,20 @@ def filled(
 ) -> Arrays:
     out = image.copy()
     (steps,) = seen(hole, reach, serial)
-    build(fill, "fill", serial)(out, depth, *listed(hole, serial), np.float32(cap), steps)
+    build(holes, "fill_holes", serial)(out, depth, *listed(hole, serial), np.float32(cap), steps)
     return (out,)
 
 
 def displaced(before: np.ndarray, after: np.ndarray, time: float, serial: bool = False) -> Arrays:
     out = np.zeros_like(after)
-    found = np.zeros(reach.reach_shape(after.shape), np.float32)
-    build(parabola, "parabola", serial)(before, after, np.float32(time), out, found)
+    found = np.zeros(splat.row_extents_shape(after.shape), np.float32)
+    build(splat, "quadratic_displacement", serial)(before, after, np.float32(time), out, found)
     return out, found
 
 
 def edges_found(depth: np.ndarray, stencil: np.ndarray = NO_IDS, serial: bool = False) -> Arrays:
     edge = np.zeros(depth.shape, np.bool_)
-    build(edges, "find_edges", serial)(depth, stencil, edge)
+    build(silhouettes, "find_edges", serial)(depth, stencil, edge)
     return (edge,)
 
 
@@ -223,7 +215,7 @@ def settled(
     given = tuple(map(flat, vectors))
     out = tuple(np.full(way.shape, np.nan, np.float32) for way in given)
     surfaces = flat(places), depth, stencil, edges_found(depth, stencil, serial)[0]
-    build(settling, "settle", serial)(given, surfaces, cameras, np.float32(0.25), out)
+    build(silhouettes, "clean_vectors", serial)(given, surfaces, cameras, np.float32(0.25), out)
     return tuple(way.reshape(*depth.shape, 2) if way.size else way for way in out)
 
 
@@ -231,7 +223,7 @@ def fringe_found(
     field: np.ndarray, near: np.ndarray, depth: np.ndarray, serial: bool = False
 ) -> Arrays:
     fringe = np.zeros(depth.shape, np.bool_)
-    build(edges, "find_fringe", serial)(field, near, depth, fringe)
+    build(silhouettes, "find_ghosts", serial)(field, near, depth, fringe)
     return (fringe,)
 
 
@@ -239,7 +231,7 @@ def moving_edges_found(
     depth: np.ndarray, field: np.ndarray, fringe: np.ndarray, serial: bool = False
 ) -> Arrays:
     found = np.zeros(depth.shape, np.bool_)
-    build(edges, "find_moving_edges", serial)(depth, field, fringe, found)
+    build(silhouettes, "find_moving_edges", serial)(depth, field, fringe, found)
     return (found,)
 
 
@@ -253,20 +245,20 @@ def blended(before: Side, after: Side, time: float, serial: bool = False) -> Arr
 def weighed(before: Seen, after: Seen, time: float, serial: bool = False) -> Arrays:
     later, depth = (np.full(before[0].shape, -9, np.float32) for _ in range(2))
     hole = np.zeros(depth.shape, np.bool_)
-    build(blend, "weigh", serial)(before, after, np.float32(time), later, depth, hole)
+    build(blend, "write_later_weights", serial)(before, after, np.float32(time), later, depth, hole)
     return later, depth, hole
 
 
 def mixed(before: np.ndarray, after: np.ndarray, later: np.ndarray, serial: bool = False) -> Arrays:
     out = np.full_like(before, np.nan)
-    build(blend, "mix", serial)(before, after, later, out)
+    build(blend, "mix_frames", serial)(before, after, later, out)
     return (out,)
 
 
 def candidates_mixed(pictures: list[np.ndarray], weights: np.ndarray, serial: bool) -> Arrays:
     mixed, *sides = pictures
     out = np.full_like(mixed, np.nan)
-    build(candidates, "mix_candidates", serial)(mixed, tuple(sides), weights, (0, 0), out)
+    build(blend, "mix_candidates", serial)(mixed, tuple(sides), weights, (0, 0), out)
     return (out,)
 
 
@@ -281,7 +273,9 @@ def projected(
 ) -> Arrays:
     out = np.full((*depth.shape, 2), 7, np.float32)
     places = NO_VECTORS if position is None else position
-    build(project, "rigid", serial)(places, depth, camera, at_infinity, still, kept, out)
+    build(projection, "write_rigid_motion", serial)(
+        places, depth, camera, at_infinity, still, kept, out
+    )
     return (out,)
 
 
@@ -290,31 +284,31 @@ def averaged(
 ) -> Arrays:
     height, width = motion.shape[:2]
     out = np.zeros((-(-height // size), -(-width // size), 2))
-    build(blocks, "block_means", serial)(motion, shown, size, out)
+    build(frame_statistics, "block_means", serial)(motion, shown, size, out)
     return (out,)
 
 
 def extended(values: np.ndarray, shown: np.ndarray, serial: bool = False) -> Arrays:
-    bands = -(-values.shape[0] // extents.ROWS_PER_BAND)
+    bands = -(-values.shape[0] // frame_statistics.ROWS_PER_STRIP)
     ends = np.zeros((bands, values.shape[2], 2), np.float32)
-    build(extents, "extents", serial)(values, shown, ends)
+    build(frame_statistics, "write_ranges", serial)(values, shown, ends)
     return (ends,)
 
 
 def counted(
     values: np.ndarray, shown: np.ndarray, ranges: np.ndarray, serial: bool = False
 ) -> Arrays:
-    bands = -(-values.shape[0] // extents.ROWS_PER_BAND)
-    counts = np.full((bands, values.shape[2], emd.BINS), -1, np.int64)
-    build(emd, "count", serial)(values, shown, ranges, counts)
+    bands = -(-values.shape[0] // frame_statistics.ROWS_PER_STRIP)
+    counts = np.full((bands, values.shape[2], frame_statistics.BINS), -1, np.int64)
+    build(frame_statistics, "count_histograms", serial)(values, shown, ranges, counts)
     return (counts,)
 
 
 def labelled(stencil: np.ndarray) -> Arrays:
     labels = np.full(stencil.shape, -1, np.int32)
-    labelling.label(stencil, labels)
+    connected_components.label_components(stencil, labels)
     areas = np.full(stencil.size + 1, -1, np.int64)
-    return labels, areas[: labelling.measure_areas(stencil, areas)]
+    return labels, areas[: connected_components.measure_component_areas(stencil, areas)]
 
 
 def scaled(
@@ -322,34 +316,38 @@ def scaled(
 ) -> Arrays:
     out = np.zeros((len(raw), 2), np.float32)
     x, y = scales
-    scale = build(vectors, "scale_vectors", serial)
+    scale = build(raw_channels, "scale_vectors", serial)
     scale(raw, axes, (np.float32(x), np.float32(y)), out)
     return (out,)
 
 
 def picked(values: np.ndarray, shown: np.ndarray, ends: Pair, serial: bool = False) -> Arrays:
-    out = np.full((medians.BANDS, -(-values.size // medians.BANDS) + 1), -1, np.float32)
-    counts = np.full((medians.BANDS, 3), -1, np.int64)
-    build(medians, "pick_between", serial)(values, shown, *ends, out, counts)
+    out = np.full(
+        (frame_statistics.MEDIAN_BANDS, -(-values.size // frame_statistics.MEDIAN_BANDS) + 1),
+        -1,
+        np.float32,
+    )
+    counts = np.full((frame_statistics.MEDIAN_BANDS, 3), -1, np.int64)
+    build(frame_statistics, "pick_between", serial)(values, shown, *ends, out, counts)
     # What lies beyond is whatever was passed over last.
     return counts, *(some[:count] for some, count in zip(out, counts[:, 2], strict=True))
 
 
 def rounded(values: np.ndarray) -> Arrays:
     out = np.full(values.shape, -9, np.int32)
-    ids.whole_ids(values, out)
+    raw_channels.round_ids(values, out)
     return (out,)
 
 
 def looked_up(image: np.ndarray, target: np.ndarray) -> Arrays:
     found = np.full((len(target), image.shape[2]), -1.0)
-    lookup.look_up(image, target, found)
+    gather.sample_points(image, target, found)
     return (found,)
 
 
 def missed(found: np.ndarray, wanted: np.ndarray, tolerance: np.ndarray) -> Arrays:
     losses = np.full(len(found), -1.0)
-    lookup.count_misses(found, wanted, tolerance, losses)
+    gather.write_point_losses(found, wanted, tolerance, losses)
     return (losses,)
 
 
@@ -363,31 +361,31 @@ def missed_along(
     places: int = 1,
 ) -> Arrays:
     losses = np.full((len(shifts), places, len(xy)), -1.0)
-    misses.count_misses_of(xy, shifts, image, wanted, tolerance, place, losses)
+    gather.write_shifted_losses(xy, shifts, image, wanted, tolerance, place, losses)
     return (losses,)
 
 
 def decoded(image: np.ndarray, serial: bool = False) -> Arrays:
-    planes = np.full((flip_colour.PLANES, *image.shape[:2]), np.nan, np.float32)
-    build(flip_colour, "decode", serial)(image, planes)
+    planes = np.full((flip_error.OPPONENT_PLANES, *image.shape[:2]), np.nan, np.float32)
+    build(flip_error, "decode_opponent", serial)(image, planes)
     return (planes,)
 
 
 def exposed(image: np.ndarray, gain: float, serial: bool = False) -> Arrays:
-    planes = np.full((flip_colour.PLANES, *image.shape[:2]), np.nan, np.float32)
-    build(flip_colour, "expose", serial)(image, np.float32(gain), planes)
+    planes = np.full((flip_error.OPPONENT_PLANES, *image.shape[:2]), np.nan, np.float32)
+    build(flip_error, "expose_opponent", serial)(image, np.float32(gain), planes)
     return (planes,)
 
 
 def perceived(planes: np.ndarray, serial: bool = False) -> Arrays:
-    seen = np.full((flip.SEEN, *planes.shape[1:]), np.nan, np.float32)
-    build(flip, "perceive", serial)(planes, seen)
+    seen = np.full((flip_error.PERCEIVED_PLANES, *planes.shape[1:]), np.nan, np.float32)
+    build(flip_error, "write_perceived", serial)(planes, seen)
     return (seen,)
 
 
 def differing(reference: np.ndarray, test: np.ndarray, serial: bool = False) -> Arrays:
     error = np.full(reference.shape[1:], 0.25, np.float32)
-    build(flip, "differ", serial)(reference, test, error)
+    build(flip_error, "raise_flip_error", serial)(reference, test, error)
     return (error,)
 
 
@@ -401,7 +399,7 @@ def chosen(
     shape = before[1].shape
     pixel, later = np.full(shape, -9, np.int32), np.zeros(shape, np.bool_)
     depth, hole = np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
-    call = build(nearest, "choose", serial)
+    call = build(blend, "choose_sources", serial)
     call(before, after, np.float32(time), pixel, later, depth, hole)
     return pixel, later, depth, hole
 
@@ -418,7 +416,9 @@ def adopted(
     cap, reach = limits
     (steps,) = seen(hole, reach, serial)
     out, side = pixel.copy(), later.copy()
-    build(nearest, "adopt", serial)(out, side, depth, *listed(hole, serial), np.float32(cap), steps)
+    build(blend, "adopt_sources", serial)(
+        out, side, depth, *listed(hole, serial), np.float32(cap), steps
+    )
     return out, side
 
 
@@ -426,5 +426,5 @@ def surface_sampled(
     image: np.ndarray, depth: np.ndarray, field: np.ndarray, serial: bool = False
 ) -> Arrays:
     out = np.zeros_like(image)
-    build(nearest, "sample_surface", serial)(image, depth, field, out)
+    build(blend, "sample_surface", serial)(image, depth, field, out)
     return (out,)

@@ -10,9 +10,9 @@ import sys
 
 import numpy as np
 
-from exwarp_cli.accel.kernel import MlpKernel
-from exwarp_cli.accel.quantised_mlp import (
+from exwarp_cli.accelerator.mlp import (
     PAPER_SIZES,
+    MlpKernel,
     QuantisedLayer,
     QuantisedMlp,
     Requantisation,

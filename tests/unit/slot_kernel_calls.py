@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from exwarp_cli.kernels import extremes, follow, planes, project, surface
+from exwarp_cli.kernels import gather, network_planes, point_motion, projection
 from tests.unit import kernel_calls as calls
 from tests.unit import kernel_cases as cases
 from tests.unit.kernel_calls import Arrays, build
@@ -25,7 +25,7 @@ def stood(
 ) -> Arrays:
     out = np.zeros(depth.shape, np.bool_)
     places = calls.NO_VECTORS if position is None else position
-    call = build(project, "standing", serial)
+    call = build(projection, "mark_static", serial)
     call(places, depth, *cameras, step, np.float32(tolerance), out)
     return (out,)
 
@@ -39,7 +39,7 @@ def shown_followed(
     serial: bool = False,
 ) -> Arrays:
     out, missed = np.full_like(moved, -9), np.zeros_like(lost)
-    build(follow, "follow_shown", serial)(step, stencil, gone, moved, lost, out, missed)
+    build(point_motion, "follow_visible", serial)(step, stencil, gone, moved, lost, out, missed)
     return out, missed
 
 
@@ -56,7 +56,7 @@ def taken_over(
     mixed = tuple(np.full_like(colour, -9) for colour in colours)
     rest = unknown.copy()
     flat = [tuple(colour.reshape(-1) for colour in group) for group in (colours, mixed)]
-    build(surface, "take_over", serial)(field, parts, flat[0], made, flat[1], rest, blanks)
+    build(point_motion, "copy_surface", serial)(field, parts, flat[0], made, flat[1], rest, blanks)
     return (*made, *mixed, rest)
 
 
@@ -64,7 +64,7 @@ def gone_on(
     predicted: np.ndarray, moved: np.ndarray, lost: np.ndarray, serial: bool = False
 ) -> Arrays:
     out, missed = moved.copy(), lost.copy()
-    build(surface, "go_on", serial)(predicted, out, missed)
+    build(point_motion, "fill_predicted", serial)(predicted, out, missed)
     return out, missed
 
 
@@ -79,7 +79,7 @@ def spread(
 ) -> Arrays:
     out = np.full((25, rows.stop - rows.start, columns.stop - columns.start), np.nan, np.float32)
     defaults, corner = (0.5, 0.25, 0.0), (rows.start, columns.start)
-    call = build(planes, "spread", serial)
+    call = build(network_planes, "write_input_planes", serial)
     call(frames, filled, parts, defaults, np.float32(median), corner, out)
     return (out,)
 
@@ -89,7 +89,7 @@ def joined(
 ) -> Arrays:
     out = np.full_like(filled, np.nan)
     given = calls.NO_VECTORS if modulation is None else modulation
-    build(planes, "join", serial)(colour, given, filled, out)
+    build(network_planes, "write_network_frame", serial)(colour, given, filled, out)
     return (out,)
 
 
@@ -97,7 +97,7 @@ def demodulated(
     pixels: np.ndarray, albedo: np.ndarray, specular: np.ndarray, serial: bool = False
 ) -> Arrays:
     out = np.full_like(pixels, np.nan)
-    build(planes, "demodulate", serial)(pixels, albedo, specular, (0.2, 2.0), out)
+    build(network_planes, "divide_by_albedo", serial)(pixels, albedo, specular, (0.2, 2.0), out)
     return (out,)
 
 
@@ -110,7 +110,7 @@ def bounds_raised(
     serial: bool = False,
 ) -> Arrays:
     bound = np.full((*field.shape[:2], pixels.shape[2]), -np.inf, np.float32)
-    call = build(extremes, "raise_bounds", serial)
+    call = build(gather, "raise_bounds", serial)
     call(pixels, field, wanted, clear, np.float32(sign), bound)
     return (bound,)
 
@@ -124,7 +124,7 @@ def held(
     serial: bool = False,
 ) -> Arrays:
     out = frame.copy()
-    build(extremes, "hold", serial)(bound, wanted, np.float32(sign), channels, out)
+    build(gather, "clamp_to_bounds", serial)(bound, wanted, np.float32(sign), channels, out)
     return (out,)
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from exwarp_cli.accel.mac_array import MacArray, schedule
-from exwarp_cli.accel.quantised_mlp import PAPER_SIZES
+from exwarp_cli.accelerator.mac_array import MacArray, schedule
+from exwarp_cli.accelerator.mlp import PAPER_SIZES
 from exwarp_cli.domain.decision import PATHS
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.report.gallery import Album

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.policy.clocked_returns import clocked_returns
-from exwarp_cli.policy.outcomes import returns, shown
+from exwarp_cli.policy.outcomes import clocked_returns, path_returns, slot_quality
 
 SHOWN = np.array(
     [
@@ -28,7 +27,9 @@ DROPPED = [2, 1, 2, 1, 1, 0]
 def test_offline_they_are_those_of_the_decision_tree(seed):
     outcomes = np.random.default_rng(seed).uniform(15, 45, (5, 2, 2))
     offline = [2, 1, 0, 0, 0, 0]
-    np.testing.assert_allclose(clocked_returns(shown(outcomes), offline), returns(outcomes))
+    np.testing.assert_allclose(
+        clocked_returns(slot_quality(outcomes), offline), path_returns(outcomes)
+    )
 
 
 def test_late_frames_cost_alpha_and_quality():

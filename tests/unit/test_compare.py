@@ -22,7 +22,7 @@ from exwarp_cli.errors import (
     OutputError,
     UsageError,
 )
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.metrics.registry import score_frame
 from exwarp_cli.pipeline.evaluation import Comparison, evaluate
 from exwarp_cli.report.comparison import comparison_document
 from exwarp_cli.report.schema import to_json
@@ -102,7 +102,7 @@ def test_scores_are_those_of_the_metrics(tmp_path: Path, truth: str) -> None:
     result = evaluate(truth, shifted(tmp_path, 1))
     for i, frame in enumerate(result.frames):
         original = picture(1 + i)
-        assert frame.score == score(original, original * np.float32(1 - 0.1 * i), None)[0]
+        assert frame.score == score_frame(original, original * np.float32(1 - 0.1 * i), None)[0]
         assert (frame.hole_score, frame.hole_fraction) == (None, None)
 
 
@@ -130,7 +130,7 @@ def test_masks_give_the_score_in_holes(tmp_path: Path, truth: str, numbered_as: 
     result = evaluate(truth, test, holes=masks)
     assert [frame.hole_fraction for frame in result.frames] == [None, 21 / (16 * 24), None, 0]
     original = picture(2)
-    expected = score(original, original * np.float32(0.9), hole > 0.5)[1]
+    expected = score_frame(original, original * np.float32(0.9), hole > 0.5)[1]
     assert [frame.hole_score for frame in result.frames] == [None, expected, None, None]
     assert comparison_document(result)["quality"]["holes"]["frames"] == 1
 
@@ -150,7 +150,7 @@ def test_the_display_window_is_compared(tmp_path: Path) -> None:
     black = np.zeros_like(whole)
     black[5:15, 4:10] = whole[5:15, 4:10]
     found = evaluate(str(tmp_path / "a"), str(tmp_path / "c")).frames[0].score
-    assert found == score(whole, black, None)[0]
+    assert found == score_frame(whole, black, None)[0]
 
 
 REFUSALS: dict[str, tuple[list[str], type[ExwarpError]]] = {

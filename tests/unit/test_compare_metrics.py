@@ -14,8 +14,8 @@ from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.errors import InputError, QualityError, UsageError
 from exwarp_cli.io.display_colour import to_display
 from exwarp_cli.io.ffmpeg_filters import EncodedVmafStream, compute_vmaf
-from exwarp_cli.metrics import extranet
-from exwarp_cli.metrics.flicker import error
+from exwarp_cli.metrics import extranet_scores
+from exwarp_cli.metrics.temporal import display_error
 from exwarp_cli.pipeline.evaluation import Comparison, evaluate
 from exwarp_cli.report.comparison import comparison_document, require_quality
 from tests.blender_layers import blender_depth, layer
@@ -94,7 +94,7 @@ def test_an_error_that_moves_with_the_surfaces_hardly_flickers(tmp_path: Path, v
         shots.write(a, {"": shots.colour_planes(street, i / 4) | vectors(street, i / 4)})
         colour = np.ascontiguousarray(shots.colour_of(a)[..., :3], np.float32)
         save(b, colour**3)
-        errors.append(error(colour, colour**3))
+        errors.append(display_error(colour, colour**3))
     found = evaluate(str(tmp_path / "a"), str(tmp_path / "b"), measuring=measure("flicker"))
     unmoved = np.abs(errors[1] - errors[0]).mean()
     assert unmoved > 2, found.frames
@@ -171,7 +171,7 @@ def test_the_preset_counts_generated_frames(tmp_path: Path, headers: bool) -> No
     for frame in found.frames:
         n, kind = frame.test, KINDS[frame.test % 4]
         counts = kind == "generated" or (kind == "dropped" and not headers)
-        expected = extranet.score(truth[n], made[n]) if counts else None
+        expected = extranet_scores.score_like_extranet(truth[n], made[n]) if counts else None
         assert frame.score.psnr_db == (expected.psnr_db if expected else None)
         assert frame.score.ssim == (expected.ssim if expected else None)
         assert (frame.score.vmaf is None) == (n <= 4 or n > 10)

@@ -21,7 +21,7 @@ from exwarp_cli.io.cryptomatte import (
     surface_id,
     surface_ids,
 )
-from exwarp_cli.kernels.edges import SAME_DEPTH
+from exwarp_cli.kernels.silhouettes import SAME_DEPTH
 from tests.reference import ranked as reference
 from tests.unit.interpreted import same_when_interpreted
 from tests.unit.ranked_cases import case, everything

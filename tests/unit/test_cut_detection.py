@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.cuts import CutWish, parse_cuts
 from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window
+from exwarp_cli.domain.timeline import CutOption, parse_cuts
 from exwarp_cli.errors import MissingFrameError, UsageError
 from exwarp_cli.synthesis import cut_detection
 from exwarp_cli.synthesis.cut_detection import CutEvidence, is_cut_between, make_thumbnail
@@ -290,16 +290,16 @@ def test_evidence_is_described() -> None:
 @pytest.mark.parametrize(
     ("text", "wish"),
     [
-        ("auto", CutWish(True, ())),
-        ("none", CutWish(False, ())),
-        ("1045,1101", CutWish(False, (1045, 1101))),
-        (" 1101, 1045 ", CutWish(False, (1045, 1101))),
-        ("AUTO,1045", CutWish(True, (1045,))),
-        ("10-12", CutWish(False, (10, 11, 12))),
-        ("10-20:5", CutWish(False, (10, 15, 20))),
+        ("auto", CutOption(True, ())),
+        ("none", CutOption(False, ())),
+        ("1045,1101", CutOption(False, (1045, 1101))),
+        (" 1101, 1045 ", CutOption(False, (1045, 1101))),
+        ("AUTO,1045", CutOption(True, (1045,))),
+        ("10-12", CutOption(False, (10, 11, 12))),
+        ("10-20:5", CutOption(False, (10, 15, 20))),
     ],
 )
-def test_cuts_are_read(text: str, wish: CutWish) -> None:
+def test_cuts_are_read(text: str, wish: CutOption) -> None:
     assert parse_cuts(text) == wish
 
 

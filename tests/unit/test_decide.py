@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Window
-from exwarp_cli.kernels import emd
+from exwarp_cli.kernels import frame_statistics
 from exwarp_cli.pipeline import decide
 from exwarp_cli.pipeline.decide import Observer, with_ids
 from exwarp_cli.pipeline.interval_inputs import PolicyObservation
@@ -111,8 +111,10 @@ class TestKeySetting:
     def test_in_a_row_each_instant_s_ranges_are_found_once(self, monkeypatch):
         """It is compared with the instant before, and with the one after."""
         counted = []
-        true = emd.extents
-        monkeypatch.setattr(emd, "extents", lambda *a: counted.append(a) or true(*a))
+        true = frame_statistics.write_ranges
+        monkeypatch.setattr(
+            frame_statistics, "write_ranges", lambda *a: counted.append(a) or true(*a)
+        )
         row = Observer(DISPLAY, "key")
         for k in range(5):
             row.surroundings(k, keys(k), ())

@@ -11,22 +11,22 @@ from hypothesis import strategies as st
 
 from exwarp_cli.domain.decision import (
     CHOICES,
-    DROPPING,
     EXTRAPOLATE,
     HOLD,
-    NEXT,
+    NEXT_NODE,
+    NODE_SLOTS,
     NODES,
     PATHS,
-    SLOTS,
+    REPEATING_CHOICES,
     WARP,
     Decision,
     Features,
     Plan,
-    path_of,
-    walk,
+    find_path,
+    walk_tree,
 )
 from exwarp_cli.pipeline.slot_renderer import decision_text, parse_decision
-from exwarp_cli.policy.state import PASSED
+from exwarp_cli.policy.state import PRECEDING_NODES
 from tests.reference import decisions as paper
 
 SLOT_OF = {"d1": 1, "d2": 2, "d3": 3, "d4": 3, "d5": 3}
@@ -35,7 +35,7 @@ SEEN = Features(2, 0.1 + 0.2, 1 / 3, 1e-300, 12345.678, 640, 360, math.pi)
 
 class TestTree:
     def test_names_and_slots(self):
-        assert tuple(SLOT_OF) == NODES and SLOTS == SLOT_OF
+        assert tuple(SLOT_OF) == NODES and NODE_SLOTS == SLOT_OF
         assert CHOICES == (WARP, EXTRAPOLATE) == ("warp", "extrapolate")
         assert tuple(PATHS) == tuple(paper.PATHS)
 
@@ -56,34 +56,34 @@ class TestTree:
             asked.append(node)
             return paper.PATHS[name][node]
 
-        assert list(walk(choose)) == list(paper.PATHS[name].items())
+        assert list(walk_tree(choose)) == list(paper.PATHS[name].items())
         assert asked == list(paper.PATHS[name])  # each once, and none beside the path
 
     def test_every_way_to_choose_is_one_of_six_paths(self):
         taken = set()
         for bits in range(32):
             chosen = {node: CHOICES[bits >> i & 1] for i, node in enumerate(NODES)}
-            taken.add(path_of(dict(walk(chosen.__getitem__))))
+            taken.add(find_path(dict(walk_tree(chosen.__getitem__))))
         assert taken == set(PATHS)
 
     def test_slots_come_in_their_order(self):
         for name in PATHS:
-            slots = [SLOTS[node] for node in PATHS[name].choices]
+            slots = [NODE_SLOTS[node] for node in PATHS[name].choices]
             assert slots in ([1, 2, 3], [1, 3])
 
     def test_what_repeats_a_frame(self):
-        assert DROPPING == paper.DROPS
-        assert set(NEXT) == {(node, choice) for node in ("d1", "d2") for choice in CHOICES}
+        assert REPEATING_CHOICES == paper.DROPS
+        assert set(NEXT_NODE) == {(node, choice) for node in ("d1", "d2") for choice in CHOICES}
 
     def test_nodes_before_a_node(self):
-        assert PASSED == {
+        assert PRECEDING_NODES == {
             "d1": (), "d2": ("d1",), "d3": ("d1",), "d4": ("d1", "d2"), "d5": ("d1", "d2")
         }  # fmt: skip
 
     @pytest.mark.parametrize("choices", [{}, {"d1": "warp"}, {"d1": "warp", "d3": "warp"}])
     def test_choices_that_lead_nowhere_have_no_path(self, choices):
         with pytest.raises(StopIteration):
-            path_of(choices)
+            find_path(choices)
 
 
 class TestPlan:

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, WARP
-from exwarp_cli.policy.outcomes import best_return, returns, rewards
+from exwarp_cli.policy.outcomes import best_return, choice_rewards, path_returns
 from exwarp_cli.policy.state import INPUTS
 from exwarp_cli.research.training.outcome_tables import PolicyTable
 from exwarp_cli.research.training.policy_scores import fit_regression, greedy_paths, predict_rewards
@@ -38,7 +38,7 @@ def learned(**changes: object) -> Layers:
 
 def mean_return(found: np.ndarray, table: PolicyTable = UNSEEN) -> float:
     """Mean return of the paths that values [N, 5, 2] lead to."""
-    return float(returns(table.outcomes)[np.arange(len(table)), greedy_paths(found)].mean())
+    return float(path_returns(table.outcomes)[np.arange(len(table)), greedy_paths(found)].mean())
 
 
 def part_of(table: PolicyTable, rows: list[int]) -> PolicyTable:
@@ -52,7 +52,7 @@ def part_of(table: PolicyTable, rows: list[int]) -> PolicyTable:
 
 def bounds(table: PolicyTable = UNSEEN) -> tuple[float, float]:
     """Mean return of the best path throughout, and of the best path of every interval."""
-    every = returns(table.outcomes)
+    every = path_returns(table.outcomes)
     return float(every.mean(axis=0).max()), float(every.max(axis=1).mean())
 
 
@@ -65,7 +65,7 @@ def test_it_closes_the_gap_between_a_fixed_path_and_the_oracle():
 
 def test_it_takes_the_first_step_that_looks_worse():
     first = q_values(learned(), UNSEEN)[:, NODES.index("d1")]
-    leads = returns(UNSEEN.outcomes).max(axis=1) > 2
+    leads = path_returns(UNSEEN.outcomes).max(axis=1) > 2
     assert 0.3 < leads.mean() < 0.7
     assert ((first[:, 0] > first[:, 1]) == leads).mean() > 0.97
 
@@ -78,7 +78,7 @@ def test_looking_at_the_next_reward_only_fails():
         assert (found[:, 0, 1] > found[:, 0, 0]).all()
         assert mean_return(found) < fixed + 0.1 * (oracle - fixed)
     # What comes next does not matter to it; what each choice earns at once, it does know.
-    gain = torch.from_numpy(rewards(UNSEEN.outcomes))
+    gain = torch.from_numpy(choice_rewards(UNSEEN.outcomes))
     wanted = compress_gain(gain).numpy()
     assert np.abs(greedy - wanted).mean() < 0.15
 
@@ -87,7 +87,7 @@ def test_without_a_fresh_target_nothing_is_foreseen():
     """A target that is never copied tells of fresh weights: values of the future near 0."""
     stale = q_values(learned(lag=10**6), UNSEEN)
     fresh = q_values(learned(), UNSEEN)
-    leads = returns(UNSEEN.outcomes).max(axis=1) > 2
+    leads = path_returns(UNSEEN.outcomes).max(axis=1) > 2
     warping = stale[leads, 0, 0].mean(), fresh[leads, 0, 0].mean()
     assert warping[0] < 0 < 1 < warping[1]
     assert mean_return(stale) < mean_return(fresh) - 1
@@ -95,7 +95,7 @@ def test_without_a_fresh_target_nothing_is_foreseen():
 
 def test_values_are_discounted_returns():
     found = expand_value(torch.from_numpy(q_values(learned(), UNSEEN))).numpy()
-    gain = rewards(UNSEEN.outcomes)
+    gain = choice_rewards(UNSEEN.outcomes)
     exact = np.zeros_like(gain)
     for n in reversed(range(len(NODES))):
         for c in range(len(CHOICES)):
@@ -151,7 +151,7 @@ def test_how_often_the_target_is_copied_matters():
 
 def test_scenes_count_alike_whatever_their_size():
     """A row that contradicts four hundred, as a scene of its own, is half of what is seen."""
-    row = int(np.argmax(returns(KNOWN.outcomes).max(axis=1)))
+    row = int(np.argmax(path_returns(KNOWN.outcomes).max(axis=1)))
     many = part_of(KNOWN, [row] * 400)
     turned = part_of(KNOWN, [row])
     turned = replace(turned, outcomes=turned.outcomes[:, :, ::-1])
@@ -159,7 +159,7 @@ def test_scenes_count_alike_whatever_their_size():
         train_decisions([many, turned], replace(SETTINGS, steps=60, discount=0.0)), turned
     )
     one, other = (
-        compress_gain(torch.from_numpy(rewards(scene.outcomes[:1]))).numpy()
+        compress_gain(torch.from_numpy(choice_rewards(scene.outcomes[:1]))).numpy()
         for scene in (many, turned)
     )
     assert np.abs(one - other).max() > 2.5
@@ -217,4 +217,7 @@ def test_the_oracle_of_these_tables_is_what_they_were_made_for():
     names = tuple(PATHS)
     best = {names[k] for k in best_return(UNSEEN.outcomes)}
     assert best == {"S2", "S3", "S6"}
-    assert sorted({round(float(x), 6) for x in returns(UNSEEN.outcomes).max(axis=1)}) == [0.9, 5.0]
+    assert sorted({round(float(x), 6) for x in path_returns(UNSEEN.outcomes).max(axis=1)}) == [
+        0.9,
+        5.0,
+    ]

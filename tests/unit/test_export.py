@@ -12,7 +12,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from exwarp_cli.domain.extrapolator import INPUTS, NetworkInputs
+from exwarp_cli.domain.network_api import EXTRAPOLATOR_INPUTS, NetworkInputs
 from exwarp_cli.errors import OutputError
 from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.onnx_export import export_extrapolator
@@ -80,7 +80,9 @@ class Fixed(nn.Module):
 
 def given(height: int, width: int) -> NetworkInputs:
     rng = np.random.default_rng(9)
-    planes = {name: rng.random((n, height, width), np.float32) for name, n in INPUTS.items()}
+    planes = {
+        name: rng.random((n, height, width), np.float32) for name, n in EXTRAPOLATOR_INPUTS.items()
+    }
     return NetworkInputs(**planes, time=0.75)
 
 
@@ -101,7 +103,7 @@ def small(tmp_path_factory) -> Path:
 @pytest.mark.parametrize(("height", "width"), [(8, 12), (48, 36), (132, 200)])
 def test_the_model_does_what_the_network_does(small, height, width):
     inputs = given(height, width)
-    expected = answer(Small().eval(), inputs, (*INPUTS, "time"))
+    expected = answer(Small().eval(), inputs, (*EXTRAPOLATOR_INPUTS, "time"))
     np.testing.assert_allclose(load_extrapolator(small, 1, "cpu")(inputs), expected, atol=1e-4)
 
 

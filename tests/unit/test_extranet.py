@@ -11,7 +11,7 @@ import onnx
 import pytest
 import torch
 
-from exwarp_cli.domain.extrapolator import INPUTS, NetworkInputs
+from exwarp_cli.domain.network_api import EXTRAPOLATOR_INPUTS, NetworkInputs
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.extranet_import import (
@@ -30,7 +30,9 @@ def inputs(height: int, width: int, seed: int = 3) -> dict[str, np.ndarray]:
     """Inputs [C, H, W] as they are for a frame with sky above and holes."""
     rng = np.random.default_rng(seed)
     size = (height, width)
-    planes = {name: rng.standard_normal((n, *size), np.float32) for name, n in INPUTS.items()}
+    planes = {
+        name: rng.standard_normal((n, *size), np.float32) for name, n in EXTRAPOLATOR_INPUTS.items()
+    }
     planes["mask"] = (rng.random((1, *size)) > 0.2).astype(np.float32)
     planes["history"][3::4] = rng.random((3, *size)) > 0.3
     distance = 10 * rng.random(size, np.float32) + 0.5

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from exwarp_cli.domain.extrapolator import INPUTS, NetworkInputs
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
+from exwarp_cli.domain.network_api import EXTRAPOLATOR_INPUTS, NetworkInputs
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.runtime.frame_pool import ScratchFrames
 from exwarp_cli.synthesis.extrapolation import DARKEST, decode, encode, modulation_of
@@ -67,7 +67,7 @@ def test_inputs_have_their_shapes_and_ranges(interval, slot):
     inputs = interval.prepared(slot).inputs
     height, width = interval.key.image.data_window.shape
     for name, plane in inputs.pictures.items():
-        assert plane.shape == (INPUTS[name], height, width), name
+        assert plane.shape == (EXTRAPOLATOR_INPUTS[name], height, width), name
         assert plane.dtype == np.float32, name
         assert np.isfinite(plane).all(), name
     assert inputs.time == slot / 4
@@ -188,7 +188,7 @@ def test_whatever_is_not_rendered_is_done_without(interval, parts):
     prepared = bare.prepared(2)
     height, width = interval.key.image.data_window.shape
     for name, plane in prepared.inputs.pictures.items():
-        assert plane.shape == (INPUTS[name], height, width), name
+        assert plane.shape == (EXTRAPOLATOR_INPUTS[name], height, width), name
         assert np.isfinite(plane).all(), name
     assert 0 <= prepared.inputs.features[3:].min() <= prepared.inputs.features[3:].max() <= 1
     frame = bare.extrapolated(2)

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from exwarp_cli.accel.fixed_point import (
-    MOST_MULTIPLIER,
-    MOST_SHIFT,
+from exwarp_cli.accelerator.fixed_point import (
+    MAX_MULTIPLIER,
+    MAX_SHIFT,
     ONE,
     from_fixed,
     requantise_half_up,
@@ -56,7 +56,7 @@ class TestToFixed:
 
 
 class TestRequantise:
-    @given(INT32, st.integers(1, MOST_MULTIPLIER), st.integers(0, MOST_SHIFT))
+    @given(INT32, st.integers(1, MAX_MULTIPLIER), st.integers(0, MAX_SHIFT))
     def test_it_rounds_half_up_exactly(self, value, multiplier, shift):
         exact = Fraction(value * multiplier, 2**shift)
         assert int(requantise_half_up(value, multiplier, shift)) == half_up(exact)
@@ -64,8 +64,8 @@ class TestRequantise:
     @pytest.mark.parametrize("value", [LEAST, LEAST + 1, -1, 0, 1, MOST])
     @pytest.mark.parametrize("shift", [0, 1, 31, 61, 62])
     def test_nothing_overflows(self, value, shift):
-        exact = Fraction(value * MOST_MULTIPLIER, 2**shift)
-        assert int(requantise_half_up(value, MOST_MULTIPLIER, shift)) == half_up(exact)
+        exact = Fraction(value * MAX_MULTIPLIER, 2**shift)
+        assert int(requantise_half_up(value, MAX_MULTIPLIER, shift)) == half_up(exact)
 
     def test_halves_go_up_on_both_sides_of_zero(self):
         found = requantise_half_up([-3, -2, -1, 0, 1, 2, 3], 1, 1)

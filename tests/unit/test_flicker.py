@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.metrics.flicker import Transition, error, flicker, landing, of_frames, transition
+from exwarp_cli.metrics.temporal import (
+    Transition,
+    compare_with_previous,
+    compare_with_rendered,
+    display_error,
+    frame_flicker,
+    interval_flicker,
+)
 from tests.reference import flicker as naive
 
 SIZE = (9, 12)
@@ -28,7 +35,9 @@ def test_transition_equals_the_difference_of_the_differences(seed: int) -> None:
     field[rng.random(SIZE) < 0.1] = np.nan
     hidden = rng.random(SIZE) < 0.2
     per_pixel, counted = naive.transition(frames, truths, field, hidden)
-    found = transition(error(truths[1], frames[1]), error(truths[0], frames[0]), field, hidden)
+    found = compare_with_previous(
+        display_error(truths[1], frames[1]), display_error(truths[0], frames[0]), field, hidden
+    )
     np.testing.assert_array_equal(found.counted, counted)
     np.testing.assert_allclose(found.per_pixel[counted], per_pixel[counted], rtol=0, atol=1e-3)
     assert np.isfinite(found.per_pixel).all()
@@ -41,25 +50,25 @@ def test_an_error_that_stays_on_its_surface_does_not_flicker() -> None:
     """The truth moves by two pixels, and so does everything that is wrong with the test."""
     field = STILL + np.array([-2, 0], np.float32)
     now = np.roll(frame(1), 2, axis=1) * 255
-    found = transition(now, frame(1) * 255, field, SEEN)
+    found = compare_with_previous(now, frame(1) * 255, field, SEEN)
     assert found.mean() == 0
     assert found.counted.sum() == SIZE[0] * (SIZE[1] - 2), "what came in from outside is left out"
-    moved_on = transition(frame(1) * 255, frame(1) * 255, field, SEEN).mean()
+    moved_on = compare_with_previous(frame(1) * 255, frame(1) * 255, field, SEEN).mean()
     assert moved_on is not None
     assert moved_on > 10, "without its motion the same error flickers"
 
 
 def test_an_error_that_comes_and_goes_flickers_by_its_size() -> None:
     wrong = np.full((*SIZE, 3), -7, np.float32)
-    assert transition(wrong, None, STILL, SEEN).mean() == 7
-    assert landing(wrong).mean() == 7
-    assert transition(wrong, wrong, STILL, SEEN).mean() == 0
+    assert compare_with_previous(wrong, None, STILL, SEEN).mean() == 7
+    assert compare_with_rendered(wrong).mean() == 7
+    assert compare_with_previous(wrong, wrong, STILL, SEEN).mean() == 0
 
 
 def test_light_that_changes_in_the_truth_too_is_no_flicker() -> None:
     truths = frame(1) * np.float32(0.5), frame(1)
-    errors = [error(truth, truth) for truth in truths]
-    assert transition(errors[1], errors[0], STILL, SEEN).mean() == 0
+    errors = [display_error(truth, truth) for truth in truths]
+    assert compare_with_previous(errors[1], errors[0], STILL, SEEN).mean() == 0
 
 
 def test_hidden_pixels_do_not_count() -> None:
@@ -67,13 +76,13 @@ def test_hidden_pixels_do_not_count() -> None:
     wrong[0, 0] = 200
     hidden = SEEN.copy()
     hidden[0, 0] = True
-    found = transition(wrong, None, STILL, hidden)
+    found = compare_with_previous(wrong, None, STILL, hidden)
     assert found.mean() == 0
     corner = SEEN.copy()
     corner[0, :2] = True
     assert found.within(corner) == 0
     assert found.within(hidden) is None
-    assert transition(wrong, None, STILL, ~SEEN).mean() is None
+    assert compare_with_previous(wrong, None, STILL, ~SEEN).mean() is None
 
 
 def step(value: float) -> Transition:
@@ -83,11 +92,11 @@ def step(value: float) -> Transition:
 def test_a_frame_flickers_as_the_transitions_around_it() -> None:
     mask = SEEN.copy()
     mask[2:4] = True
-    found = flicker([step(1), step(3), step(5), step(9)], [mask, None, mask])
+    found = interval_flicker([step(1), step(3), step(5), step(9)], [mask, None, mask])
     assert found == [(2, 1), (4, None), (7, 5)]
-    assert flicker([None, step(3), None, None], [mask, mask, mask]) == [
+    assert interval_flicker([None, step(3), None, None], [mask, mask, mask]) == [
         (3, None),
         (3, 3),
         (None, None),
     ]
-    assert of_frames([None, 4.0, None, None]) == [4, 4, None]
+    assert frame_flicker([None, 4.0, None, None]) == [4, 4, None]

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exwarp_cli.io.frames import read_image
-from exwarp_cli.kernels._compile import compiled
-from exwarp_cli.kernels.flip_powers import power
-from exwarp_cli.metrics import flip, hdr_flip
-from exwarp_cli.metrics.display import encode
+from exwarp_cli.kernels._compile import kernel
+from exwarp_cli.kernels.flip_error import power
+from exwarp_cli.metrics import registry
+from exwarp_cli.metrics.display import encode_display
 from tests.reference import flip as naive
 
 Pair = tuple[np.ndarray, np.ndarray]
@@ -78,22 +78,31 @@ HDR = pytest.mark.parametrize(
 @pytest.mark.parametrize("size", SIZES)
 def test_ldr_flip_of_noise(size: Size, oracle) -> None:
     pair = shown(size)
-    judge(flip.measure(*pair).per_pixel, oracle(*pair), mean=1e-5 if min(size) > 1 else 1e-4)
+    judge(
+        registry.measure_flip(*pair).per_pixel, oracle(*pair), mean=1e-5 if min(size) > 1 else 1e-4
+    )
 
 
 @HDR
 @pytest.mark.parametrize("size", SIZES)
 def test_hdr_flip_of_values_to_1000_and_zeros(size: Size, oracle) -> None:
     pair = linear(size)
-    judge(hdr_flip.measure(*pair).per_pixel, oracle(*pair), mean=1e-5 if min(size) > 1 else 1e-4)
+    judge(
+        registry.measure_hdr_flip(*pair).per_pixel,
+        oracle(*pair),
+        mean=1e-5 if min(size) > 1 else 1e-4,
+    )
 
 
 def test_rendered_frames() -> None:
     images = [read_image(path).pixels for path in sorted(MARKET.glob("keys/*.exr"))[:2]]
     pair = [image[..., :3].astype(np.float32) for image in images]
-    judge(hdr_flip.measure(*pair).per_pixel, package(*map(hdr_flip.usable, pair), "HDR"))
-    encoded = [encode(image) for image in pair]
-    judge(flip.measure(*encoded).per_pixel, package(*encoded, "LDR"))
+    judge(
+        registry.measure_hdr_flip(*pair).per_pixel,
+        package(*map(registry.hdr_flip_colour, pair), "HDR"),
+    )
+    encoded = [encode_display(image) for image in pair]
+    judge(registry.measure_flip(*encoded).per_pixel, package(*encoded, "LDR"))
 
 
 @pytest.mark.parametrize("colour", [(255, 255, 255), (255, 0, 0), (0, 255, 0), (0, 0, 255)])
@@ -101,9 +110,14 @@ def test_rendered_frames() -> None:
 def test_one_pixel_shows_the_filters_and_what_lies_outside(colour, place) -> None:
     grey = np.full((41, 40, 3), 60, np.float32)
     test = spots(grey, *place, colour)
-    judge(flip.measure(grey, test).per_pixel, naive.ldr_flip(grey, test), atol=2e-4)
+    judge(registry.measure_flip(grey, test).per_pixel, naive.ldr_flip(grey, test), atol=2e-4)
     # The package's own float32 is coarser where almost nothing changes.
-    judge(flip.measure(grey, test).per_pixel, package(grey, test, "LDR"), atol=1e-3, mean=3e-5)
+    judge(
+        registry.measure_flip(grey, test).per_pixel,
+        package(grey, test, "LDR"),
+        atol=1e-3,
+        mean=3e-5,
+    )
 
 
 @pytest.mark.parametrize(
@@ -112,21 +126,21 @@ def test_one_pixel_shows_the_filters_and_what_lies_outside(colour, place) -> Non
 )
 def test_plain_colours(one, other, expected: float) -> None:
     pair = (np.full((30, 20, 3), colour, np.float32) for colour in (one, other))
-    np.testing.assert_allclose(flip.measure(*pair).per_pixel, expected, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(registry.measure_flip(*pair).per_pixel, expected, rtol=0, atol=1e-4)
 
 
 @settings(derandomize=True, max_examples=25, deadline=None)
 @given(st.tuples(st.integers(1, 40), st.integers(1, 40)), st.integers(0, 999), st.floats(0, 200))
 def test_properties(size: Size, seed: int, noise: float) -> None:
     reference, test = shown(size, seed, noise)
-    found = flip.measure(reference, test).per_pixel
+    found = registry.measure_flip(reference, test).per_pixel
     assert found.dtype == np.float32
     assert found.min() >= 0 and found.max() <= 1
-    assert not flip.measure(test, test.copy()).per_pixel.any()
-    np.testing.assert_array_equal(found, flip.measure(test, reference).per_pixel)
-    mirrored = flip.measure(reference[::-1, ::-1], test[::-1, ::-1]).per_pixel[::-1, ::-1]
+    assert not registry.measure_flip(test, test.copy()).per_pixel.any()
+    np.testing.assert_array_equal(found, registry.measure_flip(test, reference).per_pixel)
+    mirrored = registry.measure_flip(reference[::-1, ::-1], test[::-1, ::-1]).per_pixel[::-1, ::-1]
     np.testing.assert_allclose(mirrored, found, rtol=0, atol=2e-4)
-    turned = flip.measure(reference.swapaxes(0, 1), test.swapaxes(0, 1)).per_pixel.T
+    turned = registry.measure_flip(reference.swapaxes(0, 1), test.swapaxes(0, 1)).per_pixel.T
     np.testing.assert_allclose(turned, found, rtol=0, atol=2e-4)
 
 
@@ -135,11 +149,11 @@ def test_values_outside_are_clipped_and_alpha_is_left_out() -> None:
     outside = np.where(test >= 255, 400, np.where(test <= 0, -80, test)).astype(np.float32)
     assert (outside != test).any()
     wide = np.dstack([outside, np.full((20, 30), 9, np.float32)])
-    expected = flip.measure(reference, test).per_pixel
-    np.testing.assert_array_equal(flip.measure(reference, wide).per_pixel, expected)
+    expected = registry.measure_flip(reference, test).per_pixel
+    np.testing.assert_array_equal(registry.measure_flip(reference, wide).per_pixel, expected)
 
 
-@compiled
+@kernel
 def raised(bases: np.ndarray, exponent: np.float32, out: np.ndarray) -> None:
     for i in range(bases.size):
         out[i] = power(bases[i], exponent)

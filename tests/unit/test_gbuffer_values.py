@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Window
-from exwarp_cli.metrics.display import encode
+from exwarp_cli.metrics.display import encode_display
 from exwarp_cli.metrics.registry import METRICS
 from exwarp_cli.synthesis import motion_fields
 from exwarp_cli.synthesis.gbuffer_values import (
@@ -21,7 +21,7 @@ from exwarp_cli.synthesis.gbuffer_values import (
     relative_step,
 )
 from exwarp_cli.synthesis.motion_fields import SlotField, compose, field_between
-from exwarp_cli.synthesis.trajectory import follow_points
+from exwarp_cli.synthesis.trajectory import trace_points
 from exwarp_cli.synthesis.warp import Mover
 from tests.cli import street
 from tests.cli.street import Street
@@ -138,9 +138,9 @@ def test_composed_motion_is_no_worse_than_plain_composition(kind, deep):
     own = [compose(each[:count], key, -1) for count in range(1, len(each) + 1)]
     plain = plainly_composed(each, key)
     for i, (found, expected) in enumerate(zip(own, plain, strict=True), start=1):
-        truth = encode(STREET.colour(KEY_TIME + i / 4).astype(np.float32))
+        truth = encode_display(STREET.colour(KEY_TIME + i / 4).astype(np.float32))
         scores = [
-            METRICS["psnr_db"](truth, encode(Mover(source).warp_alone(colour))).overall()
+            METRICS["psnr_db"](truth, encode_display(Mover(source).warp_alone(colour))).overall()
             for source in (found, expected)
         ]
         assert scores[0] > scores[1] - 0.3
@@ -178,5 +178,5 @@ def test_what_the_renderer_wrote_counts_and_not_what_was_expected(kind):
         vectors = np.full((HEIGHT, WIDTH, 2), (speed, 0), np.float32)
         return GBuffer(WINDOW, depth=depth, to_previous=vectors)
 
-    found = follow_points(moving(3.0), [moving(2.0), moving(2.0)], -1)
+    found = trace_points(moving(3.0), [moving(2.0), moving(2.0)], -1)
     np.testing.assert_allclose(found[:, 8:-8], np.full_like(found, (7, 0))[:, 8:-8], atol=1e-5)

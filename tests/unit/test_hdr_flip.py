@@ -7,8 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.metrics.hdr_flip import BRIGHTEST, exposures, measure, usable
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.metrics.registry import (
+    MAX_COLOUR,
+    hdr_flip_colour,
+    hdr_flip_exposures,
+    measure_hdr_flip,
+    score_frame,
+)
 
 
 def pair(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -24,7 +29,7 @@ def test_it_is_the_evaluators_own_mean_with_its_own_exposures() -> None:
     test = np.maximum(test, 0)
     fault, mean, used = evaluate(reference, test, "HDR", applyMagma=False, parameters={})
     assert used["numExposures"] > 1
-    measured = measure(reference, test)
+    measured = measure_hdr_flip(reference, test)
     assert measured.overall() == pytest.approx(mean, abs=1e-6)
     mask = np.zeros((40, 56), bool)
     mask[10:20, 30:50] = True
@@ -39,7 +44,7 @@ def test_exposures_are_the_evaluators_own_also_whole_stops_apart(level: float, s
     image = np.full((1, 3, 3), level, np.float32)
     image[0, 0] *= np.float32(2**stops)
     used = evaluate(image, image, "HDR", applyMagma=False, parameters={})[2]
-    found = exposures(image)
+    found = hdr_flip_exposures(image)
     assert len(found) == (used["numExposures"] if stops else 1)
     assert found[0] == pytest.approx(used["startExposure"], abs=1e-6)
     assert found[-1] == pytest.approx(used["stopExposure"], abs=1e-6)
@@ -53,7 +58,7 @@ def test_exposures_end_at_the_upper_median_or_the_least_that_counts(size: tuple[
     mostly_black = np.where(np.arange(image.size).reshape(image.shape) < 3, image, 0)
     for reference in (image, mostly_black.astype(np.float32)):
         used = evaluate(reference, reference, "HDR", applyMagma=False, parameters={})[2]
-        assert exposures(reference)[-1] == pytest.approx(used["stopExposure"], abs=1e-6)
+        assert hdr_flip_exposures(reference)[-1] == pytest.approx(used["stopExposure"], abs=1e-6)
 
 
 def test_errors_above_white_count_though_a_display_clips_them() -> None:
@@ -61,7 +66,7 @@ def test_errors_above_white_count_though_a_display_clips_them() -> None:
     reference[:12] = 1.5
     test = reference.copy()
     test[:6] = 3
-    whole, _ = score(reference, test, None, ("flip", "hdr_flip"))
+    whole, _ = score_frame(reference, test, None, ("flip", "hdr_flip"))
     assert whole.flip == 0
     assert whole.hdr_flip is not None and whole.hdr_flip > 0.05
     assert (whole.psnr_db, whole.ssim, whole.vmaf) == (None, None, None)
@@ -69,16 +74,16 @@ def test_errors_above_white_count_though_a_display_clips_them() -> None:
 
 def test_what_is_not_finite_or_negative_is_replaced() -> None:
     values = [np.nan, np.inf, -np.inf, -3, 1e30, 0.25]
-    found = usable(np.array(values, np.float32).reshape(1, 2, 3))
-    assert found.ravel().tolist() == [0, BRIGHTEST, 0, 0, BRIGHTEST, 0.25]
+    found = hdr_flip_colour(np.array(values, np.float32).reshape(1, 2, 3))
+    assert found.ravel().tolist() == [0, MAX_COLOUR, 0, 0, MAX_COLOUR, 0.25]
 
 
 @pytest.mark.parametrize("level", [0, 1e-30, 1e-8])
 def test_a_black_reference_is_measured_as_it_stands(level: float) -> None:
     """The package's own search ends the process here."""
     black = np.full((20, 20, 4), level, np.float32)
-    assert measure(black, black).overall() == 0
-    assert measure(black, black + np.float32(0.5)).overall() > 0.3
+    assert measure_hdr_flip(black, black).overall() == 0
+    assert measure_hdr_flip(black, black + np.float32(0.5)).overall() > 0.3
 
 
 @settings(derandomize=True, max_examples=20, deadline=None)
@@ -87,4 +92,4 @@ def test_no_pixel_makes_it_nan(seed: int, size: tuple[int, int]) -> None:
     rng = np.random.default_rng(seed)
     values = np.array([np.nan, np.inf, -np.inf, 1e30, -1, 65504, 0, 1e-7, 0.5], np.float32)
     reference, test = (rng.choice(values, (*size, 3)) for _ in range(2))
-    assert 0 <= measure(reference, test).overall() <= 1
+    assert 0 <= measure_hdr_flip(reference, test).overall() <= 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.colour import SRGB
 from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window
 from exwarp_cli.synthesis.holds import adapt_motion_to_holds, change_between, is_same_picture
 

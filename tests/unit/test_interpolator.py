@@ -11,7 +11,7 @@ import onnx
 import pytest
 from onnx import TensorProto
 
-from exwarp_cli.domain.extrapolator import Curve
+from exwarp_cli.domain.colour import ShoulderCurve
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.models.interpolator import OnnxInterpolator, load_interpolator
 from tests.unit.tiny_interpolators import (
@@ -46,7 +46,7 @@ def frames(height: int, width: int, peak: float = 1.0, channels: int = 3) -> lis
 
 def faded(before: Float32, after: Float32, time: float, encoding: str = "srgb") -> Float32:
     """Cross-fade what networks see."""
-    curve = Curve.of(encoding, before, after)
+    curve = ShoulderCurve.of(encoding, before, after)
     first, second = curve.encode(before), curve.encode(after)
     return curve.decode(first + np.float32(time) * (second - first))
 
@@ -120,7 +120,7 @@ class TestPadding:
         padding = {"multiple": 8, "mode": mode, "place": place}
         network, (before, after) = load(box_blur(), padding=padding), frames(*size)
         found = network(before, after, 0.5)
-        shown = Curve.of("srgb", before, after).encode(before)
+        shown = ShoulderCurve.of("srgb", before, after).encode(before)
         rows, columns = -size[0] % 8, -size[1] % 8
         above, left = (rows // 2, columns // 2) if place == "centre" else (0, 0)
         ways = {"edge": "edge", "reflect": "reflect", "zero": "constant"}
@@ -132,7 +132,7 @@ class TestPadding:
             for y in range(3)
             for x in range(3)
         )
-        expected = Curve.of("srgb", before, after).decode(blurred / 9)
+        expected = ShoulderCurve.of("srgb", before, after).decode(blurred / 9)
         np.testing.assert_allclose(found, expected, atol=2e-6)
 
     def test_black_is_black_in_any_range(self, load):

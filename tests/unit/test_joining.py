@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.results import (
     InterpolatorSummary,
     NetworkSummary,
     PolicySummary,
     RunSummary,
 )
+from exwarp_cli.domain.timeline import Cut
 from exwarp_cli.errors import InputError
 from exwarp_cli.report.merge import merge_runs, missing_keys
 from tests.unit.sample_runs import path_run

@@ -14,24 +14,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from exwarp_cli.accel import kernel as accelerator
-from exwarp_cli.kernels import _compile, parabola
-from exwarp_cli.kernels._row_bands import WHOLE
+from exwarp_cli.accelerator import mlp as accelerator
+from exwarp_cli.kernels import _compile, splat
+from exwarp_cli.kernels._row_bands import ALL
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = """
 import numpy as np
-from exwarp_cli.accel import kernel as accelerator
-from exwarp_cli.kernels import _row_bands, parabola
+from exwarp_cli.accelerator import mlp as accelerator
+from exwarp_cli.kernels import _row_bands, splat
 from exwarp_cli.runtime.compilation import compilation
 out, reach = np.zeros((4, 5, 2), np.float32), np.zeros((0, 0, 2), np.float32)
 for threads in (1, None):
     _row_bands.set_threads(threads)
-    parabola.parabola(out + 1, out + 2, np.float32(0.5), out, reach)
+    splat.quadratic_displacement(out + 1, out + 2, np.float32(0.5), out, reach)
     print(compilation.compiled, float(out[0, 0, 0]))
 states, outputs = np.ones((5, 1), np.int32), np.ones((5, 2), np.int32)
 weights, constants = np.zeros(4, np.int8), np.zeros((3, 3), np.int32)
-accelerator.decide_all(weights, constants, np.array([1, 2], np.int64), states, 4, outputs)
+accelerator.run_network(weights, constants, np.array([1, 2], np.int64), states, 4, outputs)
 print(compilation.compiled, int(outputs.sum()))
 """
 
@@ -43,7 +43,7 @@ def folder(tmp_path, monkeypatch) -> Path:
 
 
 def places(monkeypatch, *paths: Path) -> tuple[Path, ...]:
-    monkeypatch.setattr(_compile, "places_in_turn", lambda: iter(paths))
+    monkeypatch.setattr(_compile, "candidate_folders", lambda: iter(paths))
     for cached in (_compile.folders, _compile.writable_folder):
         monkeypatch.setattr(_compile, cached.__name__, getattr(cached, "__wrapped__", cached))
     return paths
@@ -51,9 +51,9 @@ def places(monkeypatch, *paths: Path) -> tuple[Path, ...]:
 
 def run() -> tuple[int, int]:
     """Compile or load a kernel, see that it works; how often it was loaded and compiled."""
-    kernel: Any = _compile.compiled(parabola.parabola.__wrapped__)
+    kernel: Any = _compile.kernel(splat.quadratic_displacement.__wrapped__)
     out, reach = np.zeros((4, 5, 2), np.float32), np.zeros((0, 0, 2), np.float32)
-    kernel(out + 1, out + 2, np.float32(0.5), out, reach, WHOLE)
+    kernel(out + 1, out + 2, np.float32(0.5), out, reach, ALL)
     assert (out == 0.5 * 0.5 * (2 - 1) + 0.5 * 0.25 * (2 + 1)).all()
     stats = kernel.stats
     return sum(stats.cache_hits.values()), sum(stats.cache_misses.values())
@@ -158,7 +158,9 @@ class TestNames:
     """A file's name says all that its content depends on."""
 
     def test_the_processor(self, folder, monkeypatch):
-        codegen = type(_compile.compiled(parabola.parabola.__wrapped__).targetctx.codegen())
+        codegen = type(
+            _compile.kernel(splat.quadratic_displacement.__wrapped__).targetctx.codegen()
+        )
         run()
         monkeypatch.setattr(codegen, "magic_tuple", lambda self: ("another", "cpu", ""))
         assert run() == (0, 1)
@@ -176,20 +178,25 @@ class TestNames:
 
     def test_the_types_of_arguments(self, folder):
         run()
-        kernel: Any = _compile.compiled(parabola.parabola.__wrapped__)
+        kernel: Any = _compile.kernel(splat.quadratic_displacement.__wrapped__)
         out, reach = np.zeros((4, 5, 2)), np.zeros((0, 0, 2), np.float32)
-        kernel(out + 1, out + 2, np.float32(0.5), out, reach, WHOLE)
+        kernel(out + 1, out + 2, np.float32(0.5), out, reach, ALL)
         assert len(list(folder.iterdir())) == 2
 
 
 def test_a_change_in_any_module_of_kernels_is_another_source(tmp_path, monkeypatch):
     monkeypatch.setattr(_compile, "__file__", str(tmp_path / "kernels" / "_compile.py"))
     digest = _compile.source_digest.__wrapped__
-    for folder, name in (("kernels", "one"), ("kernels", "two"), ("accel", "three"), ("", "own")):
+    for folder, name in (
+        ("kernels", "one"),
+        ("kernels", "two"),
+        ("accelerator", "three"),
+        ("", "own"),
+    ):
         (tmp_path / folder).mkdir(exist_ok=True)
         (tmp_path / folder / f"{name}.py").write_text("X = 1\n")
     found = [digest(tmp_path / "own.py")]
-    for path in ("kernels/two.py", "accel/three.py", "own.py"):
+    for path in ("kernels/two.py", "accelerator/three.py", "own.py"):
         (tmp_path / path).write_text("X = 2\n")
         found.append(digest(tmp_path / "own.py"))
     assert len(set(found)) == 4
@@ -198,7 +205,7 @@ def test_a_change_in_any_module_of_kernels_is_another_source(tmp_path, monkeypat
 def test_a_function_that_another_one_makes_is_not_kept(folder):
     """It may depend on that one's variables, which no name tells."""
     for factor in (2, 3):
-        assert _compile.compiled(lambda value, factor=factor: value * factor)(5) == 5 * factor
+        assert _compile.kernel(lambda value, factor=factor: value * factor)(5) == 5 * factor
     assert not folder.exists() or list(folder.iterdir()) == []
 
 
@@ -239,8 +246,8 @@ class TestUnused:
 
 def test_the_accelerator_has_its_builds_there_too(folder):
     def use() -> tuple[int, int]:
-        kernel: Any = _compile.compiled(
-            getattr(accelerator.decide_all, "py_func", accelerator.decide_all)
+        kernel: Any = _compile.kernel(
+            getattr(accelerator.run_network, "py_func", accelerator.run_network)
         )
         arrays = np.zeros(4, np.int8), np.zeros((3, 3), np.int32), np.array([1, 2], np.int64)
         outputs = np.ones((1, 2), np.int32)
@@ -250,7 +257,7 @@ def test_the_accelerator_has_its_builds_there_too(folder):
         return sum(stats.cache_hits.values()), sum(stats.cache_misses.values())
 
     assert use() == (0, 1)
-    assert [path.name[:18] for path in folder.iterdir()] == ["kernel.decide_all-"]
+    assert [path.name[:16] for path in folder.iterdir()] == ["mlp.run_network-"]
     assert use() == (1, 0)
 
 
@@ -279,7 +286,7 @@ def test_without_home_builds_go_to_a_temporary_folder(homeless, monkeypatch, hom
         monkeypatch.setenv("HOME", str(missing))
     if cache_home is not None:
         monkeypatch.setenv("XDG_CACHE_HOME", cache_home)
-    places = [place for place in _compile.places_in_turn() if ROOT not in place.parents]
+    places = [place for place in _compile.candidate_folders() if ROOT not in place.parents]
     assert places == [homeless.parent / f"exwarp-{os.getuid()}"]
     assert places[0].stat().st_mode & 0o777 == 0o700
     assert list(homeless.iterdir()) == [] and not missing.exists()
@@ -287,7 +294,7 @@ def test_without_home_builds_go_to_a_temporary_folder(homeless, monkeypatch, hom
 
 def test_a_cache_folder_that_is_set_needs_no_home(homeless, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    assert tmp_path / "cache" / "numba" / "exwarp" in _compile.places_in_turn()
+    assert tmp_path / "cache" / "numba" / "exwarp" in _compile.candidate_folders()
 
 
 @pytest.mark.parametrize("damage", ["writable for others", "a link"])
@@ -299,4 +306,4 @@ def test_a_temporary_folder_of_others_is_not_trusted(homeless, tmp_path, damage)
     else:
         folder.mkdir()
         folder.chmod(0o777)
-    assert folder not in list(_compile.places_in_turn())
+    assert folder not in list(_compile.candidate_folders())

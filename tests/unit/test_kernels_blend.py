@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.kernels.blend import FRINGE_WEIGHT, LEAST_RATIO, NEARNESS, SAME_DEPTH
+from exwarp_cli.kernels.blend import DEPTH_EXPONENT, GHOST_WEIGHT, MIN_DEPTH_RATIO, SAME_DEPTH
 from tests.reference import blend as naive
 from tests.reference import project as naive_project
 from tests.unit.kernel_calls import Seen, Side, blended, mixed, projected, weighed
 
 SHAPE = (13, 16)
-CONSTANTS = (NEARNESS, float(LEAST_RATIO), float(FRINGE_WEIGHT), float(SAME_DEPTH))
+CONSTANTS = (DEPTH_EXPONENT, float(MIN_DEPTH_RATIO), float(GHOST_WEIGHT), float(SAME_DEPTH))
 
 
 def side(seed: int) -> Side:

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.kernels.edges import APART, JUMP, ROWS_PER_BAND, SAME_DEPTH
+from exwarp_cli.kernels.silhouettes import DEPTH_JUMP, MOTION_GAP, ROWS_PER_STRIP, SAME_DEPTH
 from tests.reference import edges as naive
 from tests.unit.kernel_calls import NO_IDS, edges_found, fringe_found, moving_edges_found
 
 SHAPE = (16, 19)
-SIZES = [(1, 1), (1, 9), (9, 1), (2, 2), (2 * ROWS_PER_BAND + 1, 33)]
+SIZES = [(1, 1), (1, 9), (9, 1), (2, 2), (2 * ROWS_PER_STRIP + 1, 33)]
 SQUARE = (slice(5, 11), slice(6, 13))
 
 
@@ -107,7 +107,9 @@ class TestMovingEdges:
         fringe = rng.random(shape) < 1 - share
         arrays = depth.astype(np.float32), field.astype(np.float32), fringe
         (found,) = moving_edges_found(*arrays)
-        np.testing.assert_array_equal(found, naive.find_moving_edges(*arrays, JUMP, APART))
+        np.testing.assert_array_equal(
+            found, naive.find_moving_edges(*arrays, DEPTH_JUMP, MOTION_GAP)
+        )
 
     def test_what_moves_as_one_has_no_edge(self):
         still = np.ones((*SHAPE, 2), np.float32)

@@ -11,10 +11,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.stats import wasserstein_distance
 
-from exwarp_cli.kernels import emd
+from exwarp_cli.kernels import frame_statistics
 from exwarp_cli.kernels._row_bands import set_threads
-from exwarp_cli.kernels.emd import BINS, Values, distances
-from exwarp_cli.kernels.extents import ROWS_PER_BAND
+from exwarp_cli.kernels.frame_statistics import (
+    BINS,
+    ROWS_PER_STRIP,
+    ValueDistribution,
+    earth_movers_distances,
+)
 from tests.reference.features import distance
 from tests.unit.kernel_calls import counted, extended
 
@@ -39,7 +43,9 @@ def between(
     before: np.ndarray, after: np.ndarray, shown_before: np.ndarray, shown_after: np.ndarray
 ) -> np.ndarray:
     """Distance between two buffers, channel by channel."""
-    return distances(Values(before, shown_before), Values(after, shown_after))
+    return earth_movers_distances(
+        ValueDistribution(before, shown_before), ValueDistribution(after, shown_after)
+    )
 
 
 def apart(before: np.ndarray, after: np.ndarray) -> float:
@@ -51,7 +57,7 @@ def apart(before: np.ndarray, after: np.ndarray) -> float:
 def scene(seed: int, shift: float = 0.0) -> np.ndarray:
     """Three channels of different ranges over several bands, one of them with few values."""
     rng = np.random.default_rng(seed)
-    shape = (2 * ROWS_PER_BAND + 5, 31)
+    shape = (2 * ROWS_PER_STRIP + 5, 31)
     fine = rng.normal(shift, 1, shape)
     far = rng.lognormal(3, 1, shape) + 100 * shift
     few = rng.choice([-1.0, 0.0, 0.25, 1.0], shape)
@@ -191,10 +197,10 @@ def test_extents_are_of_what_counts():
     values[2, 2] = 1e9
     mask = everything(values)
     mask[2, 2] = False
-    mask[ROWS_PER_BAND : 2 * ROWS_PER_BAND] = False
+    mask[ROWS_PER_STRIP : 2 * ROWS_PER_STRIP] = False
     (ends,) = extended(values, mask)
     np.testing.assert_array_equal(ends[1], np.tile([np.inf, -np.inf], (3, 1)))
-    first = values[:ROWS_PER_BAND][mask[:ROWS_PER_BAND]]
+    first = values[:ROWS_PER_STRIP][mask[:ROWS_PER_STRIP]]
     np.testing.assert_array_equal(ends[0], np.stack([first.min(0), first.max(0)], axis=-1))
 
 
@@ -210,21 +216,26 @@ class TestValues:
         """Compared with several buffers, of some channels the same range, of others not."""
         values = scene(11)
         mask = np.random.default_rng(11).random(values.shape[:2]) < 0.6
-        one = Values(values, mask)
+        one = ValueDistribution(values, mask)
         for seed, shift in ((12, 0.0), (13, 0.0), (14, 0.4)):
             other = scene(seed, shift)
             other[:3, 0] = np.array([[-9, 3, -2], [9, 500, 2], [0, 4, 0]])
-            found = distances(one, Values(other, everything(other)))
+            found = earth_movers_distances(one, ValueDistribution(other, everything(other)))
             fresh = between(values, other, mask, everything(other))
             assert found.tobytes() == fresh.tobytes()
-            assert found.tobytes() == distances(Values(other, everything(other)), one).tobytes()
+            assert (
+                found.tobytes()
+                == earth_movers_distances(
+                    ValueDistribution(other, everything(other)), one
+                ).tobytes()
+            )
 
     def test_a_range_that_stays_is_not_counted_again(self, monkeypatch):
         values = scene(15)
         asked: list[np.ndarray] = []
-        true = emd.count
-        monkeypatch.setattr(emd, "count", lambda *a: asked.append(a[2]) or true(*a))
-        one = Values(values, everything(values))
+        true = frame_statistics.count_histograms
+        monkeypatch.setattr(frame_statistics, "count", lambda *a: asked.append(a[2]) or true(*a))
+        one = ValueDistribution(values, everything(values))
         first = np.array([[-9.0, 9], [0, 900], [-2, 2]])
         shares = one.shares(first).copy()
         np.testing.assert_array_equal(one.shares(first), shares)
@@ -258,7 +269,7 @@ def test_rows_with_sky_between_are_counted_as_numpy_does(width):
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
 def test_extents_of_rows_that_count_whole_leave_out_what_is_not_finite(wrong):
     values = scene(16)
-    expected = np.stack([values[:ROWS_PER_BAND].min((0, 1)), values[:ROWS_PER_BAND].max((0, 1))])
+    expected = np.stack([values[:ROWS_PER_STRIP].min((0, 1)), values[:ROWS_PER_STRIP].max((0, 1))])
     at = np.argwhere((values > expected[0]) & (values < expected[1]))[::50]
     values[tuple(at.T)] = wrong
     for ends in extended(values, everything(values)):

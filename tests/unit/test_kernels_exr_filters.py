@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.kernels.depths import known_depths
 from exwarp_cli.kernels.exr_filters import predict, read_lines, read_predicted
+from exwarp_cli.kernels.raw_channels import write_depths
 from tests.reference import exr as naive
 from tests.unit.half_cases import by_numpy, edges_rounded, rounded, some_bits
 from tests.unit.interpreted import same_when_interpreted
@@ -100,6 +100,6 @@ def test_rounding_to_half_interpreted(tmp_path):
 def test_depths_that_are_known(values, far):
     depth = np.array([*values, far, 0.0, -0.0, np.nan], np.float32)
     out = np.empty_like(depth)
-    known_depths(depth, np.float32(far), out)
+    write_depths(depth, np.float32(far), out)
     expected = [value if 0 < value < far else np.inf for value in depth.tolist()]
     assert out.tolist() == expected

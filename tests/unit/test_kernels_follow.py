@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.kernels.follow import any_step
+from exwarp_cli.kernels.point_motion import sample_step
 from tests.reference.follow import follow
 from tests.unit.kernel_calls import NO_IDS, followed
 from tests.unit.kernel_cases import SHAPE, depth, field, ids
@@ -45,7 +45,7 @@ def test_both_ways_through_the_kernel_add_up_the_same_bits():
     for i, j in np.ndindex(SHAPE):
         place = np.float32(j) + moved[i, j, 0], np.float32(i) + moved[i, j, 1]
         point = np.int32(-2), depths[1][i, j]
-        bits[i, j] = any_step(step, shown, point, place, tuple(expected[i, j]))
+        bits[i, j] = sample_step(step, shown, point, place, tuple(expected[i, j]))
     np.testing.assert_array_equal(inside, moved + bits)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.kernels import medians
-from exwarp_cli.kernels.medians import SAMPLES, positive
+from exwarp_cli.kernels import frame_statistics
+from exwarp_cli.kernels.frame_statistics import SAMPLES, positive_median
 
 
 def numpys(values: np.ndarray, shown: np.ndarray) -> float:
@@ -40,7 +40,7 @@ def test_it_is_numpys(kind, shape, share):
     for size in (values.size, values.size - 1):  # an odd number of them, and an even one
         one, other = values.ravel()[:size], shown.ravel()[:size]
         if size:
-            assert positive(one[None], other[None]) == numpys(one, other)
+            assert positive_median(one[None], other[None]) == numpys(one, other)
 
 
 def test_samples_that_mislead_do_not_matter():
@@ -51,7 +51,7 @@ def test_samples_that_mislead_do_not_matter():
     everything = np.ones(values.shape, bool)
     for misleading in (1.0, 1000.0):
         values.flat[::step] = misleading
-        assert positive(values, everything) == numpys(values, everything)
+        assert positive_median(values, everything) == numpys(values, everything)
 
 
 @pytest.mark.parametrize(
@@ -59,15 +59,17 @@ def test_samples_that_mislead_do_not_matter():
 )
 def test_where_nothing_counts_there_is_none(values):
     values = values.astype(np.float32)
-    assert np.isnan(positive(values, np.ones(values.shape, bool)))
-    assert np.isnan(positive(np.ones_like(values), np.zeros(values.shape, bool)))
+    assert np.isnan(positive_median(values, np.ones(values.shape, bool)))
+    assert np.isnan(positive_median(np.ones_like(values), np.zeros(values.shape, bool)))
 
 
 def test_most_values_are_left_where_they_are(monkeypatch):
     counts = []
-    true = medians.pick_between
-    monkeypatch.setattr(medians, "pick_between", lambda *a: (true(*a), counts.append(a[-1])))
+    true = frame_statistics.pick_between
+    monkeypatch.setattr(
+        frame_statistics, "pick_between", lambda *a: (true(*a), counts.append(a[-1]))
+    )
     values = values_of("noisy", (400, 500))
-    positive(values, np.ones(values.shape, bool))
+    positive_median(values, np.ones(values.shape, bool))
     total, _, count = counts[0].sum(axis=0)
     assert total == values.size and count < 0.1 * total

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.colour import SRGB
 from exwarp_cli.kernels.resample import PHASES, lanczos_weights
 from tests.reference import gather, resample
 from tests.unit.kernel_calls import as_light, as_shown, resampled, resampled_alike

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.kernels import resection
+from exwarp_cli.kernels import projection
 from tests.reference import resection as naive
 
 COUNT = 300
@@ -22,7 +22,7 @@ def test_equations_are_those_of_points_with_weight(share):
     where, seen = points(1)
     weights = np.where(rng.random(COUNT) < share, rng.random(COUNT), 0)
     scaled, rows = np.full(4 * COUNT, np.nan), np.full(24 * COUNT, np.nan)
-    count = resection.write_equations(where, seen, weights, scaled, rows)
+    count = projection.write_equations(where, seen, weights, scaled, rows)
     expected = naive.equations(where, seen, weights)
     assert count == np.count_nonzero(weights)
     assert scaled[: 4 * count].tobytes() == expected[0].tobytes()
@@ -34,17 +34,17 @@ def test_errors_are_infinite_where_they_tell_nothing():
     image[:9, 2] = 0, -0.0, np.nan, np.inf, -1, 1, 1, 1e-320, 5
     image[5, 0], image[6, 1] = np.nan, np.inf
     found = np.full(COUNT, np.nan)
-    resection.write_errors(image, seen, found)
+    projection.write_projection_errors(image, seen, found)
     assert found.tobytes() == naive.errors(image, seen).tobytes()
     assert np.isinf(found[[0, 1, 2, 4, 5, 6]]).all() and np.isfinite(found[8])
 
 
 def test_inliers_reach_up_to_the_limit():
     errors, inliers = np.array([1.0, 2, 3, np.inf]), np.ones(4, np.bool_)
-    assert resection.mark_inliers(errors, 2.0, inliers) == (2, False)
+    assert projection.mark_inliers(errors, 2.0, inliers) == (2, False)
     np.testing.assert_array_equal(inliers, [True, True, False, False])
-    assert resection.mark_inliers(errors, 2.5, inliers) == (2, True)
-    assert resection.mark_inliers(errors[::-1].copy(), 2.0, inliers) == (2, False)
+    assert projection.mark_inliers(errors, 2.5, inliers) == (2, True)
+    assert projection.mark_inliers(errors[::-1].copy(), 2.0, inliers) == (2, False)
 
 
 def test_weights_are_geman_and_mcclures():
@@ -53,5 +53,5 @@ def test_weights_are_geman_and_mcclures():
     depths[:3] = 0, 1e-12, -1e-12
     inliers = errors < 4
     found = np.full(COUNT, np.nan)
-    resection.write_weights(errors, inliers, depths, 0.7, found)
+    projection.write_inlier_weights(errors, inliers, depths, 0.7, found)
     assert found.tobytes() == naive.weights(errors, inliers, depths, 0.7).tobytes()

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.kernels.edges import SAME_DEPTH
-from exwarp_cli.kernels.settling import SEARCH
+from exwarp_cli.kernels.silhouettes import SAME_DEPTH, SEARCH_RADIUS
 from tests.reference import edges as naive
 from tests.unit.kernel_calls import NO_IDS, edges_found, projected, settled
 from tests.unit.test_kernels_edges import SHAPE, SQUARE, patches, square
@@ -60,7 +59,7 @@ class TestBesideTheNaiveTwin:
         (edge,) = edges_found(depth, ids)
         surfaces = depth, stencil if with_ids else None, edge
         for way, motion, out in zip(given, motions, found, strict=True):
-            expected = naive.unmix(way, motion, surfaces, 0.25, (SAME_DEPTH, SEARCH))
+            expected = naive.unmix(way, motion, surfaces, 0.25, (SAME_DEPTH, SEARCH_RADIUS))
             np.testing.assert_array_equal(out, expected)
             assert (out != way).any()
 

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.kernels.patches import OVERLAP, SAME_SURFACE
-from exwarp_cli.kernels.splat import ROWS_PER_BAND, SPAN
+from exwarp_cli.kernels.splat import OVERLAP, REACH_SPAN, ROWS_PER_STRIP, SAME_SURFACE
 from tests.reference import splat as naive
 from tests.unit.kernel_calls import reached, splatted
 
@@ -67,7 +66,7 @@ class TestAgainstTheTwin:
         depth[depth > 7] = np.inf
         assert_equals_twin(displacement, depth)
 
-    @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2 * ROWS_PER_BAND + 3, 6)])
+    @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2 * ROWS_PER_STRIP + 3, 6)])
     def test_odd_sizes_and_several_bands(self, shape):
         displacement = smooth(3, shape)
         displacement[..., 1] *= 5
@@ -83,9 +82,9 @@ class TestAgainstTheTwin:
 
     @pytest.mark.parametrize("shift", [-1, 0, 1])
     def test_across_the_bands(self, shift):
-        shape = (3 * ROWS_PER_BAND + shift, 5)
+        shape = (3 * ROWS_PER_STRIP + shift, 5)
         displacement = smooth(6, shape)
-        displacement[..., 1] += np.float32(ROWS_PER_BAND)
+        displacement[..., 1] += np.float32(ROWS_PER_STRIP)
         assert_equals_twin(displacement, random_depth(6, shape))
 
     def test_rows_reach_at_least_as_far_as_they_land(self):
@@ -101,22 +100,22 @@ class TestAgainstTheTwin:
         assert whole[4, 0] > whole[4, 1]  # nothing at all: no band visits it
 
     def test_spans_reach_as_far_as_their_pixels_land(self):
-        displacement = smooth(5, (7, 2 * SPAN + 3))
+        displacement = smooth(5, (7, 2 * REACH_SPAN + 3))
         displacement[..., 1] *= 9
-        displacement[2, SPAN : 2 * SPAN] = np.nan
+        displacement[2, REACH_SPAN : 2 * REACH_SPAN] = np.nan
         (reach,) = reached(displacement)
         assert reach.shape == (7, 4, 2)
         for span in range(3):
-            low, high = naive.row_span(displacement[:, span * SPAN : (span + 1) * SPAN])
+            low, high = naive.row_span(displacement[:, span * REACH_SPAN : (span + 1) * REACH_SPAN])
             np.testing.assert_array_equal(reach[:, span], np.stack([low - 2, high + 2], axis=-1))
         np.testing.assert_array_equal(reach[:, 3, 0], reach[:, :3, 0].min(axis=1))
         np.testing.assert_array_equal(reach[:, 3, 1], reach[:, :3, 1].max(axis=1))
 
     def test_spans_that_fly_apart(self):
-        shape = (ROWS_PER_BAND + 5, 3 * SPAN + 7)
+        shape = (ROWS_PER_STRIP + 5, 3 * REACH_SPAN + 7)
         displacement = smooth(6, shape)
-        displacement[:, SPAN : 2 * SPAN, 1] += np.float32(ROWS_PER_BAND)
-        displacement[:, 3 * SPAN :, 1] -= np.float32(20)
+        displacement[:, REACH_SPAN : 2 * REACH_SPAN, 1] += np.float32(ROWS_PER_STRIP)
+        displacement[:, 3 * REACH_SPAN :, 1] -= np.float32(20)
         assert_equals_twin(displacement, np.round(random_depth(6, shape)))
 
     def test_a_row_of_nothing_is_passed_over(self):

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from exwarp_cli.domain.line import LONGEST, misleads, one_line, printable
+from exwarp_cli.domain.wording import MAX_LINE, has_control_chars, one_line, printable
 
 
 @given(st.text(alphabet=st.characters(exclude_categories=()), max_size=100))
@@ -40,9 +40,9 @@ def test_what_cannot_be_printed_is_spelled_out(text, line):
 
 def test_a_long_text_keeps_what_went_wrong_and_what_to_do():
     line = one_line("what " + "x" * 100_000 + " do")
-    assert len(line) <= LONGEST
+    assert len(line) <= MAX_LINE
     assert line.startswith("what xx") and line.endswith("xx do") and " … " in line
-    assert one_line("y" * LONGEST) == "y" * LONGEST
+    assert one_line("y" * MAX_LINE) == "y" * MAX_LINE
 
 
 @pytest.mark.parametrize(
@@ -58,4 +58,4 @@ def test_a_long_text_keeps_what_went_wrong_and_what_to_do():
 )
 def test_names_are_shown_as_they_are_but_for_what_misleads(text, shown):
     assert printable(text) == shown
-    assert misleads(text) == (text != shown) and not misleads(shown)
+    assert has_control_chars(text) == (text != shown) and not has_control_chars(shown)

@@ -8,12 +8,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.extrapolator import Span, Tile
 from exwarp_cli.domain.frame import Float32, KeyFrame
-from exwarp_cli.domain.lookahead import CANDIDATES, LOOKS_AHEAD, SIDES
-from exwarp_cli.domain.network import NetworkGiven, NetworkPictures
+from exwarp_cli.domain.network_api import (
+    CANDIDATES,
+    LOOKAHEAD_INTERFACE,
+    SIDES,
+    LazyInputs,
+    NetworkPictures,
+    Tile,
+    TileSpan,
+)
 from exwarp_cli.errors import InputError, LayoutError
-from exwarp_cli.kernels import candidates
+from exwarp_cli.kernels import blend
 from exwarp_cli.models.picture_network import load_lookahead
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
@@ -31,7 +37,7 @@ class Chooser:
     checksum: str = "0" * 64
     given: list[NetworkPictures] = field(default_factory=list)
 
-    def weigh(self, inputs: NetworkGiven) -> Iterator[tuple[Tile, Float32]]:
+    def weigh(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
         height, width = inputs.shape
         for first in range(0, height, self.rows):
             end = min(first + self.rows, height)
@@ -39,8 +45,8 @@ class Chooser:
             self.given.append(part)
             weights = np.zeros((CANDIDATES, end - first, width), np.float32)
             weights[self.candidate] = 1
-            span = Span(first, end, first, end)
-            yield (span, Span(0, width, 0, width)), weights
+            span = TileSpan(first, end, first, end)
+            yield (span, TileSpan(0, width, 0, width)), weights
 
 
 def key(index: int) -> KeyFrame:
@@ -90,7 +96,7 @@ def test_what_the_network_is_given():
     network = Chooser(rows=1000)
     made("lookahead", interval(network))
     (given,) = network.given
-    assert {n: p.shape[0] for n, p in given.pictures.items()} == dict(LOOKS_AHEAD.inputs)
+    assert {n: p.shape[0] for n, p in given.pictures.items()} == dict(LOOKAHEAD_INTERFACE.inputs)
     assert all(np.isfinite(picture).all() for picture in given.pictures.values())
     assert set(np.unique(given.pictures["masks"])) <= {0, 1}
     assert given.pictures["agreement"].min() >= 0 and given.pictures["agreement"].max() <= 1
@@ -105,7 +111,7 @@ class TestKernel:
         weights = rng.random((CANDIDATES, 6, 7), np.float32)
         weights /= weights.sum(0)
         out = np.empty_like(mixed)
-        candidates.mix_candidates(mixed, sides, weights, (0, 0), out)
+        blend.mix_candidates(mixed, sides, weights, (0, 0), out)
         expected = weights[0, ..., None] * mixed
         for n, side in enumerate(sides):
             expected += weights[1 + n, ..., None] * side
@@ -116,7 +122,7 @@ class TestKernel:
         flat = np.full((4, 5, 3), 7.3, np.float32)
         weights = np.full((CANDIDATES, 4, 5), 0.19, np.float32)
         out = np.empty_like(flat)
-        candidates.mix_candidates(flat, (flat,) * SIDES, weights, (0, 0), out)
+        blend.mix_candidates(flat, (flat,) * SIDES, weights, (0, 0), out)
         np.testing.assert_array_equal(out, flat)
 
 

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from exwarp_cli.domain.lookahead import CANDIDATES, LOOKS_AHEAD
-from exwarp_cli.domain.network import NetworkPictures
+from exwarp_cli.domain.network_api import CANDIDATES, LOOKAHEAD_INTERFACE, NetworkPictures
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.models.picture_network import load_lookahead
@@ -84,8 +83,8 @@ class TestSamples:
     def test_they_are_what_a_run_gives_its_network(self, scenes):
         slot = next(slot_samples(SceneClip(scenes[0])))
         assert tuple(slot) == SAMPLE_ARRAYS
-        shapes = {name: slot[name].shape[0] for name in LOOKS_AHEAD.inputs}
-        assert shapes == dict(LOOKS_AHEAD.inputs)
+        shapes = {name: slot[name].shape[0] for name in LOOKAHEAD_INTERFACE.inputs}
+        assert shapes == dict(LOOKAHEAD_INTERFACE.inputs)
         assert slot["time"] == 0.25
         error = np.abs(slot["colour"][:3].astype(np.float32) - slot["truth"]).mean()
         assert error < 0.05  # what softsplat makes comes first

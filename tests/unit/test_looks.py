@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.colour import SRGB
 from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.research.training.augmentation import (
     ALIASED,

@@ -10,9 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.accel.mac_array import MacArray, resident_words, schedule
-from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, QuantisedMlp, infer_reference
-from exwarp_cli.accel.simulation import Simulation, simulate
+from exwarp_cli.accelerator.mac_array import (
+    MacArray,
+    Simulation,
+    resident_words,
+    schedule,
+    simulate,
+)
+from exwarp_cli.accelerator.mlp import PAPER_SIZES, QuantisedMlp, infer_reference
 from tests.unit.mlp_cases import edges, network, states
 
 ARRAYS = st.builds(

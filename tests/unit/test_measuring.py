@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.accel.fixed_point import to_fixed
+from exwarp_cli.accelerator.fixed_point import to_fixed
 from exwarp_cli.domain.decision import PATHS
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.metrics.display import encode
+from exwarp_cli.metrics.display import encode_display
 from exwarp_cli.metrics.registry import METRICS
 from exwarp_cli.models.model_file import CHECKSUMS, shipped_folder
 from exwarp_cli.models.picture_network import (
@@ -27,7 +27,7 @@ from exwarp_cli.models.picture_network import (
 from exwarp_cli.pipeline.decide import features
 from exwarp_cli.policy.features import observe
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
-from exwarp_cli.policy.outcomes import shown
+from exwarp_cli.policy.outcomes import slot_quality
 from exwarp_cli.research.training import outcome_tables
 from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.outcome_tables import (
@@ -107,7 +107,7 @@ def test_outcomes_are_the_scores_of_every_path_s_frames(scene, view, model, cach
     footage = SceneClip(scene, view.variant)
     assert len(footage.intervals) == {0: 3, 2: 2, 4: 1}[view.variant.phase]
     assert found.outcomes.shape == (len(footage.intervals), 5, 2, 2)
-    quality = shown(found.outcomes)
+    quality = slot_quality(found.outcomes)
     for k in footage.intervals:
         interval = replace(footage.causal(k, view.setting), extrapolator=extrapolator)
         assert bool(interval.slots) == (view.setting == "slot") and interval.following is None
@@ -115,7 +115,10 @@ def test_outcomes_are_the_scores_of_every_path_s_frames(scene, view, model, cach
             for slot in (1, 2, 3):
                 made = METHODS[path.lower()].predict(interval, slot).pixels
                 truth = footage.truth(k, slot).pixels
-                wanted = [METRICS[name](encode(truth), encode(made)).overall() for name in JUDGED]
+                wanted = [
+                    METRICS[name](encode_display(truth), encode_display(made)).overall()
+                    for name in JUDGED
+                ]
                 assert quality[k, p, slot - 1].tolist() == wanted
     assert quality[..., 0].std() > 0.1
 

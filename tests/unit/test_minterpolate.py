@@ -11,7 +11,7 @@ from exwarp_cli.domain.frame import Float32
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io import ffmpeg_filters as module
 from exwarp_cli.io.ffmpeg_filters import minterpolate
-from exwarp_cli.metrics.display import encode
+from exwarp_cli.metrics.display import encode_display
 
 STEP = 8
 """Pixels that the picture moves in a key interval."""
@@ -32,7 +32,7 @@ def picture(time: float, height: int = 64, width: int = 96) -> Float32:
 
 def error(found: Float32, time: float) -> float:
     """Mean error of the display values, away from the borders where the picture comes in."""
-    gap = np.abs(encode(found) - encode(picture(time)))
+    gap = np.abs(encode_display(found) - encode_display(picture(time)))
     return float(gap[8:-8, 16:-16].mean())
 
 
@@ -54,7 +54,9 @@ def test_any_size_and_a_still_picture_stays(size):
     frame = np.random.default_rng(1).random((*size, 4), dtype=np.float32)
     for found in minterpolate(None, frame, frame):
         assert found.shape == (*size, 3)
-        assert np.abs(encode(found) - encode(frame)).max() < 5  # 8 bits, through YUV
+        assert (
+            np.abs(encode_display(found) - encode_display(frame)).max() < 5
+        )  # 8 bits, through YUV
 
 
 def test_what_8_bits_cannot_hold_is_cut():
@@ -98,7 +100,7 @@ def test_a_failing_ffmpeg_is_quoted(tmp_path: Path, monkeypatch, script, said):
 
 
 def test_frames_at_other_instants_are_noticed(monkeypatch):
-    true = module._run_minterpolate
-    monkeypatch.setattr(module, "_run_minterpolate", lambda frames: true(frames)[1:])
+    true = module._filtered
+    monkeypatch.setattr(module, "_filtered", lambda frames: true(frames)[1:])
     with pytest.raises(OutputError, match="not at the instants"):
         minterpolate(None, picture(0), picture(1))

@@ -13,8 +13,13 @@ import onnx
 import pytest
 from onnx import TensorProto, helper
 
-from exwarp_cli.domain.extrapolator import INPUTS, INTERFACE, OUTPUT, NetworkInputs
-from exwarp_cli.domain.network import TIME
+from exwarp_cli.domain.network_api import (
+    EXTRAPOLATOR_INPUTS,
+    EXTRAPOLATOR_OUTPUT,
+    EXTRAPOLATOR_VERSION,
+    TIME_INPUT,
+    NetworkInputs,
+)
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.errors import (
     DamagedFileError,
@@ -39,7 +44,7 @@ def random_inputs(height: int, width: int, time: float = 0.5) -> NetworkInputs:
     rng = np.random.default_rng(height * 1000 + width)
     planes = {
         name: rng.standard_normal((count, height, width)).astype(np.float32)
-        for name, count in INPUTS.items()
+        for name, count in EXTRAPOLATOR_INPUTS.items()
     }
     return NetworkInputs(**planes, time=time)
 
@@ -152,13 +157,13 @@ def no_batch() -> onnx.ModelProto:
         helper.make_tensor_value_info("warped", TensorProto.FLOAT, [6, "H", "W"]),
         *inputs(["mask"]),
     ]
-    nodes = [helper.make_node("Identity", ["mask"], [OUTPUT])]
+    nodes = [helper.make_node("Identity", ["mask"], [EXTRAPOLATOR_OUTPUT])]
     return model(nodes, takes)
 
 
 def half_floats() -> onnx.ModelProto:
     takes = [picture("warped", 6, TensorProto.FLOAT16), *inputs(["mask"])]
-    nodes = [helper.make_node("Concat", ["mask", "mask", "mask"], [OUTPUT], axis=1)]
+    nodes = [helper.make_node("Concat", ["mask", "mask", "mask"], [EXTRAPOLATOR_OUTPUT], axis=1)]
     return model(nodes, takes)
 
 
@@ -171,21 +176,23 @@ def fixed_size() -> onnx.ModelProto:
 
 
 def two_times() -> onnx.ModelProto:
-    takes = [*inputs(["warped", "mask"]), picture(TIME, 1)]
+    takes = [*inputs(["warped", "mask"]), picture(TIME_INPUT, 1)]
     return model(filled_warp().graph.node, takes, weights=weights())
 
 
 def four_channels_out() -> onnx.ModelProto:
-    nodes = [helper.make_node("Concat", ["mask"] * 4, [OUTPUT], axis=1)]
-    return model(nodes, inputs(["warped", "mask"]), [picture(OUTPUT, "C")])
+    nodes = [helper.make_node("Concat", ["mask"] * 4, [EXTRAPOLATOR_OUTPUT], axis=1)]
+    return model(nodes, inputs(["warped", "mask"]), [picture(EXTRAPOLATOR_OUTPUT, "C")])
 
 
 def half_size_out() -> onnx.ModelProto:
     nodes = [
         helper.make_node("Concat", ["mask"] * 3, ["three"], axis=1),
-        helper.make_node("AveragePool", ["three"], [OUTPUT], kernel_shape=[2, 2], strides=[2, 2]),
+        helper.make_node(
+            "AveragePool", ["three"], [EXTRAPOLATOR_OUTPUT], kernel_shape=[2, 2], strides=[2, 2]
+        ),
     ]
-    made = picture(OUTPUT, 3)
+    made = picture(EXTRAPOLATOR_OUTPUT, 3)
     made.type.tensor_type.shape.dim[2].dim_param = "half H"
     made.type.tensor_type.shape.dim[3].dim_param = "half W"
     return model(nodes, inputs(["warped", "mask"]), [made])
@@ -205,7 +212,7 @@ MISFITS: list[tuple[Callable[[], onnx.ModelProto], tuple[str, ...]]] = [
     (half_size_out, ("gives [1, 3, 20, 28]", "[1, 3, 40, 56]")),
     (lambda: filled_warp(exwarp__stride="0"), ("exwarp.stride = '0'", "from 1 to 256")),
     (lambda: filled_warp(exwarp__stride="eight"), ("exwarp.stride = 'eight'",)),
-    (lambda: filled_warp(exwarp__interface="exwarp.extrapolator/9"), ("/9", INTERFACE)),
+    (lambda: filled_warp(exwarp__interface="exwarp.extrapolator/9"), ("/9", EXTRAPOLATOR_VERSION)),
     (lambda: convolution(scale=2, exwarp__stride="1"), ("fails on 7x5 pixels", "exwarp.stride")),
 ]
 
@@ -227,7 +234,7 @@ class TestRefusals:
             load(filled_warp(gain))(random_inputs(8, 8))
 
     def test_the_interface_may_be_stated(self, load):
-        load(filled_warp(exwarp__interface=INTERFACE))
+        load(filled_warp(exwarp__interface=EXTRAPOLATOR_VERSION))
 
     @pytest.mark.parametrize(
         "data",

@@ -10,8 +10,7 @@ import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.kernels.holes import FOOTPRINTS
-from exwarp_cli.kernels.patches import FARTHEST
-from exwarp_cli.kernels.reach import SPAN
+from exwarp_cli.kernels.splat import PATCH_REACH, REACH_SPAN
 from exwarp_cli.synthesis.motion_fields import (
     SlotField,
     compose,
@@ -228,11 +227,11 @@ class TestDisplacement:
         np.testing.assert_array_equal(motion, displacement(gbuffer, 0.75))
         np.testing.assert_array_equal(reach, reach_of(motion))
         for i, row in enumerate(motion):
-            spans = [*np.split(row, range(SPAN, width, SPAN)), row]
+            spans = [*np.split(row, range(REACH_SPAN, width, REACH_SPAN)), row]
             assert len(reach[i]) == len(spans)
             for (low, high), span in zip(reach[i], spans, strict=True):
                 led = (np.float32(i) + span[:, 1])[~np.isnan(span[:, 1])]
-                near = (low + FARTHEST, high - FARTHEST)
+                near = (low + PATCH_REACH, high - PATCH_REACH)
                 assert near == (pytest.approx((led.min(), led.max())) if len(led) else near)
                 assert (low > high) == (len(led) == 0)
 

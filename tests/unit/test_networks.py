@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from exwarp_cli.domain.extrapolator import NetworkInputs
-from exwarp_cli.domain.network import TIME
+from exwarp_cli.domain.network_api import TIME_INPUT, NetworkInputs
 from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.extrapolation_network import (
     ARCHITECTURES,
@@ -69,7 +68,7 @@ def test_candidates_are_counted_right():
         filled = given["warped"][:, 3:]
         flow = torch.zeros(1, 2 * architecture.flow, 32, 32)
         sides = network._sides(filled, given["mask"])
-        when = given[TIME].reshape(-1, 1, 1, 1)
+        when = given[TIME_INPUT].reshape(-1, 1, 1, 1)
         made = network._candidates(filled, given["history"], when, flow, sides)
         assert not architecture.candidates or len(made) == network.candidate_count
 
@@ -167,7 +166,7 @@ def test_threads_and_the_runtime_change_nothing(patched, size):
     network, path = patched
     height, width = (n + -n % STRIDE for n in size)
     given = example(height, width)
-    pictures = {name: p[0].numpy() for name, p in given.items() if name != TIME}
+    pictures = {name: p[0].numpy() for name, p in given.items() if name != TIME_INPUT}
     cut = {name: p[:, : size[0], : size[1]] for name, p in pictures.items()}
     # Rows and columns up to the next multiple repeat the edge, as the model's runner does it.
     whole = {
@@ -176,7 +175,7 @@ def test_threads_and_the_runtime_change_nothing(patched, size):
     }
     with torch.no_grad():
         tensors = {name: torch.from_numpy(p)[None] for name, p in whole.items()}
-        expected = network(**tensors, time=given[TIME])[0, :, : size[0], : size[1]].numpy()
+        expected = network(**tensors, time=given[TIME_INPUT])[0, :, : size[0], : size[1]].numpy()
     answers = [
         load_extrapolator(path, threads, "cpu")(NetworkInputs(**cut, time=0.5))
         for threads in (1, 2, 3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.colour import SRGB
 from exwarp_cli.domain.frame import Image, KeyFrame, Window
 from exwarp_cli.synthesis import optical_flow
 from exwarp_cli.synthesis.look_ahead import LookAhead

@@ -38,21 +38,21 @@ def many(count: int) -> np.ndarray:
 
 class TestTwins:
     def test_rewards(self):
-        found = outcomes.rewards(many(20))
+        found = outcomes.choice_rewards(many(20))
         assert found.shape == (20, 5, 2)
         for got, given_ in zip(found, many(20), strict=True):
             expected = [paper.reward(quality(given_), *step) for step in STEPS]
             np.testing.assert_allclose(got.ravel(), expected, rtol=0, atol=1e-12)
 
     def test_returns(self):
-        found = outcomes.returns(many(20))
+        found = outcomes.path_returns(many(20))
         assert found.shape == (20, 6)
         for got, given_ in zip(found, many(20), strict=True):
             expected = [paper.total(quality(given_), path) for path in paper.PATHS]
             np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12)
 
     def test_what_is_shown(self):
-        found = outcomes.shown(many(20))
+        found = outcomes.slot_quality(many(20))
         assert found.shape == (20, 6, 3, 2)
         for got, given_ in zip(found, many(20), strict=True):
             expected = [[quality(given_)[step] for step in steps] for steps in paper.SHOWN.values()]
@@ -81,10 +81,10 @@ class TestPenalty:
         """All frames equally good: S1 drops two slots, S2 one, the others none."""
         still = np.full((5, 2, 2), 0.75)
         expected = [-0.2, -0.1, 0, 0, 0, 0]
-        np.testing.assert_allclose(outcomes.returns(still), expected, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(outcomes.path_returns(still), expected, rtol=0, atol=1e-15)
 
     def test_it_is_docked_for_the_choice_and_not_for_the_other(self):
-        docked = outcomes.rewards(np.zeros((5, 2, 2)))
+        docked = outcomes.choice_rewards(np.zeros((5, 2, 2)))
         assert {step for step, r in zip(STEPS, docked.ravel(), strict=True) if r} == paper.DROPS
         assert set(docked.ravel()) == {0.0, -0.1}
 
@@ -131,5 +131,5 @@ class TestBest:
         """Only differences count, so that a harder interval is no worse a decision."""
         moved = found + np.array([shift, 0.0])
         np.testing.assert_allclose(
-            outcomes.returns(moved), outcomes.returns(found), rtol=0, atol=1e-9
+            outcomes.path_returns(moved), outcomes.path_returns(found), rtol=0, atol=1e-9
         )

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, NODES, PATHS, WARP
-from exwarp_cli.domain.extrapolator import NetworkInputs
 from exwarp_cli.domain.frame import Float32, KeyFrame
+from exwarp_cli.domain.network_api import NetworkInputs
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.synthesis.extrapolation import encode
 from exwarp_cli.synthesis.history import older_key_frames

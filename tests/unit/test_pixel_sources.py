@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.frame import broken_pixels
+from exwarp_cli.domain.frame import nonfinite_pixels
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.shot_files import count_nonfinite
 from exwarp_cli.synthesis.layer_retiming import PixelSources, unmoved_sources
@@ -90,9 +90,9 @@ def test_without_a_depth_all_surfaces_are_alike(unknown):
 @pytest.mark.parametrize("kind", [np.float16, np.float32])
 def test_broken_pixels_are_found_in_both_types(kind, value):
     pixels = np.zeros((*SHAPE, 3), kind)
-    assert not broken_pixels(pixels).any()
+    assert not nonfinite_pixels(pixels).any()
     pixels[1, 2, 0] = pixels[1, 2, 2] = pixels[4, 6, 1] = value
-    assert np.argwhere(broken_pixels(pixels)).tolist() == [[1, 2], [4, 6]]
+    assert np.argwhere(nonfinite_pixels(pixels)).tolist() == [[1, 2], [4, 6]]
     assert count_nonfinite((pixels,)) == 2
     assert count_nonfinite(pixels[..., i] for i in range(3)) == 2
     assert count_nonfinite((pixels,), Role.DEPTH) == (2 if np.isnan(value) else 0)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.accel.quantised_mlp import QuantisedMlp
+from exwarp_cli.accelerator.mlp import QuantisedMlp
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, OutputError
 from exwarp_cli.models import model_file, policy_files
 from exwarp_cli.models.model_file import CHECKSUMS

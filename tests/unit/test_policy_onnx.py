@@ -10,8 +10,7 @@ import onnx
 import onnxruntime
 import pytest
 
-from exwarp_cli.accel.kernel import MlpKernel
-from exwarp_cli.accel.quantised_mlp import QuantisedMlp, infer_reference
+from exwarp_cli.accelerator.mlp import MlpKernel, QuantisedMlp, infer_reference
 from exwarp_cli.research.training.onnx_export import STATE, VALUES, export_float, export_integer
 from tests.unit.mlp_cases import edges, network, states
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.decision import NODES
-from exwarp_cli.policy.outcomes import PENALTIES, rewards
+from exwarp_cli.policy.outcomes import PENALTIES, choice_rewards
 from exwarp_cli.research.training import policy_scores
 from exwarp_cli.research.training.outcome_tables import PolicyTable
 from exwarp_cli.research.training.policy_scores import fit_regression, predict_rewards
@@ -36,7 +36,7 @@ def test_linear_rewards_are_found_node_by_node(unhindered):
     known, unseen = linear(random_table(300, 1)), linear(random_table(50, 2))
     found = fit_regression([known])
     assert found.shape == (5, 45, 2)
-    wanted = rewards(unseen.outcomes)
+    wanted = choice_rewards(unseen.outcomes)
     assert wanted.std() > 2
     np.testing.assert_allclose(predict_rewards(found, unseen), wanted, atol=1e-4)
 

@@ -12,7 +12,7 @@ import pytest
 
 from exwarp_cli.domain.decision import NODES, Features
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
-from exwarp_cli.policy.state import PASSED, SCALES, Surroundings
+from exwarp_cli.policy.state import PRECEDING_NODES, SCALES, StateHistory
 from exwarp_cli.research.training.outcome_tables import (
     SCHEMA,
     TABLES,
@@ -45,11 +45,11 @@ class TestStates:
     def test_they_are_what_a_run_gives_to_the_policy(self, row):
         start = max(first for first in STARTS if first <= row)
         before = tuple(features_of(k, 0) for k in range(row - 1, max(start, row - 3) - 1, -1))
-        around = Surroundings(
+        around = StateHistory(
             (features_of(row, 0), features_of(row, 1), features_of(row, 2)), before
         )
         passed = {"d1": [], "d2": ["d1"], "d3": ["d1"], "d4": ["d1", "d2"], "d5": ["d1", "d2"]}
-        assert {node: list(nodes) for node, nodes in PASSED.items()} == passed
+        assert {node: list(nodes) for node, nodes in PRECEDING_NODES.items()} == passed
         found = TABLE.states
         assert found.shape == (14, 5, 44) and found.dtype == np.float64
         assert (found >= 0).all() and (found <= 1).all()

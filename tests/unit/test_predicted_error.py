@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from exwarp_cli.domain.frame import Image, KeyFrame, Window
-from exwarp_cli.domain.risk import REASONS, ROWS, Risk, code_of, edges, level_of
+from exwarp_cli.domain.tiles import REASONS, TILE_ROWS, Risk, decode_level, encode_level, tile_edges
 from exwarp_cli.synthesis.mosaic import Tiles
 from exwarp_cli.synthesis.predicted_error import (
     MIXED,
@@ -39,9 +39,9 @@ risks = st.integers(1, 20).flatmap(
         Risk,
         st.floats(0, 255, width=32),
         st.just(columns),
-        st.just(ROWS),
-        tiles_of(ROWS * columns, 129),
-        tiles_of(ROWS * columns, len(REASONS)),
+        st.just(TILE_ROWS),
+        tiles_of(TILE_ROWS * columns, 129),
+        tiles_of(TILE_ROWS * columns, len(REASONS)),
     )
 )
 
@@ -59,7 +59,7 @@ def test_what_is_no_list_of_tiles_is_refused(text):
 
 @given(st.floats(0, 255))
 def test_a_tile_keeps_its_error_to_four_per_cent(level):
-    assert level_of(code_of(level)) == pytest.approx(level, rel=0.045, abs=0.045)
+    assert decode_level(encode_level(level)) == pytest.approx(level, rel=0.045, abs=0.045)
 
 
 @pytest.mark.parametrize("display", [CANVAS, Window(5, 3, 31, 17), Window(-9, -4, 90, 60)])
@@ -67,7 +67,7 @@ def test_means_are_those_of_each_tiles_pixels(display):
     tiles = Tiles(CANVAS, display)
     assert tiles.stride == 1
     (means,) = tiles.means([NOISE[..., 0]])
-    down, across = edges(display.height, ROWS), edges(display.width, tiles.columns)
+    down, across = tile_edges(display.height, TILE_ROWS), tile_edges(display.width, tiles.columns)
     for row, column in np.ndindex(means.shape):
         top, bottom = (display.y + down[row + i] for i in (0, 1))
         left, right = (display.x + across[column + i] for i in (0, 1))
@@ -116,7 +116,7 @@ def test_only_what_neither_side_shows_is_unseen():
     left, right = (np.zeros((HEIGHT, WIDTH), np.bool_) for _ in range(2))
     left[:, :24], right[:, 16:] = True, True
     found = seen(warped(NOISE, left), warped(NOISE, right))
-    assert (found.unseen[:, 2] == 1).all() and found.unseen.sum() == ROWS
+    assert (found.unseen[:, 2] == 1).all() and found.unseen.sum() == TILE_ROWS
     assert not found.light.any()
 
 
@@ -150,14 +150,14 @@ def test_broken_pixels_leave_every_number_finite():
 
 
 def test_the_largest_cause_is_the_reason():
-    tiles = np.zeros((6, ROWS, TILES.columns))
+    tiles = np.zeros((6, TILE_ROWS, TILES.columns))
     tiles[1, 0, 0] = tiles[3, 0, 1] = tiles[2, 0, 2] = 500.0
     risk = predict_risk(tiles, MIXED, 0.5)
     assert [REASONS[reason] for reason in risk.reasons[:3]] == ["light", "holes", "motion"]
 
 
 def test_errors_grow_with_the_time_since_the_key_frame_and_peak_halfway_between_two():
-    tiles = np.ones((6, ROWS, TILES.columns))
+    tiles = np.ones((6, TILE_ROWS, TILES.columns))
     warps = [predict_risk(tiles, WARPED, time).error for time in (0.25, 0.5, 0.75)]
     mixes = [predict_risk(tiles, MIXED, time).error for time in (0.25, 0.5, 0.75)]
     assert warps == sorted(warps) and warps[0] < warps[2]

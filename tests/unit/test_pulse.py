@@ -8,8 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exwarp_cli.metrics.display import PEAK
-from exwarp_cli.metrics.pulse import BAND, MOST, between, mean_gradient, measure, pulse
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.metrics.registry import score_frame
+from exwarp_cli.metrics.temporal import (
+    MAX_PULSE,
+    ROWS_AT_ONCE,
+    interpolate_gradient,
+    mean_gradient,
+    measure_pulse,
+    pulse,
+)
 from tests.reference import pulse as naive
 
 
@@ -40,7 +47,9 @@ def test_the_gradient_is_that_of_the_definition(seed, height, width, channels) -
     assert mean_gradient(pixels) == pytest.approx(naive.mean_gradient(pixels), rel=1e-5, abs=1e-4)
 
 
-@pytest.mark.parametrize("height", [BAND - 1, BAND, BAND + 1, 2 * BAND + 3])
+@pytest.mark.parametrize(
+    "height", [ROWS_AT_ONCE - 1, ROWS_AT_ONCE, ROWS_AT_ONCE + 1, 2 * ROWS_AT_ONCE + 3]
+)
 def test_bands_of_rows_leave_no_seam(height: int) -> None:
     pixels = frame(height, height, 5, 3)
     assert mean_gradient(pixels) == pytest.approx(naive.mean_gradient(pixels), rel=1e-5)
@@ -48,8 +57,8 @@ def test_bands_of_rows_leave_no_seam(height: int) -> None:
 
 def test_pulse_is_that_of_the_definition() -> None:
     truth, test = frame(1, 20, 30, 3), frame(2, 20, 30, 3) * np.float32(0.7)
-    assert measure(truth, test) == pytest.approx(naive.pulse(test, truth), abs=1e-3)
-    assert score(truth, test, None)[0].pulse == measure(truth, test)
+    assert measure_pulse(truth, test) == pytest.approx(naive.pulse(test, truth), abs=1e-3)
+    assert score_frame(truth, test, None)[0].pulse == measure_pulse(truth, test)
 
 
 def test_the_gradient_of_bars_is_their_contrast() -> None:
@@ -66,24 +75,24 @@ def test_green_counts_more_than_blue() -> None:
 
 def test_a_soft_frame_is_negative_and_a_sharp_one_positive() -> None:
     truth = blurred(frame(3, 40, 50, 3).clip(0, 1))
-    assert measure(truth, truth) == 0
-    assert measure(truth, blurred(truth)) < -5
-    assert measure(truth, 2 * truth - blurred(truth)) > 5
-    assert measure(truth, truth[:, ::-1]) == pytest.approx(0, abs=1e-9)
+    assert measure_pulse(truth, truth) == 0
+    assert measure_pulse(truth, blurred(truth)) < -5
+    assert measure_pulse(truth, 2 * truth - blurred(truth)) > 5
+    assert measure_pulse(truth, truth[:, ::-1]) == pytest.approx(0, abs=1e-9)
 
 
 def test_a_flat_frame_has_lost_everything() -> None:
-    assert measure(bars(0, 1), constant(0.5)) == -100
+    assert measure_pulse(bars(0, 1), constant(0.5)) == -100
 
 
 def test_constant_frames_do_not_pulse() -> None:
     assert mean_gradient(constant(0.3)) == 0
-    assert measure(constant(0.1), constant(0.8)) == 0
+    assert measure_pulse(constant(0.1), constant(0.8)) == 0
 
 
 def test_no_pulse_is_infinite() -> None:
-    assert measure(constant(0.1), bars(0, 1)) == MOST
-    assert pulse(1.0, 1e-300) == MOST
+    assert measure_pulse(constant(0.1), bars(0, 1)) == MAX_PULSE
+    assert pulse(1.0, 1e-300) == MAX_PULSE
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -91,16 +100,16 @@ def test_broken_pixels_leave_it_finite(value: float) -> None:
     truth = frame(5, 9, 12, 3)
     broken = truth.copy()
     broken[4, 4] = value
-    assert np.isfinite(measure(truth, broken)) and np.isfinite(measure(broken, truth))
+    assert np.isfinite(measure_pulse(truth, broken)) and np.isfinite(measure_pulse(broken, truth))
 
 
 def test_alpha_and_holes_do_not_count() -> None:
     truth, test = frame(6, 9, 12, 4), frame(7, 9, 12, 4)
-    assert measure(truth, test) == measure(truth[..., :3], test[..., :3])
-    _, inside = score(truth, test, np.ones((9, 12), bool))
+    assert measure_pulse(truth, test) == measure_pulse(truth[..., :3], test[..., :3])
+    _, inside = score_frame(truth, test, np.ones((9, 12), bool))
     assert inside is not None and inside.pulse is None
 
 
 def test_the_reference_goes_from_one_key_frame_to_the_next() -> None:
-    assert between(4.0, 8.0, 0.25) == 5
-    assert between(4.0, None, 0.75) == 4
+    assert interpolate_gradient(4.0, 8.0, 0.25) == 5
+    assert interpolate_gradient(4.0, None, 0.75) == 4

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from exwarp_cli.domain.results import FrameKind, FrameRecord
-from exwarp_cli.domain.risk import REASONS, ROWS, Risk, code_of
+from exwarp_cli.domain.tiles import REASONS, TILE_ROWS, Risk, encode_level
 from exwarp_cli.report.csv_tables import format_review_csv, format_review_txt
 from exwarp_cli.report.review import (
     frames_worth_rendering,
@@ -23,11 +23,11 @@ SIZE = 64, 32
 
 def risky(number: int, error: float, bad: dict[tuple[int, int], tuple[float, str]]) -> FrameRecord:
     """Return a frame with this error, and tiles (row, column) with theirs and its reason."""
-    codes, reasons = [code_of(1.0)] * (ROWS * COLUMNS), [0] * (ROWS * COLUMNS)
+    codes, reasons = [encode_level(1.0)] * (TILE_ROWS * COLUMNS), [0] * (TILE_ROWS * COLUMNS)
     for (row, column), (level, reason) in bad.items():
-        codes[row * COLUMNS + column] = code_of(level)
+        codes[row * COLUMNS + column] = encode_level(level)
         reasons[row * COLUMNS + column] = REASONS.index(reason)
-    risk = Risk(error, COLUMNS, ROWS, tuple(codes), tuple(reasons))
+    risk = Risk(error, COLUMNS, TILE_ROWS, tuple(codes), tuple(reasons))
     return record(number, 1001, 1, FrameKind.GENERATED, risk=risk)
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window, place
+from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window, place_on_canvas
 from exwarp_cli.research.training.augmentation import Look, deliver, mirror, reverse_time
 from exwarp_cli.synthesis.holds import adapt_motion_to_holds
 from exwarp_cli.synthesis.motion_fields import settle_motion
@@ -438,7 +438,7 @@ class TestBend:
     def test_on_another_window(self, canvas):
         _, _, found = spinning()
         moved = displacement(found.on(canvas), 0.5)
-        expected = place(displacement(found, 0.5), found.window, canvas, np.nan)
+        expected = place_on_canvas(displacement(found, 0.5), found.window, canvas, np.nan)
         np.testing.assert_array_equal(moved, expected)
 
     def test_of_motion_and_depth_alone(self):

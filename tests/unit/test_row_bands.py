@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from exwarp_cli.kernels import _compile, _row_bands
-from exwarp_cli.kernels._row_bands import LEAST_SHARES, WHOLE, Share, turns
+from exwarp_cli.kernels._row_bands import ALL, MIN_BANDS, Band, band_range
 from tests.unit.all_kernel_cases import CASES
 
 
-def count(values: np.ndarray, seen: np.ndarray, share: Share = WHOLE) -> None:
-    for i in turns(values.size, share):
+def count(values: np.ndarray, seen: np.ndarray, share: Band = ALL) -> None:
+    for i in band_range(values.size, share):
         values[i] += 1
         seen[i] = share[1]
 
@@ -26,15 +26,15 @@ def count(values: np.ndarray, seen: np.ndarray, share: Share = WHOLE) -> None:
 @pytest.mark.parametrize("many", [0, 1, 2, 7, 100, 2**31])
 @pytest.mark.parametrize("number", [1, 2, 3, 8])
 def test_shares_follow_each_other_and_are_alike(many, number):
-    found = [turns(many, (k, number)) for k in range(number)]
+    found = [band_range(many, (k, number)) for k in range(number)]
     assert found[0].start == 0 and found[-1].stop == many
     assert all(a.stop == b.start for a, b in itertools.pairwise(found))
     assert max(map(len, found)) - min(map(len, found)) <= 1
 
 
 def test_compiled_turns_are_the_same():
-    def ends(count: int, share: Share) -> tuple[int, int, int]:
-        found = turns(count, share)
+    def ends(count: int, share: Band) -> tuple[int, int, int]:
+        found = band_range(count, share)
         return found.start, found.stop, found.step
 
     compiled = numba.njit(ends)
@@ -48,17 +48,17 @@ def test_compiled_turns_are_the_same():
 @pytest.mark.parametrize("size", [0, 1, 5, 1000])
 def test_every_turn_is_taken_once(number, size):
     values, seen = np.zeros(size), np.zeros(size)
-    _row_bands.run(count, (values, seen), number)
+    _row_bands.run_bands(count, (values, seen), number)
     assert (values == 1).all()
-    assert (seen == (1 if number == 1 else max(number, LEAST_SHARES))).all()
+    assert (seen == (1 if number == 1 else max(number, MIN_BANDS))).all()
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_kernels_give_the_same_in_any_number_of_shares(name, monkeypatch):
     expected = CASES[name](True)
-    for number in (2, 5, LEAST_SHARES):
+    for number in (2, 5, MIN_BANDS):
         monkeypatch.setattr(_row_bands, "threads", lambda number=number: number)
-        monkeypatch.setattr(_row_bands, "LEAST_SHARES", number)
+        monkeypatch.setattr(_row_bands, "MIN_BANDS", number)
         for one, other in zip(expected, CASES[name](False), strict=True):
             assert one.tobytes() == other.tobytes()
 
@@ -72,24 +72,24 @@ class TestThreads:
             released = threading.Event()
             busy.submit(released.wait)
             monkeypatch.setattr(_row_bands, "_pool", lambda: busy)
-            _row_bands.run(lambda share: takers.append(threading.get_ident()), (), 4)
+            _row_bands.run_bands(lambda share: takers.append(threading.get_ident()), (), 4)
             released.set()
-        assert takers == [threading.get_ident()] * LEAST_SHARES
+        assert takers == [threading.get_ident()] * MIN_BANDS
 
     @pytest.mark.parametrize("bad", [0, 1, 2])
     def test_an_error_is_raised_once_no_thread_works_any_more(self, bad):
         ended: list[int] = []
 
-        def fail(share: Share) -> None:
+        def fail(share: Band) -> None:
             if share[0] == bad:
                 raise MemoryError
             threading.Event().wait(0.02)
             ended.append(share[0])
 
         with pytest.raises(MemoryError):
-            _row_bands.run(fail, (), 3)
+            _row_bands.run_bands(fail, (), 3)
         seen = list(ended)
-        assert len(seen) < LEAST_SHARES - 1  # no thread took another after that
+        assert len(seen) < MIN_BANDS - 1  # no thread took another after that
         threading.Event().wait(0.06)
         assert ended == seen
 
@@ -101,7 +101,7 @@ class TestThreads:
             monkeypatch.setattr(_row_bands, "wait", real)
             raise KeyboardInterrupt
 
-        def work(share: Share) -> None:
+        def work(share: Band) -> None:
             if share[0]:
                 begun.set()
                 threading.Event().wait(0.05)
@@ -111,11 +111,11 @@ class TestThreads:
 
         monkeypatch.setattr(_row_bands, "wait", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            _row_bands.run(work, (), 2)
+            _row_bands.run_bands(work, (), 2)
         assert ended.is_set()
 
     def test_kernels_of_several_threads_at_once(self):
-        kernel = _compile.parallel(count)
+        kernel = _compile.kernel(parallel=True)(count)
 
         def work(_: int) -> bool:
             _row_bands.set_threads(None)
@@ -129,7 +129,7 @@ class TestThreads:
 
     @pytest.mark.skipif(not hasattr(_row_bands.os, "fork"), reason="this system does not fork")
     def test_a_child_has_threads_of_its_own(self):
-        _row_bands.run(count, (np.zeros(9), np.zeros(9)), 3)
+        _row_bands.run_bands(count, (np.zeros(9), np.zeros(9)), 3)
         child = multiprocessing.get_context("fork").Process(target=_count_in_shares)
         child.start()
         child.join(30)
@@ -148,5 +148,5 @@ def test_each_thread_has_its_number_of_threads():
 
 def _count_in_shares() -> None:
     values = np.zeros(9)
-    _row_bands.run(count, (values, np.zeros(9)), 3)
+    _row_bands.run_bands(count, (values, np.zeros(9)), 3)
     assert (values == 1).all()

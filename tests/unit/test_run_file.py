@@ -13,9 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision, Features
-from exwarp_cli.domain.gate import Trial
+from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision, Features, Trial
 from exwarp_cli.domain.results import (
     BrokenPixels,
     FrameKind,
@@ -29,8 +27,8 @@ from exwarp_cli.domain.results import (
     Score,
     WrittenFile,
 )
-from exwarp_cli.domain.risk import Risk
-from exwarp_cli.domain.tiles import TileMakers
+from exwarp_cli.domain.tiles import Risk, TileMakers
+from exwarp_cli.domain.timeline import Cut
 from exwarp_cli.report.run_file import format_run, parse_run
 from exwarp_cli.report.schema import run_document
 from tests.unit.sample_runs import interval, path_run, run

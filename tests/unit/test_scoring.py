@@ -11,8 +11,8 @@ import pytest
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.io.display_colour import to_display
 from exwarp_cli.io.ffmpeg_filters import compute_vmaf
-from exwarp_cli.metrics.flicker import error
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.metrics.registry import score_frame
+from exwarp_cli.metrics.temporal import display_error
 from exwarp_cli.pipeline.scoring import IntervalScores, flicker_of, steps_of, vmaf_of
 from exwarp_cli.synthesis.motion_fields import SlotField
 from tests.reference import flicker as naive
@@ -88,7 +88,7 @@ def test_flicker_follows_the_interval_between_two_rendered_frames() -> None:
         within = per_pixel[counted & MASKS[slot]].mean()
         assert inside.flicker == pytest.approx(within, abs=1e-3)
         assert (inside.vmaf, overall.ssim) == (None, None)
-        assert overall.psnr_db == score(TRUTH[slot], TEST[slot], None)[0].psnr_db
+        assert overall.psnr_db == score_frame(TRUTH[slot], TEST[slot], None)[0].psnr_db
     last = scored(end=False)[3][0].flicker
     assert last == pytest.approx(means[3], abs=1e-3), "no rendered frame follows"
 
@@ -131,7 +131,7 @@ def test_without_motion_there_is_no_flicker() -> None:
 
 def test_what_is_not_chosen_is_not_measured() -> None:
     (overall, inside) = scored(names=("ssim",))[1]
-    known = score(TRUTH[1], TEST[1], MASKS[1], ("ssim",))
+    known = score_frame(TRUTH[1], TEST[1], MASKS[1], ("ssim",))
     assert (overall, inside) == known
     assert [name for name, value in vars(overall).items() if value is not None] == ["ssim"]
 
@@ -139,7 +139,7 @@ def test_what_is_not_chosen_is_not_measured() -> None:
 def test_flicker_of_agrees_with_the_scores_of_a_run() -> None:
     steps = steps_of(interval(), DISPLAY)
     assert steps is not None
-    errors = {slot: error(TRUTH[slot], TEST[slot]) for slot in TEST}
+    errors = {slot: display_error(TRUTH[slot], TEST[slot]) for slot in TEST}
     found = scored()
     expected = [(found[i][0].flicker, found[i][1].flicker) for i in (1, 2, 3)]
     assert flicker_of(errors, MASKS, steps) == expected

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.extrapolator import Extrapolator
 from exwarp_cli.domain.frame import SURFACE_PARTS
+from exwarp_cli.domain.network_api import Extrapolator
 from exwarp_cli.io.dataset import open_scene
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.metrics.registry import score_frame
 from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.methods import METHODS
@@ -40,7 +40,7 @@ def test_it_is_better_than_the_warp(network, setting, left_out):
     for slot in (2, 3):
         truth = footage.truth(2, slot).pixels
         scores = [
-            score(truth, METHODS[name].predict(interval, slot).pixels, None)[0]
+            score_frame(truth, METHODS[name].predict(interval, slot).pixels, None)[0]
             for name in ("s3", "s6")
         ]
         gains.append(scores[0].psnr_db - scores[1].psnr_db)

@@ -8,7 +8,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from exwarp_cli.domain.frame import place
+from exwarp_cli.domain.frame import place_on_canvas
 from exwarp_cli.errors import LayoutError, MissingFrameError
 from exwarp_cli.io.channel_map import ChannelMap, parse_aovs
 from exwarp_cli.io.channels import Role
@@ -58,7 +58,7 @@ class TestStereoLayouts:
             np.testing.assert_array_equal(
                 depth[INNER], np.where(wanted > 1e9, np.inf, wanted)[INNER]
             )
-            motion = place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
+            motion = place_on_canvas(raw.motion, raw.gbuffer.window, shot.display, np.nan)
             first = expected["Vector.Z"] * -1 if layout == "nuke" else expected["Vector.X"]
             np.testing.assert_array_equal(motion[INNER][..., 0], first[INNER])
 

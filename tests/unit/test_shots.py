@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.cuts import Cut, CutWish
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
+from exwarp_cli.domain.timeline import Cut, CutOption
 from exwarp_cli.errors import MissingFrameError
 from exwarp_cli.pipeline.shots import Shots, pairs_within
 from tests.unit.scenes import Scene, town, vec
@@ -18,7 +18,7 @@ NUMBERS = tuple(range(1001, 1009))
 CUT = 4
 """Index of the key frame after the cut."""
 
-AUTO, NONE = CutWish(), CutWish(detect=False)
+AUTO, NONE = CutOption(), CutOption(detect=False)
 
 
 def elsewhere() -> Scene:
@@ -38,7 +38,7 @@ def frame(key: int, cut: int | None = CUT, **vectors: np.ndarray) -> KeyFrame:
 class Footage:
     """Key frames, and which of them were read."""
 
-    def __init__(self, wish: CutWish, made: Callable[[int], KeyFrame] = frame) -> None:
+    def __init__(self, wish: CutOption, made: Callable[[int], KeyFrame] = frame) -> None:
         self.seen: list[int] = []
         self._made = made
         self.shots = Shots(wish, NUMBERS, self.read)
@@ -64,27 +64,27 @@ class TestStarts:
         assert footage.seen == []
 
     def test_given_ones_are_not_looked_at(self):
-        footage = Footage(CutWish(False, (1003, 1005)))
+        footage = Footage(CutOption(False, (1003, 1005)))
         assert [key for key in range(8) if footage.shots.starts_at(key)] == [2, 4]
         assert footage.seen == []
         assert footage.shots.cuts == (Cut(1003, "given"), Cut(1005, "given"))
 
     def test_both(self):
-        footage = Footage(CutWish(True, (1005, 1006)))
+        footage = Footage(CutOption(True, (1005, 1006)))
         assert footage.shots.starts_at(CUT) and footage.shots.starts_at(CUT + 1)
         assert footage.seen == []
         assert not footage.shots.starts_at(1)
         assert footage.seen == [0, 1]
 
     @pytest.mark.parametrize(
-        ("wish", "expected"), [(NONE, None), (AUTO, ()), (CutWish(False, (1001,)), ())]
+        ("wish", "expected"), [(NONE, None), (AUTO, ()), (CutOption(False, (1001,)), ())]
     )
     def test_none_by_will_is_no_list(self, wish, expected):
         assert Footage(wish).shots.cuts == expected
 
     def test_a_given_one_has_to_be_there(self):
         with pytest.raises(MissingFrameError, match="frame 1010 of --cuts"):
-            Footage(CutWish(False, (1010,)))
+            Footage(CutOption(False, (1010,)))
 
     def test_what_was_forgotten_is_read_again_but_stays_known(self):
         footage = Footage(AUTO)
@@ -104,7 +104,7 @@ class TestStarts:
         ("key", "back", "begin"), [(3, 2, 1), (3, 9, 0), (4, 3, 4), (6, 1, 5), (6, 2, 4), (7, 5, 4)]
     )
     def test_history_ends_at_the_cut(self, key, back, begin):
-        footage = Footage(CutWish(False, (1005,)))
+        footage = Footage(CutOption(False, (1005,)))
         assert footage.shots.begin(key, back) == begin
 
 
@@ -121,9 +121,9 @@ def field(x: float, y: float = 0.0) -> np.ndarray:
 class TestVectorsAtACut:
     """Lengths are pixels of 128 in width, so a change of 1.3 tells."""
 
-    GIVEN = CutWish(False, (1005,))
+    GIVEN = CutOption(False, (1005,))
 
-    def left(self, key: int, wish: CutWish = GIVEN, **vectors: np.ndarray) -> str:
+    def left(self, key: int, wish: CutOption = GIVEN, **vectors: np.ndarray) -> str:
         footage = Footage(wish, lambda k: frame(k, **vectors) if k == key else frame(k))
         made = frame(key, **vectors)
         assert made.gbuffer is not None
@@ -155,7 +155,7 @@ class TestVectorsAtACut:
         assert self.left(key, to_next=field(40.0), to_previous=field(3.0)) == "previous next"
 
     def test_of_a_shot_of_one_frame_the_shorter_stay(self):
-        wish = CutWish(False, (1004, 1005))
+        wish = CutOption(False, (1004, 1005))
         assert self.left(3, wish, to_next=field(3.0), to_previous=field(40.0)) == "next"
         assert self.left(3, wish, to_next=field(40.0), to_previous=field(3.0)) == "previous"
 
@@ -191,11 +191,11 @@ class TestRecipes:
         [(1, 3, []), (3, 3, ["end"]), (4, 0, ["begin 0"]), (5, 3, ["begin -1"]), (5, 0, [])],
     )
     def test_what_a_cut_changes_is_listed(self, key, back, changes):
-        footage = Footage(CutWish(False, (1005,)))
+        footage = Footage(CutOption(False, (1005,)))
         assert footage.shots.cut_facts(key, back, (key,)) == changes
 
     def test_vectors_too(self):
-        footage = Footage(CutWish(False, (1005,)), lambda k: frame(k, to_next=field(40.0)))
+        footage = Footage(CutOption(False, (1005,)), lambda k: frame(k, to_next=field(40.0)))
         assert footage.shots.cut_facts(3, 0, (3,)) == ["end", "to_next 0"]
         assert footage.shots.cut_facts(2, 0, (2, 3)) == ["to_next 1"]
 

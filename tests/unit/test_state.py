@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from exwarp_cli.domain.decision import FEATURES, NODES, Features
 from exwarp_cli.policy.state import (
     INPUTS,
-    KEYS_BACK,
+    OLDER_KEYS,
     SCALES,
+    STATE_COUNT,
     STATE_SIZE,
-    STATES,
-    Surroundings,
-    scaled,
+    StateHistory,
+    scale_features,
     state,
 )
 from tests.reference import decisions as paper
@@ -51,7 +51,7 @@ NOW, BEFORE = (seen(0), seen(1), seen(2)), (seen(3), seen(4), seen(5))
 class TestScaling:
     def test_an_example_by_hand(self):
         """Three lie halfway: log2 8 of log2 64; 0.001 (sqrt 501 - 1), 0.001 (sqrt 1001 - 1) x 8."""
-        found = scaled(SEEN)
+        found = scale_features(SEEN)
         np.testing.assert_allclose(found[:3], 0.5, atol=1e-8)
         # Var_x / 1000^2 / 1e-7 = 0.0281838: ln 1.0281838 / ln 100001; Var_y: ln 1.12 / ln 100001
         np.testing.assert_allclose(found[3:5], [0.00241414927, 0.00984359598], atol=1e-8)
@@ -61,51 +61,57 @@ class TestScaling:
     @settings(deadline=None)
     @given(anything)
     def test_it_is_the_naive_twin(self, features):
-        np.testing.assert_allclose(scaled(features), paper.scaled(named(features)), atol=1e-12)
+        np.testing.assert_allclose(
+            scale_features(features), paper.scaled(named(features)), atol=1e-12
+        )
 
     @settings(deadline=None)
     @given(anything)
     def test_it_lies_within_0_and_1(self, features):
-        found = scaled(features)
+        found = scale_features(features)
         assert found.shape == (6,) and found.dtype == np.float64
         assert ((found >= 0) & (found <= 1)).all()
 
     def test_it_saturates_where_it_says(self):
         tops = Features(63, 0.5, 8.0, 1e4, 1e4, 1000, 33200, 8.0)
-        np.testing.assert_allclose(scaled(tops), 1, rtol=1e-12)
+        np.testing.assert_allclose(scale_features(tops), 1, rtol=1e-12)
         beyond = Features(9999, 5.0, 99.0, 1e9, 1e9, 1000, 99999, 8.0)
-        assert scaled(beyond).tolist() == [1.0] * 6
+        assert scale_features(beyond).tolist() == [1.0] * 6
         under = Features(62, 0.49, 7.9, 9.9e3, 9.9e3, 1000, 33000, 8.0)
-        assert (scaled(under) < 1).all()
+        assert (scale_features(under) < 1).all()
 
     def test_nothing_is_nothing(self):
-        assert scaled(Features(0, 0.0, 0.0, 0.0, 0.0, 1, 1, 0.0))[:5].tolist() == [0] * 5
+        assert scale_features(Features(0, 0.0, 0.0, 0.0, 0.0, 1, 1, 0.0))[:5].tolist() == [0] * 5
 
     @pytest.mark.parametrize("field", ["objects", "emd_normal", "emd_position", "var_x", "var_y"])
     def test_more_is_more_and_moves_nothing_else(self, field):
         index = ["objects", "emd_normal", "emd_position", "var_x", "var_y"].index(field)
         top = {"objects": 63, "emd_normal": 0.5, "emd_position": 8.0}.get(field, 1e4)
         steps = range(64) if field == "objects" else [top * k / 50 for k in range(51)]
-        found = [scaled(replace(SEEN, **{field: value})) for value in steps]
+        found = [scale_features(replace(SEEN, **{field: value})) for value in steps]
         for smaller, larger in pairwise(found):
             assert larger[index] > smaller[index]
             np.testing.assert_array_equal(np.delete(larger, index), np.delete(smaller, index))
 
     def test_positions_count_relative_to_the_distance(self):
         far = replace(SEEN, emd_position=10 * SEEN.emd_position, distance=10 * SEEN.distance)
-        np.testing.assert_allclose(scaled(far), scaled(SEEN), rtol=1e-12)
-        assert scaled(replace(SEEN, distance=80.0))[2] < scaled(SEEN)[2]
+        np.testing.assert_allclose(scale_features(far), scale_features(SEEN), rtol=1e-12)
+        assert scale_features(replace(SEEN, distance=80.0))[2] < scale_features(SEEN)[2]
 
     def test_at_an_unknown_distance_nothing_has_moved(self):
-        assert scaled(replace(SEEN, distance=0.0))[2] == 0
+        assert scale_features(replace(SEEN, distance=0.0))[2] == 0
 
     def test_variances_count_relative_to_the_width(self):
         large = replace(SEEN, width=3000, var_x=9 * SEEN.var_x, var_y=9 * SEEN.var_y)
-        np.testing.assert_allclose(scaled(large)[3:5], scaled(SEEN)[3:5], rtol=1e-12)
+        np.testing.assert_allclose(
+            scale_features(large)[3:5], scale_features(SEEN)[3:5], rtol=1e-12
+        )
 
     @pytest.mark.parametrize("size", [(854, 480), (1920, 1080), (3840, 2160), (7680, 4320)])
     def test_resolutions_of_film_and_video_are_distinguished(self, size):
-        one, more = (scaled(replace(SEEN, width=size[0] + k, height=size[1]))[5] for k in (-200, 0))
+        one, more = (
+            scale_features(replace(SEEN, width=size[0] + k, height=size[1]))[5] for k in (-200, 0)
+        )
         assert 0 < one < more <= 1
         assert list(SCALES) == list(FEATURES)
 
@@ -132,31 +138,31 @@ ORDER = {
 
 class TestInputs:
     def test_sizes(self):
-        assert (STATES, STATE_SIZE, INPUTS, KEYS_BACK) == (4, 11, 44, 3)
+        assert (STATE_COUNT, STATE_SIZE, INPUTS, OLDER_KEYS) == (4, 11, 44, 3)
 
     @pytest.mark.parametrize("node", NODES)
     def test_which_instants_and_nodes_stand_where(self, node):
-        found = parts(Surroundings(NOW, BEFORE).inputs(node))
+        found = parts(StateHistory(NOW, BEFORE).inputs(node))
         for (features, at), (expected, instant) in zip(found, ORDER[node], strict=True):
             assert at == expected
-            np.testing.assert_array_equal(features, scaled(seen(instant)))
+            np.testing.assert_array_equal(features, scale_features(seen(instant)))
 
     @pytest.mark.parametrize("keys", [0, 1, 2, 3])
     @pytest.mark.parametrize("node", NODES)
     def test_the_oldest_is_repeated_where_there_are_fewer(self, node, keys):
         known = [pair for pair in ORDER[node] if pair[1] < 3 + keys]
         expected = (known + [known[-1]] * 4)[:4]
-        found = parts(Surroundings(NOW, BEFORE[:keys]).inputs(node))
+        found = parts(StateHistory(NOW, BEFORE[:keys]).inputs(node))
         assert [at for _, at in found] == [at for at, _ in expected]
         for (features, _), (_, instant) in zip(found, expected, strict=True):
-            np.testing.assert_array_equal(features, scaled(seen(instant)))
+            np.testing.assert_array_equal(features, scale_features(seen(instant)))
 
     @pytest.mark.parametrize("keys", [0, 2, 3])
     @pytest.mark.parametrize("node", NODES)
     def test_they_are_the_naive_twin_s(self, node, keys):
         history = [(named(seen(i)), at) for at, i in ORDER[node] if i < 3 + keys]
-        found = Surroundings(NOW, BEFORE[:keys]).inputs(node)
+        found = StateHistory(NOW, BEFORE[:keys]).inputs(node)
         np.testing.assert_allclose(found, paper.inputs(history), atol=1e-12)
 
     def test_a_state_is_its_features_and_its_node(self):
-        assert state(SEEN, "d3").tolist() == [*scaled(SEEN), 0, 0, 1, 0, 0]
+        assert state(SEEN, "d3").tolist() == [*scale_features(SEEN), 0, 0, 1, 0, 0]

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from PIL import Image as Pillow
 from PIL import ImageCms
 
-from exwarp_cli.domain.curves import FILM, LINEAR, SRGB
+from exwarp_cli.domain.colour import FILM, LINEAR, SRGB
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, OutputError, UsageError
 from exwarp_cli.io.exr.reader import ExrFile

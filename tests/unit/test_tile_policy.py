@@ -10,19 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.accel.fixed_point import to_fixed
-from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, infer_reference
+from exwarp_cli.accelerator.fixed_point import to_fixed
+from exwarp_cli.accelerator.mlp import PAPER_SIZES, infer_reference
 from exwarp_cli.domain.decision import NODES
 from exwarp_cli.domain.tiles import TILE_FEATURES, TILE_STATE
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, PolicyFile, load_policy
-from exwarp_cli.policy.state import INPUTS, STATE_SIZE
-from exwarp_cli.policy.tile_state import (
-    DECIDED,
+from exwarp_cli.policy.state import (
+    INPUTS,
+    STATE_SIZE,
+    TILE_NODES,
     TilePolicy,
-    price_of,
-    priced,
-    scaled,
+    apply_price,
+    interpolate_price,
+    scale_tile_features,
     tile_inputs,
     tile_paths,
 )
@@ -85,7 +86,9 @@ class TestState:
         assert marked == ["d4", "d2", "d1", "d1"]
 
     def test_features_are_scaled_by_hand(self):
-        found = scaled(np.array([0.01, 1.0, 1e-7 * 16 * 100**2, 9e9, 0.0, 4000.0]), 100)
+        found = scale_tile_features(
+            np.array([0.01, 1.0, 1e-7 * 16 * 100**2, 9e9, 0.0, 4000.0]), 100
+        )
         expected = [np.log(2) / np.log(101), 1, np.log(2) / np.log(1e5 + 1), 1, 0, 1]
         np.testing.assert_allclose(found, expected)
 
@@ -110,20 +113,24 @@ class TestPolicy:
         """Tiles with holes and motion are extrapolated, still ones are warped."""
         features = np.zeros((1, 2, 6))
         features[0, 1] = [0.3, 0.1, 40.0, 20.0, 200.0, 400.0]
-        plan = TilePolicy(shipped.network, price_of(shipped.efforts, 0.5)).plan([features] * 3, 427)
+        plan = TilePolicy(shipped.network, interpolate_price(shipped.efforts, 0.5)).plan(
+            [features] * 3, 427
+        )
         assert plan.paths == ("S6", "S3")
 
     def test_a_price_is_added_to_the_output_for_warping(self, shipped):
         states = to_fixed(np.random.default_rng(1).random((50, INPUTS)))
         plain, dear = (
             infer_reference(network, states).accumulators[-1]
-            for network in (shipped.network, priced(shipped.network, 1234))
+            for network in (shipped.network, apply_price(shipped.network, 1234))
         )
         np.testing.assert_array_equal(dear - plain, np.tile([1234, 0], (50, 1)))
 
     def test_prices_lie_between_those_that_are_kept(self):
-        assert price_of([(0.2, 90), (0.4, 10)], 0.3) == 50
-        assert price_of([(0.2, 90), (0.4, 10)], 0.9) == 10 and price_of([], 0.5) == 0
+        assert interpolate_price([(0.2, 90), (0.4, 10)], 0.3) == 50
+        assert (
+            interpolate_price([(0.2, 90), (0.4, 10)], 0.9) == 10 and interpolate_price([], 0.5) == 0
+        )
 
     def test_a_high_price_warps_everything(self, shipped):
         plan = TilePolicy(shipped.network, 2**29).plan([np.ones((8, 3, 6))] * 3, 64)
@@ -178,11 +185,11 @@ class TestTraining:
     def test_cost_and_error_by_hand(self, tables):
         one = tables[0]
         holes = one.features[:, 0, 0] > 0
-        everywhere = {node: np.ones(len(one), np.bool_) for node in DECIDED}
+        everywhere = {node: np.ones(len(one), np.bool_) for node in TILE_NODES}
         assert cost(everywhere) == 1 and error_of(one, everywhere) == pytest.approx(
             one.errors[:, [1, 3]].mean()
         )
-        rightly = {node: holes for node in DECIDED}
+        rightly = {node: holes for node in TILE_NODES}
         assert cost(rightly) == pytest.approx(holes.mean())
         assert 125 - 60 * holes.mean() < error_of(one, rightly) < 125 - 40 * holes.mean()
 

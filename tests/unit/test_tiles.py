@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
-from exwarp_cli.domain.extrapolator import Inputs
 from exwarp_cli.domain.frame import Float32, Window
-from exwarp_cli.domain.tiles import REWARP, TILE_PATHS, TileMakers, TilePlan, paths_of
+from exwarp_cli.domain.network_api import ExtrapolatorInputs
+from exwarp_cli.domain.tiles import REWARP, TILE_PATHS, TileMakers, TilePlan, paths_from_makers
 from exwarp_cli.synthesis.methods import predict_path, predict_tiles
 from exwarp_cli.synthesis.mosaic import HALO, Mosaic, Tiles, extrapolate_in, lay_over
 from tests.unit.test_paths import SLOTS, Painter, interval, painted
@@ -22,7 +22,7 @@ class Careful(Painter):
 
     shapes: list[tuple[int, int]] = field(default_factory=list)
 
-    def __call__(self, inputs: Inputs) -> Float32:
+    def __call__(self, inputs: ExtrapolatorInputs) -> Float32:
         self.shapes.append(inputs.shape)
         return super().__call__(inputs)
 
@@ -43,7 +43,7 @@ class TestChoices:
     @pytest.mark.parametrize("path", TILE_PATHS)
     def test_a_path_is_known_by_what_made_its_slots(self, path):
         plan = TilePlan.fixed(3, 2, path)
-        assert paths_of(plan.makers(2), plan.makers(3)) == plan.paths
+        assert paths_from_makers(plan.makers(2), plan.makers(3)) == plan.paths
         assert plan.makers(1).share(WARP) == 1
 
     def test_what_is_written_is_read(self):

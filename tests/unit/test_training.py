@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from exwarp_cli.domain.extrapolator import NetworkInputs
 from exwarp_cli.domain.frame import Window
-from exwarp_cli.domain.network import TIME
+from exwarp_cli.domain.network_api import TIME_INPUT, NetworkInputs
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.dataset import (
@@ -22,7 +21,7 @@ from exwarp_cli.io.dataset import (
     select_scenes,
     split_scenes,
 )
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.metrics.registry import score_frame
 from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training import crop_cache as batches
 from exwarp_cli.research.training.crop_cache import (
@@ -256,7 +255,7 @@ def test_decibels_are_the_metric_s():
     truth = rng.random((40, 50, 3), np.float32) * 1.5
     made = truth + rng.normal(0, 0.05, truth.shape).astype(np.float32)
     mask = rng.random((40, 50)) < 0.2
-    overall, inside = score(truth, made, mask)
+    overall, inside = score_frame(truth, made, mask)
     a, b = (torch.from_numpy(x.transpose(2, 0, 1)[None]) for x in (made, truth))
     assert float(psnr(a, b)) == pytest.approx(overall.psnr_db, abs=1e-3)
     where = torch.from_numpy(mask[None, None].astype(np.float32))
@@ -326,7 +325,7 @@ def test_training_gets_better_and_is_exported(scenes, cache, tmp_path):
     losses = [float(row["loss"]) for row in rows]
     assert np.mean(losses[-20:]) < np.mean(losses[:20])
     network = load_extrapolator(model, 1, "cpu")
-    pictures = {name: p[0].numpy() for name, p in example(40, 50).items() if name != TIME}
+    pictures = {name: p[0].numpy() for name, p in example(40, 50).items() if name != TIME_INPUT}
     answer = network(NetworkInputs(**pictures, time=0.5))
     assert answer.shape == (3, 40, 50)
 

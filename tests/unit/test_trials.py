@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.gate import Trial
+from exwarp_cli.domain.decision import Trial
 from exwarp_cli.pipeline.gate import mean_tile_psnr
 
 HEIGHT, WIDTH = 144, 256

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from exwarp_cli.domain.cuts import CutWish
-from exwarp_cli.domain.timeline import MOST_FILLED, Slot, without_gaps
+from exwarp_cli.domain.timeline import MAX_FILLED, CutOption, Slot, fill_gaps
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.sequences import find_aov_set, find_sequence
 from exwarp_cli.io.shot_files import first_usable
@@ -68,7 +67,7 @@ class TestShots:
     def unreadable(self) -> UnreadableFrames:
         return UnreadableFrames(tolerant=True)
 
-    def shots(self, unreadable: UnreadableFrames, wish: CutWish, lost: int) -> Shots:
+    def shots(self, unreadable: UnreadableFrames, wish: CutOption, lost: int) -> Shots:
         def read(key: int) -> None:
             with unreadable.recorded(Slot(key, 0)):
                 if key == lost:
@@ -77,7 +76,7 @@ class TestShots:
         return Shots(wish, range(1001, 1009), read, unreadable)
 
     def test_a_lost_frame_is_a_hole_between_two_shots(self, unreadable):
-        shots = self.shots(unreadable, CutWish(detect=False), 3)
+        shots = self.shots(unreadable, CutOption(detect=False), 3)
         with pytest.raises(InputError):
             shots.starts_at(3)
         assert [key for key in range(9) if shots.starts_at(key)] == [3, 4]
@@ -85,7 +84,7 @@ class TestShots:
         assert shots.cut_facts(4, 0, ()) == ["begin 0"]
 
     def test_which_is_no_cut(self, unreadable):
-        shots = self.shots(unreadable, CutWish(False, (1006,)), 3)
+        shots = self.shots(unreadable, CutOption(False, (1006,)), 3)
         with pytest.raises(InputError):
             shots.starts_at(4)
         assert all(shots.starts_at(key) for key in (3, 4, 5))
@@ -93,7 +92,7 @@ class TestShots:
 
     def test_it_shows_wherever_one_begins(self, unreadable):
         """Cuts by hand are not looked for, yet what is around a key frame has to be known."""
-        shots = self.shots(unreadable, CutWish(detect=False), 3)
+        shots = self.shots(unreadable, CutOption(detect=False), 3)
         with pytest.raises(InputError):
             shots.starts_at(4)
         assert shots.starts_at(4)
@@ -109,11 +108,11 @@ class TestGaps:
             ([], []),
             ([1, 3, 6], [1, 3, 6]),
             ([-2, 0, 4], [-2, 0, 2, 4]),
-            ([1, 2, MOST_FILLED + 5], [1, 2, MOST_FILLED + 5]),
+            ([1, 2, MAX_FILLED + 5], [1, 2, MAX_FILLED + 5]),
         ],
     )
     def test_numbers(self, numbers, filled):
-        assert list(without_gaps(numbers)) == filled
+        assert list(fill_gaps(numbers)) == filled
 
     def test_a_missing_frame_has_the_path_it_would(self, tmp_path):
         for number in (8, 9, 11):

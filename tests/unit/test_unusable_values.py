@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.extrapolator import NetworkInputs
 from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.network_api import NetworkInputs
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import open_scene
 from exwarp_cli.io.frames import SURFACE, read_raw

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from exwarp_cli.domain.wording import counted, enumerated, first_line, size_text
+from exwarp_cli.domain.wording import enumerated, first_line, pluralise, size_text
 
 
 @pytest.mark.parametrize(("count", "words"), [(0, "0 frames"), (1, "1 frame"), (2, "2 frames")])
 def test_counts(count, words):
-    assert counted(count, "frame") == words
+    assert pluralise(count, "frame") == words
 
 
 @pytest.mark.parametrize(

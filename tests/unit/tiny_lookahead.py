@@ -8,13 +8,13 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper
 
-from exwarp_cli.domain.lookahead import CANDIDATES, LOOKS_AHEAD
+from exwarp_cli.domain.network_api import CANDIDATES, LOOKAHEAD_INTERFACE
 from tests.unit import tiny_models
 
 
 def nearer_side(gain: float = 1.0) -> onnx.ModelProto:
     """Weigh by softmax over a mean of 3x3 pixels of the inputs; the weights' sum is `gain`."""
-    taps = np.zeros((CANDIDATES, LOOKS_AHEAD.inputs["colour"], 3, 3), np.float32)
+    taps = np.zeros((CANDIDATES, LOOKAHEAD_INTERFACE.inputs["colour"], 3, 3), np.float32)
     rng = np.random.default_rng(3)
     taps[:] = rng.normal(size=taps.shape) / 4
     nodes = [
@@ -38,15 +38,17 @@ def _answering(nodes: list[onnx.NodeProto], weights: dict[str, np.ndarray]) -> o
         *nodes,
         helper.make_node("Mul", ["masks", "none"], ["nothing"]),
         helper.make_node("ReduceSum", ["nothing", "channels"], ["zero"], keepdims=1),
-        helper.make_node("Add", ["weights of all", "zero"], [LOOKS_AHEAD.output]),
+        helper.make_node("Add", ["weights of all", "zero"], [LOOKAHEAD_INTERFACE.output]),
     ]
     weights = {
         **weights,
         "none": np.array(0, np.float32),
         "channels": np.array([1], np.int64),
     }
-    takes = [tiny_models.picture(name, LOOKS_AHEAD.inputs[name]) for name in ("colour", "masks")]
-    gives = [tiny_models.picture(LOOKS_AHEAD.output, CANDIDATES, TensorProto.FLOAT)]
+    takes = [
+        tiny_models.picture(name, LOOKAHEAD_INTERFACE.inputs[name]) for name in ("colour", "masks")
+    ]
+    gives = [tiny_models.picture(LOOKAHEAD_INTERFACE.output, CANDIDATES, TensorProto.FLOAT)]
     return tiny_models.model(nodes, takes, gives, weights)
 
 

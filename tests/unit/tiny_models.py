@@ -9,8 +9,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT
-from exwarp_cli.domain.network import TIME
+from exwarp_cli.domain.network_api import EXTRAPOLATOR_INPUTS, EXTRAPOLATOR_OUTPUT, TIME_INPUT
 
 Shape = Sequence[int | str]
 OPSET = 17
@@ -24,8 +23,10 @@ def picture(name: str, channels: int | str, kind: int = TensorProto.FLOAT) -> on
 
 def inputs(names: Sequence[str]) -> list[onnx.ValueInfoProto]:
     """The inputs of these names as the interface has them."""
-    time = helper.make_tensor_value_info(TIME, TensorProto.FLOAT, [1])
-    return [time if name == TIME else picture(name, INPUTS[name]) for name in names]
+    time = helper.make_tensor_value_info(TIME_INPUT, TensorProto.FLOAT, [1])
+    return [
+        time if name == TIME_INPUT else picture(name, EXTRAPOLATOR_INPUTS[name]) for name in names
+    ]
 
 
 def model(
@@ -37,7 +38,9 @@ def model(
 ) -> onnx.ModelProto:
     """Put a graph together."""
     constants = [numpy_helper.from_array(array, name) for name, array in (weights or {}).items()]
-    graph = helper.make_graph(nodes, "tiny", takes, gives or [picture(OUTPUT, 3)], constants)
+    graph = helper.make_graph(
+        nodes, "tiny", takes, gives or [picture(EXTRAPOLATOR_OUTPUT, 3)], constants
+    )
     made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR)
     helper.set_model_props(made, dict(metadata or {}))
     return made
@@ -59,7 +62,7 @@ def filled_warp(gain: float = 1.0, **metadata: str) -> onnx.ModelProto:
     }
     nodes = [
         helper.make_node("Slice", ["warped", "start", "end", "axis"], ["filled"]),
-        helper.make_node("Mul", ["filled", "gain"], [OUTPUT]),
+        helper.make_node("Mul", ["filled", "gain"], [EXTRAPOLATOR_OUTPUT]),
     ]
     stated = {key.replace("__", "."): value for key, value in metadata.items()}
     return model(nodes, inputs(["warped", "mask"]), weights=weights, metadata=stated)
@@ -84,7 +87,7 @@ def endless() -> onnx.ModelProto:
     rounds = {"rounds": np.array(1 << 62, np.int64), "begin": np.array(True)}
     made.graph.initializer.extend(numpy_helper.from_array(a, name) for name, a in rounds.items())
     made.graph.node.append(
-        helper.make_node("Loop", ["rounds", "begin", "once"], [OUTPUT], body=body)
+        helper.make_node("Loop", ["rounds", "begin", "once"], [EXTRAPOLATOR_OUTPUT], body=body)
     )
     return made
 
@@ -99,7 +102,7 @@ def blur(side: int = 9) -> onnx.ModelProto:
     box = {"kernel_shape": [side, side], "pads": [side // 2] * 4}
     nodes = [
         helper.make_node("Slice", ["warped", "start", "end", "axis"], ["filled"]),
-        helper.make_node("AveragePool", ["filled"], [OUTPUT], **box),
+        helper.make_node("AveragePool", ["filled"], [EXTRAPOLATOR_OUTPUT], **box),
     ]
     return model(nodes, inputs(["warped", "mask"]), weights=weights)
 
@@ -129,26 +132,26 @@ def convolution(
         "start": np.array([3], np.int64),
         "end": np.array([6], np.int64),
         "axis": np.array([1], np.int64),
-        "first": kernel(channels, sum(INPUTS.values())),
+        "first": kernel(channels, sum(EXTRAPOLATOR_INPUTS.values())),
         "second": kernel(channels, channels),
         "third": kernel(3, channels),
         "scales": np.array([1, 1, scale, scale], np.float32),
     }
     same = {"kernel_shape": [3, 3], "pads": [1, 1, 1, 1]}
     nodes = [
-        helper.make_node("Concat", list(INPUTS), ["all"], axis=1),
+        helper.make_node("Concat", list(EXTRAPOLATOR_INPUTS), ["all"], axis=1),
         helper.make_node("Conv", ["all", "first"], ["a"], strides=[scale, scale], **same),
         helper.make_node("Relu", ["a"], ["b"]),
         helper.make_node("Conv", ["b", "second"], ["c"], **same),
         helper.make_node("Resize", ["c", "", "scales"], ["d"], mode="nearest"),
         helper.make_node("Conv", ["d", "third"], ["e"], **same),
         helper.make_node("Slice", ["warped", "start", "end", "axis"], ["filled"]),
-        helper.make_node("Add", ["e", "filled"], ["f" if time else OUTPUT]),
+        helper.make_node("Add", ["e", "filled"], ["f" if time else EXTRAPOLATOR_OUTPUT]),
     ]
-    names = [*INPUTS, TIME] if time else list(INPUTS)
+    names = [*EXTRAPOLATOR_INPUTS, TIME_INPUT] if time else list(EXTRAPOLATOR_INPUTS)
     if time:
         weights["hundredth"] = np.array(0.01, np.float32)
-        nodes.append(helper.make_node("Mul", [TIME, "hundredth"], ["g"]))
-        nodes.append(helper.make_node("Add", ["f", "g"], [OUTPUT]))
+        nodes.append(helper.make_node("Mul", [TIME_INPUT, "hundredth"], ["g"]))
+        nodes.append(helper.make_node("Add", ["f", "g"], [EXTRAPOLATOR_OUTPUT]))
     stated = {key.replace("__", "."): value for key, value in metadata.items()}
     return model(nodes, inputs(names), weights=weights, metadata=stated)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from exwarp_cli.accel.quantised_mlp import QuantisedLayer, QuantisedMlp, Requantisation
+from exwarp_cli.accelerator.mlp import QuantisedLayer, QuantisedMlp, Requantisation
 from exwarp_cli.models.policy_files import save_network
 from exwarp_cli.policy.state import STATE_VERSION
 from tests.reference.decisions import PATHS

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Float32, Window, broken_pixels
+from exwarp_cli.domain.frame import Float32, Window, nonfinite_pixels
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr.header import Part
@@ -189,7 +189,7 @@ def quantise_colour(pixels: Float32, template: Template) -> Float32:
 
 def replace_overflow(values: Float32) -> Float32:
     """Return generated values with the largest floats in place of infinity, and 0 for NaN."""
-    if not broken_pixels(values[..., None]).any():
+    if not nonfinite_pixels(values[..., None]).any():
         return values
     return np.nan_to_num(values)
 

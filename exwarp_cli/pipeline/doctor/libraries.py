@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
-from exwarp_cli.domain.wording import counted, enumerated, first_line, size_text
+from exwarp_cli.domain.wording import enumerated, first_line, pluralise, size_text
 from exwarp_cli.errors import ExwarpError, InputError
 from exwarp_cli.pipeline.doctor.checkup import CheckResult, Finding, failure, warning
 from exwarp_cli.runtime.compilation import compilation
@@ -55,7 +55,7 @@ def check_kernels() -> CheckResult:
         "cpu": _compile.processor(),
         "threads": _row_bands.threads(),
     }
-    threads = counted(_row_bands.threads(), "thread")
+    threads = pluralise(_row_bands.threads(), "thread")
     summary = f"numba {numba.__version__} on numpy {np.__version__}, {threads}"
     lines = (f"llvmlite {facts['llvmlite']}, which takes this CPU for {facts['cpu']}",)
     return CheckResult(summary, remarks, facts, lines)
@@ -104,7 +104,7 @@ def check_cache() -> CheckResult:
     else:
         state = "warm" if loaded else "not used"
     places = " and ".join(dict.fromkeys(map(place_of, paths)))
-    summary = f"{state}; {counted(kernels, 'kernel')}, {size_text(size)}, {places}"
+    summary = f"{state}; {pluralise(kernels, 'kernel')}, {size_text(size)}, {places}"
     is_lacking = compiled > 0 or not shared
     remarks = () if folder is None else tuple(_cache_remarks(folder, is_lacking))
     return CheckResult(summary, remarks, facts, tuple(map(str, paths)))

@@ -22,7 +22,7 @@ from exwarp_cli.domain.frame import Float32, Window
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.domain.wording import counted, enumerated
+from exwarp_cli.domain.wording import enumerated, pluralise
 from exwarp_cli.errors import ExwarpError
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.exr.writer import COMPRESSIONS, encode_by_openexr, scanline_attributes
@@ -94,9 +94,9 @@ def check_self_test() -> CheckResult:
     summary = f"{enumerated(good)} {verb} right" if good else "nothing is right"
     summary += f"; {seconds:.1f} s"
     if compiled:
-        summary += f", {counted(compiled, 'kernel')} compiled"
+        summary += f", {pluralise(compiled, 'kernel')} compiled"
     lines = tuple(
-        f"{n}: {counted(t.frames, 'frame')}, {t.seconds:.2f} s" for n, t in trials.items()
+        f"{n}: {pluralise(t.frames, 'frame')}, {t.seconds:.2f} s" for n, t in trials.items()
     )
     return CheckResult(summary, tuple(remarks), facts, lines)
 
@@ -184,7 +184,7 @@ def _try_method(folder: Path, method: str, motion: str | None) -> tuple[str | No
             wrong.append(name)
     problem = None
     if wrong:
-        count = counted(len(wrong), "frame")
+        count = pluralise(len(wrong), "frame")
         problem = f"{count} of {KEYS * FACTOR} have wrong pixels, {wrong[0]} first"
     return problem, len(summary.frames)
 

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli import __version__
-from exwarp_cli.accel import verilog
-from exwarp_cli.accel.mac_array import Schedule
+from exwarp_cli.accelerator import verilog
+from exwarp_cli.accelerator.mac_array import Schedule
 from exwarp_cli.domain.decision import CHOICES, FEATURES, HOLD, PATHS
 from exwarp_cli.domain.results import Score
 from exwarp_cli.domain.timeline import FACTOR

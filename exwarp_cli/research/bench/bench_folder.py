@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from exwarp_cli.accel.mac_array import MacArray, schedule
-from exwarp_cli.accel.quantised_mlp import PAPER_SIZES
+from exwarp_cli.accelerator.mac_array import MacArray, schedule
+from exwarp_cli.accelerator.mlp import PAPER_SIZES
 from exwarp_cli.io.files import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.report.csv_tables import escape_formula, format_csv

@@ -21,15 +21,15 @@ import numpy.typing as npt
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.decision import CHOICES, NODES, PATHS
-from exwarp_cli.domain.decision import SLOTS as SLOT_OF
+from exwarp_cli.domain.decision import NODE_SLOTS as SLOT_OF
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.results import Score
-from exwarp_cli.metrics import extranet, flicker
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.metrics import extranet_scores, temporal
+from exwarp_cli.metrics.registry import score_frame
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scoring import Steps, flicker_of, steps_of, vmaf_of
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
-from exwarp_cli.policy.outcomes import best_psnr, best_return, returns
+from exwarp_cli.policy.outcomes import best_psnr, best_return, path_returns
 from exwarp_cli.research.bench.subjects import OpenedSubject
 from exwarp_cli.research.bench.system_frames import SystemFrames
 from exwarp_cli.research.bench.systems import (
@@ -89,7 +89,7 @@ class IntervalScores:
     def score(self, name: str, slot: int) -> FrameScores:
         """Score a picture shown at a slot, over all pixels and in holes; one by one frame."""
         if (name, slot) not in self._scores:
-            self._scores[name, slot] = score(
+            self._scores[name, slot] = score_frame(
                 self.truth[slot], self.frames[name], self.masks.get(slot), self.metrics
             )
         return self._scores[name, slot]
@@ -117,7 +117,9 @@ class IntervalScores:
             return scores
         for slot, name in zip(SLOTS, names, strict=True):
             if (name, slot) not in self._errors:
-                self._errors[name, slot] = flicker.error(self.truth[slot], self.frames[name])
+                self._errors[name, slot] = temporal.display_error(
+                    self.truth[slot], self.frames[name]
+                )
         errors = {slot: self._errors[name, slot] for slot, name in zip(SLOTS, names, strict=True)}
         flickers = flicker_of(errors, self.masks, self.steps)
         return [
@@ -181,14 +183,16 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
         names = tuple(PATHS)
         paths[BEST_PSNR] = names[int(best_psnr(outcomes))]
         paths[BEST_RETURN] = names[int(best_return(outcomes))]
-        gains = [float(value) for value in returns(outcomes)]
+        gains = [float(value) for value in path_returns(outcomes)]
 
     shown = {name: pictures_of(name, paths.get(name)) for name in opened.systems}
     if "vmaf" in metrics:
         scores.add_vmaf(list(shown.values()))
     # A path that has E's frame at slot 2 stands for ExtraNet.
     middles = {names[MIDDLE - 1] for names in shown.values()}
-    by_extranet = {name: extranet.score(truth[MIDDLE], frames[name]) for name in middles}
+    by_extranet = {
+        name: extranet_scores.score_like_extranet(truth[MIDDLE], frames[name]) for name in middles
+    }
     part = {
         "key": opened.number(inputs.key),
         "holes": [float(masks[slot].mean()) if slot in masks else None for slot in SLOTS],
@@ -230,7 +234,7 @@ def _score_slots(
     """
 
     def judge(name: str, slot: int) -> list[float]:
-        frame, _ = score(truth[slot], frames[name], None, frozenset(JUDGED))
+        frame, _ = score_frame(truth[slot], frames[name], None, frozenset(JUDGED))
         return [getattr(frame, metric) for metric in JUDGED]
 
     return {

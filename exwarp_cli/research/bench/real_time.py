@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.decision import EXTRAPOLATE, FIRST, HOLD, PATHS, WARP
+from exwarp_cli.domain.decision import EXTRAPOLATE, FIRST_NODE, HOLD, PATHS, WARP
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.policy.clocked_returns import clocked_returns
+from exwarp_cli.policy.outcomes import clocked_returns
 from exwarp_cli.report.schema import count_decisions, mean
 from exwarp_cli.research.bench import paper
 from exwarp_cli.research.bench.systems import (
@@ -98,7 +98,7 @@ def play_interval(path: str, latencies: Latencies, busy_slots: float = 0.0) -> C
     dropped: list[str | None] = []
     engine_free = busy_slots
     for slot, maker in enumerate(PATHS[path].made_by, start=1):
-        starts_with_key = slot == 2 and PATHS[path].choices[FIRST] == EXTRAPOLATE
+        starts_with_key = slot == 2 and PATHS[path].choices[FIRST_NODE] == EXTRAPOLATE
         requested = 0 if starts_with_key else slot - 1
         reason: str | None
         if maker == HOLD:

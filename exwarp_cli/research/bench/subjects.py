@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, place
+from exwarp_cli.domain.frame import Bool, Float32, place_on_canvas
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, UsageError
@@ -264,7 +264,9 @@ class OpenedSubject:
         canvas, display = interval.key.image.data_window, self.source.keys.display
 
         def finish(pixels: Float32) -> Float32:
-            return place(quantise_picture(pixels, inputs.metadata.template), canvas, display)
+            return place_on_canvas(
+                quantise_picture(pixels, inputs.metadata.template), canvas, display
+            )
 
         return SystemFrames(interval, finish, self.networks.imported, self.networks.interpolators)
 
@@ -287,7 +289,7 @@ class OpenedSubject:
         """Return the holes of W at slots 1 to 3, on the display window."""
         canvas, display = interval.key.image.data_window, self.source.keys.display
         return {
-            slot: np.asarray(place(mask, canvas, display))
+            slot: np.asarray(place_on_canvas(mask, canvas, display))
             for slot in SLOTS
             if (mask := interval.hole_mask(slot)) is not None
         }

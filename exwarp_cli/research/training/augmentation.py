@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.colour import SRGB
 from exwarp_cli.domain.frame import SURFACE_PARTS, Float32, GBuffer, Image, KeyFrame, Window
 from exwarp_cli.domain.timeline import FACTOR
 

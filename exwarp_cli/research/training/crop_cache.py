@@ -17,8 +17,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.domain.frame import Float32, Window
+from exwarp_cli.domain.network_api import HISTORY_FRAMES
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.dataset import RenderedScene, SceneManifest
@@ -129,7 +129,7 @@ def choose_frames(
         setting = str(rng.choice(list(SETTINGS), p=list(SETTINGS.values())))
         setting = setting if places[setting] else "slot"
         likelihood = np.array(
-            [1.0 if k >= HISTORY - 1 else SHORT_HISTORY for _, k in places[setting]]
+            [1.0 if k >= HISTORY_FRAMES - 1 else SHORT_HISTORY for _, k in places[setting]]
         )
         likelihood /= likelihood.sum()
         variant, k = places[setting][int(rng.choice(len(likelihood), p=likelihood))]
@@ -203,7 +203,7 @@ def _draw_view(frame: Window, side: int, rng: np.random.Generator) -> Window:
 
 def _training_planes(prepared: Prepared, truth: Float32) -> dict[str, np.ndarray]:
     inputs = prepared.inputs.part(slice(None), slice(None))
-    history = inputs.history.reshape(HISTORY, 4, *inputs.history.shape[1:])
+    history = inputs.history.reshape(HISTORY_FRAMES, 4, *inputs.history.shape[1:])
     colour = np.concatenate([inputs.warped[3:], *history[:, :3]])
     modulation = prepared.modulation
     if modulation is None:

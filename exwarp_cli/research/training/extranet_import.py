@@ -25,7 +25,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from exwarp_cli.domain.extrapolator import HISTORY
+from exwarp_cli.domain.network_api import HISTORY_FRAMES
 from exwarp_cli.errors import DamagedFileError, LayoutError, OutputExistsError, UsageError
 from exwarp_cli.io.files import make_folder
 from exwarp_cli.research.training.onnx_export import export_extrapolator
@@ -118,7 +118,7 @@ class ExtraNet(nn.Module):
         self.convHis1 = _history_block(PAST, 24)
         self.convHis2 = _history_block(24, 32)
         self.convHis3 = _history_block(32, 32)
-        self.lowlevelGated = ReleasedGate(32 * HISTORY, 32)
+        self.lowlevelGated = ReleasedGate(32 * HISTORY_FRAMES, 32)
         self.conv1 = ReleasedGate(2 * PICTURES + FEATURES, 24)
         self.bn1 = nn.BatchNorm2d(24)
         self.conv2 = ReleasedGate(24, 24)
@@ -161,7 +161,7 @@ class ExtraNet(nn.Module):
     def _motion(self, history: Sequence[Tensor]) -> Tensor:
         """Return what the history tells, [N, 32, H / 8, W / 8]."""
         encoded = self.convHis3(self.convHis2(self.convHis1(torch.cat(list(history)))))
-        motion: Tensor = self.lowlevelGated(torch.cat(encoded.chunk(HISTORY), dim=1))
+        motion: Tensor = self.lowlevelGated(torch.cat(encoded.chunk(HISTORY_FRAMES), dim=1))
         return motion
 
 
@@ -200,7 +200,7 @@ class ExtraNetAdapter(nn.Module):
 
         H and W are multiples of `STRIDE`.
         """
-        newest_first = torch.relu(history).chunk(HISTORY, dim=1)
+        newest_first = torch.relu(history).chunk(HISTORY_FRAMES, dim=1)
         pictures = torch.cat([newest_first[0][:, :3], torch.relu(warped[:, 3:])], dim=1)
         answer = self.network(pictures, mask, release_features(features), newest_first[::-1])
         return torch.relu(answer)

@@ -11,10 +11,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from exwarp_cli.domain.extrapolator import Span, Tile
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.lookahead import CANDIDATES, LOOKS_AHEAD
-from exwarp_cli.domain.network import NetworkGiven
+from exwarp_cli.domain.network_api import (
+    CANDIDATES,
+    LOOKAHEAD_INTERFACE,
+    LazyInputs,
+    Tile,
+    TileSpan,
+)
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.research.training.augmentation import PLAIN, Look, Variant, draw_look
@@ -28,7 +32,7 @@ from exwarp_cli.synthesis.warp import linear_to_srgb
 VERSION = 1
 
 # Names of what is cached of slots, one ``.npy`` each.
-PICTURES = tuple(LOOKS_AHEAD.inputs)
+PICTURES = tuple(LOOKAHEAD_INTERFACE.inputs)
 SAMPLE_ARRAYS = (*PICTURES, "truth", "time")
 
 # First key frames of the variants; the fast ones span two key intervals.
@@ -67,13 +71,13 @@ class _Recorder:
     def __init__(self) -> None:
         self.pictures: dict[str, np.ndarray] = {}
 
-    def weigh(self, inputs: NetworkGiven) -> Iterator[tuple[Tile, Float32]]:
+    def weigh(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
         height, width = inputs.shape
         part = inputs.part(slice(0, height), slice(0, width))
         self.pictures = {name: p.astype(np.float16) for name, p in part.pictures.items()}
         weights = np.zeros((CANDIDATES, height, width), np.float32)
         weights[0] = 1
-        yield (Span(0, height, 0, height), Span(0, width, 0, width)), weights
+        yield (TileSpan(0, height, 0, height), TileSpan(0, width, 0, width)), weights
 
 
 def slot_samples(clip: SceneClip, setting: str = "key") -> Iterator[dict[str, np.ndarray]]:

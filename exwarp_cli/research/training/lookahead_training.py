@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from exwarp_cli.domain.lookahead import CANDIDATES, LOOKS_AHEAD, SIDES
+from exwarp_cli.domain.network_api import CANDIDATES, LOOKAHEAD_INTERFACE, SIDES
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.research.training.extrapolation_network import LEAK, STRIDE, UNet
@@ -232,7 +232,7 @@ class LookAheadTraining(ResumableTraining):
             f"{len(settings.scenes['training'])} scenes, seed {settings.seed}"
         )
         shipped = ShippedNetwork(self.average)
-        export_network(shipped, path, LOOKS_AHEAD, stride=STRIDE, about=about)
+        export_network(shipped, path, LOOKAHEAD_INTERFACE, stride=STRIDE, about=about)
         return path
 
     def _batch(self, samples: Samples, step: int) -> SampleBatch:

@@ -19,10 +19,9 @@ from onnx import NodeProto, TensorProto, helper, numpy_helper
 from torch import nn
 
 from exwarp_cli import __version__
-from exwarp_cli.accel.fixed_point import MOST_ACTIVATION
-from exwarp_cli.accel.quantised_mlp import OUTPUTS, QuantisedMlp, Requantisation
-from exwarp_cli.domain.extrapolator import EXTRAPOLATES
-from exwarp_cli.domain.network import TIME, NetworkInterface
+from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION
+from exwarp_cli.accelerator.mlp import OUTPUTS, QuantisedMlp, Requantisation
+from exwarp_cli.domain.network_api import EXTRAPOLATOR_INTERFACE, TIME_INPUT, NetworkInterface
 from exwarp_cli.io.files import atomic_write_bytes
 from exwarp_cli.models.model_file import INTERFACE_KEY, STRIDE_KEY
 
@@ -51,7 +50,7 @@ Array = npt.NDArray[np.generic]
 
 def export_extrapolator(module: nn.Module, path: Path, *, stride: int, about: str) -> None:
     """Write a network that extrapolates; see `export_network`."""
-    export_network(module, path, EXTRAPOLATES, stride=stride, about=about)
+    export_network(module, path, EXTRAPOLATOR_INTERFACE, stride=stride, about=about)
 
 
 def export_network(
@@ -70,7 +69,7 @@ def export_network(
     shapes: dict[str, tuple[int, ...]] = {
         name: (1, channels, height, width) for name, channels in interface.inputs.items()
     }
-    shapes[TIME] = (1,)
+    shapes[TIME_INPUT] = (1,)
     parameters = list(inspect.signature(module.forward).parameters)
     required = interface.required
     if not set(required) <= set(parameters) <= set(shapes):
@@ -87,7 +86,7 @@ def export_network(
                 f"pixels, not float32 [1, {interface.made}, {height}, {width}]"
             )
         free = {axis: stride * torch.export.Dim(name, min=2) for axis, name in AXES.items()}
-        dynamic = {name: None if name == TIME else free for name in example}
+        dynamic = {name: None if name == TIME_INPUT else free for name in example}
         # Fails where the network would be tied to the size of the example. Exporting in one step
         # is no choice: where torch.export refuses a size that was made constant, torch.onnx.export
         # falls back to a model of that size without a word.
@@ -115,7 +114,7 @@ def _remove_run_details(model: onnx.ModelProto) -> None:
         del part.metadata_props[:]
         part.doc_string = ""
     for value in (*graph.input, *graph.output):
-        if value.name != TIME:
+        if value.name != TIME_INPUT:
             for axis, name in AXES.items():
                 value.type.tensor_type.shape.dim[axis].dim_param = name
 
@@ -166,7 +165,7 @@ def export_integer(network: QuantisedMlp, path: Path) -> None:
     """
     constants: dict[str, Array] = {
         "zero": np.array(0, np.int64),
-        "most": np.array(MOST_ACTIVATION, np.int64),
+        "most": np.array(MAX_ACTIVATION, np.int64),
     }
     nodes = _requantise(STATE, "inputs", network.inputs, constants)
     activations, last = "inputs", len(network.layers) - 1

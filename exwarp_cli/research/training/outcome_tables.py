@@ -33,7 +33,7 @@ from exwarp_cli.models.picture_network import OnnxExtrapolator, load_extrapolato
 from exwarp_cli.models.policy_files import Array, pack_arrays, unpack_arrays
 from exwarp_cli.pipeline.decide import outcomes_of, with_ids
 from exwarp_cli.policy.features import observe
-from exwarp_cli.policy.state import INPUTS, KEYS_BACK, Surroundings
+from exwarp_cli.policy.state import INPUTS, OLDER_KEYS, StateHistory
 from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.runtime.machine import processors
@@ -208,9 +208,9 @@ class PolicyTable:
         states = np.empty((len(self), len(NODES), INPUTS))
         features = [[_features_from(fields) for fields in row] for row in self.features]
         for row, (first, second, third) in enumerate(features):
-            older = range(row - 1, max(row - 1 - KEYS_BACK, -1), -1)
+            older = range(row - 1, max(row - 1 - OLDER_KEYS, -1), -1)
             before = tuple(features[i][0] for i in older if self.group[i] == self.group[row])
-            surroundings = Surroundings((first, second, third), before)
+            surroundings = StateHistory((first, second, third), before)
             for column, node in enumerate(NODES):
                 states[row, column] = surroundings.inputs(node)
         return states

@@ -9,9 +9,23 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, WARP, path_of, walk
+from exwarp_cli.domain.decision import (
+    CHOICES,
+    EXTRAPOLATE,
+    NODES,
+    PATHS,
+    WARP,
+    find_path,
+    walk_tree,
+)
 from exwarp_cli.domain.settings import DEFAULT_FPS
-from exwarp_cli.policy.outcomes import best_psnr, best_return, returns, rewards, shown
+from exwarp_cli.policy.outcomes import (
+    best_psnr,
+    best_return,
+    choice_rewards,
+    path_returns,
+    slot_quality,
+)
 from exwarp_cli.research.training.outcome_tables import PolicyTable
 
 F64 = npt.NDArray[np.float64]
@@ -67,7 +81,7 @@ def _weighted_means(
 ) -> tuple[float, float, float, float, float]:
     """Return reward, PSNR, SSIM, new frames and warp share for shares [N, 6] of the paths."""
     outcomes = table.outcomes[rows]
-    quality = shown(outcomes).mean(axis=-2)
+    quality = slot_quality(outcomes).mean(axis=-2)
     generated = np.array([path.generated for path in PATHS.values()])
     counts = np.array(
         [[list(PATHS[name].choices.values()).count(c) for c in CHOICES] for name in NAMES]
@@ -75,7 +89,7 @@ def _weighted_means(
     warps, decisions = counts[:, CHOICES.index(WARP)], counts.sum(axis=1)
     per_path = shares.mean(axis=0)
     return (
-        float((shares * returns(outcomes)).sum(axis=1).mean()),
+        float((shares * path_returns(outcomes)).sum(axis=1).mean()),
         float((shares * quality[..., 0]).sum(axis=1).mean()),
         float((shares * quality[..., 1]).sum(axis=1).mean()),
         float(per_path @ generated),
@@ -88,7 +102,7 @@ def greedy_paths(values: F64) -> Paths:
     paths = []
     for row in np.where(values[..., 1] > values[..., 0], EXTRAPOLATE, WARP).tolist():
         choices = dict(zip(NODES, row, strict=True))
-        paths.append(NAMES.index(path_of(dict(walk(choices.__getitem__)))))
+        paths.append(NAMES.index(find_path(dict(walk_tree(choices.__getitem__)))))
     return np.array(paths, np.intp)
 
 
@@ -108,7 +122,7 @@ def fit_regression(tables: Sequence[PolicyTable]) -> F64:
     Returns coefficients float64 [5, 45, 2] of the 44 inputs and of a constant, by node and choice.
     """
     states = np.concatenate([table.states for table in tables])
-    gains = np.concatenate([rewards(table.outcomes) for table in tables])
+    gains = np.concatenate([choice_rewards(table.outcomes) for table in tables])
     weights = np.concatenate([np.full(len(table), 1 / len(table)) for table in tables])
     coefficients = []
     for node in range(len(NODES)):

@@ -22,11 +22,11 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from exwarp_cli.accel.fixed_point import MOST_ACTIVATION, MOST_SHIFT, ONE
-from exwarp_cli.accel.quantised_mlp import QuantisedLayer, QuantisedMlp, Requantisation
-from exwarp_cli.domain.decision import CHOICES, FEATURES, NEXT, NODES
-from exwarp_cli.policy.outcomes import rewards
-from exwarp_cli.policy.state import INPUTS, STATES
+from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION, MAX_SHIFT, ONE
+from exwarp_cli.accelerator.mlp import QuantisedLayer, QuantisedMlp, Requantisation
+from exwarp_cli.domain.decision import CHOICES, FEATURES, NEXT_NODE, NODES
+from exwarp_cli.policy.outcomes import choice_rewards
+from exwarp_cli.policy.state import INPUTS, STATE_COUNT
 from exwarp_cli.research.training.outcome_tables import PolicyTable
 from exwarp_cli.research.training.training_settings import PolicySettings, TilePolicySettings
 from exwarp_cli.runtime.stop import check_stop
@@ -41,11 +41,11 @@ LAYERS = (INPUTS, 128, 256, 128, len(CHOICES))
 
 # Index of the node after each choice, -1 at the end: [5, 2].
 AFTER = torch.tensor(
-    [[NODES.index(NEXT[n, c]) if (n, c) in NEXT else -1 for c in CHOICES] for n in NODES]
+    [[NODES.index(NEXT_NODE[n, c]) if (n, c) in NEXT_NODE else -1 for c in CHOICES] for n in NODES]
 )
 
 # Which inputs are features, and not the node: [44].
-FEATURE = torch.tensor(([1.0] * len(FEATURES) + [0.0] * len(NODES)) * STATES)
+FEATURE = torch.tensor(([1.0] * len(FEATURES) + [0.0] * len(NODES)) * STATE_COUNT)
 
 MULTIPLIER_BITS = 31
 
@@ -105,7 +105,7 @@ def fit_network(
 def train_decisions(tables: Sequence[PolicyTable], settings: PolicySettings) -> Layers:
     """Learn from the tables of some scenes; each scene counts alike, whatever its size."""
     states = [torch.from_numpy(table.states).float() for table in tables]
-    gains = [torch.from_numpy(rewards(table.outcomes)).float() for table in tables]
+    gains = [torch.from_numpy(choice_rewards(table.outcomes)).float() for table in tables]
 
     def draw(target: nn.Module) -> tuple[Tensor, Tensor]:
         """Draw states and the returns of both choices: reward, and the value of what follows."""
@@ -155,13 +155,13 @@ def quantise(weights: Sequence[F64], biases: Sequence[F64], states: F64) -> Quan
     Weights are float64 [out, in], biases [out]. Activations are calibrated on states, float64
     [N, in], 0 to 1.
     """
-    unit = 1 / MOST_ACTIVATION
-    inputs = factors(np.full(states.shape[1], MOST_ACTIVATION / ONE))
+    unit = 1 / MAX_ACTIVATION
+    inputs = factors(np.full(states.shape[1], MAX_ACTIVATION / ONE))
     layers: list[QuantisedLayer] = []
     activations = states
     for number, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
         is_last = number == len(weights) - 1
-        largest = np.abs(weight).max(axis=1) / MOST_ACTIVATION
+        largest = np.abs(weight).max(axis=1) / MAX_ACTIVATION
         scale = np.maximum(np.maximum(largest, np.abs(bias) / (MOST_BIAS * unit)), 1e-14)
         if is_last:
             scale = np.full(bias.shape, scale.max())
@@ -171,7 +171,7 @@ def quantise(weights: Sequence[F64], biases: Sequence[F64], states: F64) -> Quan
             layers.append(QuantisedLayer(integers, offset))
             break
         activations = np.maximum(activations @ weight.T + bias, 0)
-        following = max(float(activations.max()), 1e-12) / MOST_ACTIVATION
+        following = max(float(activations.max()), 1e-12) / MAX_ACTIVATION
         layers.append(QuantisedLayer(integers, offset, factors(scale * unit / following)))
         unit = following
     return QuantisedMlp(inputs, tuple(layers))
@@ -182,7 +182,7 @@ def factors(ratios: F64) -> Requantisation:
     multipliers, shifts = np.empty(ratios.shape, np.int32), np.empty(ratios.shape, np.uint8)
     for i, ratio in enumerate(ratios):
         _, exponent = math.frexp(float(ratio))
-        shift = min(max(MULTIPLIER_BITS - exponent, 0), MOST_SHIFT)
+        shift = min(max(MULTIPLIER_BITS - exponent, 0), MAX_SHIFT)
         multiplier = round(float(ratio) * 2.0**shift)
         multipliers[i] = min(max(multiplier, 1), 2**MULTIPLIER_BITS - 1)
         shifts[i] = shift

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.domain.frame import Float32, GBuffer, Image, KeyFrame
 from exwarp_cli.domain.motion import MotionConvention
+from exwarp_cli.domain.network_api import HISTORY_FRAMES
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
@@ -101,7 +101,7 @@ class SceneClip:
 
     def causal(self, k: int, setting: str) -> Interval:
         """Return key interval k for causal synthesis: with its past, without the next key frame."""
-        keys = [self._causal_key(k - j, setting) for j in range(HISTORY) if k >= j]
+        keys = [self._causal_key(k - j, setting) for j in range(HISTORY_FRAMES) if k >= j]
         return Interval(
             self._key(k, setting), None, self._slots(k, setting), older_key_frames(keys)
         )

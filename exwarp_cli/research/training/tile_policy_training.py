@@ -19,15 +19,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from exwarp_cli.accel.fixed_point import to_fixed
-from exwarp_cli.accel.kernel import MlpKernel
-from exwarp_cli.accel.quantised_mlp import QuantisedMlp
+from exwarp_cli.accelerator.fixed_point import to_fixed
+from exwarp_cli.accelerator.mlp import MlpKernel, QuantisedMlp
 from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.tiles import REWARP, TILE_STATE
 from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, save_network
-from exwarp_cli.policy.state import INPUTS
-from exwarp_cli.policy.tile_state import DECIDED, tile_paths
+from exwarp_cli.policy.state import INPUTS, TILE_NODES, tile_paths
 from exwarp_cli.research.training.policy_training import add_checksums, require_two_scenes
 from exwarp_cli.research.training.q_learning import fit_network, quantise
 from exwarp_cli.research.training.tile_tables import TileTable
@@ -66,7 +64,7 @@ def gains(table: TileTable) -> F64:
     third, again = (table.error(3, WARP) - table.error(3, name) for name in (EXTRAPOLATE, REWARP))
     none = np.zeros(len(table))
     nodes = {"d2": (none, second), "d4": (again, third), "d5": (none, third)}
-    return np.stack([np.stack(nodes[node], axis=-1) for node in DECIDED], axis=1)
+    return np.stack([np.stack(nodes[node], axis=-1) for node in TILE_NODES], axis=1)
 
 
 def train_tiles(tables: Sequence[TileTable], settings: TilePolicySettings) -> QuantisedMlp:
@@ -88,10 +86,10 @@ def train_tiles(tables: Sequence[TileTable], settings: TilePolicySettings) -> Qu
             for part in (states, rewards)
         )
         best = target(state).amax(dim=-1)
-        for index, node in enumerate(DECIDED):
+        for index, node in enumerate(TILE_NODES):
             following = AFTER[node]
             if following is not None:
-                ahead = [best[:, DECIDED.index(name)] for name in following]
+                ahead = [best[:, TILE_NODES.index(name)] for name in following]
                 aim[:, index] += torch.stack(ahead, dim=-1)
         return state, aim
 
@@ -104,12 +102,12 @@ def choice_margins(network: QuantisedMlp, table: TileTable) -> npt.NDArray[np.in
     """Return by how much extrapolating is worth more than warping, int64 [N, 3]."""
     outputs, _ = MlpKernel(network).decide_many(to_fixed(table.states.reshape(-1, INPUTS)))
     margins = outputs[:, 1].astype(np.int64) - outputs[:, 0].astype(np.int64)
-    return margins.reshape(-1, len(DECIDED))
+    return margins.reshape(-1, len(TILE_NODES))
 
 
 def choose(margins: Margins, price: float) -> Chosen:
     """Return whether each node extrapolates: where that is worth more than a price."""
-    return {node: margins[:, index] > price for index, node in enumerate(DECIDED)}
+    return {node: margins[:, index] > price for index, node in enumerate(TILE_NODES)}
 
 
 def cost(chosen: Chosen) -> float:
@@ -161,7 +159,7 @@ def _gain(tables: Sequence[TileTable], chosen: Sequence[Chosen]) -> float:
 def _fixed_errors(table: TileTable) -> tuple[float, float]:
     """Return the errors of warping everything, and of extrapolating everything."""
     warp, extrapolate = (
-        {node: np.full(len(table), choice) for node in DECIDED} for choice in (False, True)
+        {node: np.full(len(table), choice) for node in TILE_NODES} for choice in (False, True)
     )
     return error_of(table, warp), error_of(table, extrapolate)
 
@@ -170,13 +168,13 @@ def rule_margins(table: TileTable, seed: int) -> dict[str, F64]:
     """Return the margins of simpler rules, float64 [N, 3], and of knowing the truth."""
     holes = np.stack([table.features[:, slot, :2].sum(axis=-1) for slot in (1, 2, 2)], axis=-1)
     residual = table.features[:, 0, 4:].sum(axis=-1)
-    toss = np.random.default_rng(seed).random((len(table), len(DECIDED)))
+    toss = np.random.default_rng(seed).random((len(table), len(TILE_NODES)))
     truth = gains(table)
     return {
         "coin": toss,
         # A trace of chance parts what is equal.
         "holes": holes + 1e-6 * toss,
-        "key residual": np.repeat(residual[:, None], len(DECIDED), axis=1) + 1e-6 * toss,
+        "key residual": np.repeat(residual[:, None], len(TILE_NODES), axis=1) + 1e-6 * toss,
         "truth": truth[..., 1] - np.maximum(truth[..., 0], 0),
     }
 
@@ -209,7 +207,7 @@ def train_tile_policy(
         for name, of_table in rule_margins(table, settings.seed).items():
             margins.setdefault(name, []).append(of_table)
     # Slot 2 is extrapolated everywhere, and warped on.
-    always_s4 = [{n: np.full(len(table), n == "d2") for n in DECIDED} for table in tables]
+    always_s4 = [{n: np.full(len(table), n == "d2") for n in TILE_NODES} for table in tables]
     errors = {table.scene: _fixed_errors(table) for table in tables}
     report = {
         "schema": SCHEMA,

@@ -19,12 +19,11 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
 from exwarp_cli.io.files import make_folder
-from exwarp_cli.metrics.display import encode
+from exwarp_cli.metrics.display import encode_display
 from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import OnnxExtrapolator
 from exwarp_cli.models.policy_files import Array
-from exwarp_cli.policy.state import INPUTS
-from exwarp_cli.policy.tile_state import DECIDED, scaled, tile_inputs
+from exwarp_cli.policy.state import INPUTS, TILE_NODES, scale_tile_features, tile_inputs
 from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.outcome_tables import (
     extrapolator,
@@ -73,13 +72,15 @@ class TileTable:
     @cached_property
     def slots(self) -> list[F64]:
         """Scaled features of slots 1 to 3, float64 [N, 6] each."""
-        return [scaled(self.features[:, slot], self.width) for slot in range(FACTOR - 1)]
+        return [
+            scale_tile_features(self.features[:, slot], self.width) for slot in range(FACTOR - 1)
+        ]
 
     @cached_property
     def states(self) -> F64:
         """The network's inputs at each node of `DECIDED`, float64 [N, 3, 44]."""
-        states = np.stack([tile_inputs(self.slots, node) for node in DECIDED], axis=1)
-        assert states.shape[1:] == (len(DECIDED), INPUTS)
+        states = np.stack([tile_inputs(self.slots, node) for node in TILE_NODES], axis=1)
+        assert states.shape[1:] == (len(TILE_NODES), INPUTS)
         return states
 
     def error(self, slot: int, maker: str) -> F64:
@@ -124,7 +125,7 @@ def _intervals(
     for variant in VARIANTS:
         clip = clip.seen_as(variant)
         for k in clip.intervals:
-            truth = {slot: encode(clip.truth(k, slot).pixels) for slot in (2, 3)}
+            truth = {slot: encode_display(clip.truth(k, slot).pixels) for slot in (2, 3)}
             yield replace(clip.causal(k, "key"), extrapolator=network), truth
 
 
@@ -132,7 +133,7 @@ def _tile_errors(interval: Interval, truth: dict[int, npt.NDArray[np.float32]]) 
     """Return the errors of an interval's tiles, float64 [N, 5]."""
     errors = []
     for slot, _, path in MADE:
-        frame = encode(predict_path(path, interval, slot).pixels)
+        frame = encode_display(predict_path(path, interval, slot).pixels)
         squares = np.square(frame[..., :3] - truth[slot][..., :3]).mean(axis=-1)
         errors.append(interval.mosaic.means(squares).ravel())
     return np.stack(errors, axis=-1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.accel.quantised_mlp import QuantisedLayer, QuantisedMlp, Requantisation
+from exwarp_cli.accelerator.mlp import QuantisedLayer, QuantisedMlp, Requantisation
 from exwarp_cli.models.policy_files import save_network
 from exwarp_cli.policy.state import STATE_VERSION
 from tests.cli import shots

@@ -10,7 +10,7 @@ from statistics import mean
 import numpy as np
 import pytest
 
-from exwarp_cli.accel.quantised_mlp import infer_reference
+from exwarp_cli.accelerator.mlp import infer_reference
 from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, load_policy
 from tests.cli import shots
 from tests.cli.decisions.conftest import KEYS, SETTINGS, Done, take

@@ -1,0 +1,475 @@
+"""The accelerator's machine: how long an inference takes, and what its caches hold.
+
+The paper gives the parts (section IV-C, "Hardware Implementation of the Predictor"): four cores,
+each with ten 8-bit multiply-accumulate units, one adder, one multiplier, a pipeline of four stages
+and a private cache of 16 KB. How they work together is left open; this is the schedule taken here.
+
+Work. Inputs and neurons are dealt to the cores in turn: number i goes to core ``i % cores``. All
+cores take a layer together, and the next one begins when its activations are complete, as every
+neuron needs all of them.
+
+Input stage. Each multiplier starts one input a cycle, which the pipeline reads, multiplies, rounds
+and shifts, and writes to all cores: ``ceil(n / cores)`` cycles, and ``pipeline_stages - 1`` more
+until the last is through ("fill").
+
+Layer. A neuron of fan-in n takes ``ceil(n / macs)`` cycles, in each of which a core starts ten
+products; the pipeline reads their operands, multiplies, adds up, and adds to the core's
+accumulator. The fullest core has ``ceil(neurons / cores)`` neurons; after its last products the
+pipeline fills for ``pipeline_stages - 1`` cycles. A finished sum gets its bias from the adder in
+the next cycle and is requantised by the multiplier in the one after that, while the MACs go on
+with the next neuron. As neurons take at least a cycle each, neither unit is ever waited for; only
+the last neuron's two cycles show (one in the last layer, which is not requantised).
+
+Decision. Core 0's adder compares the two outputs: one cycle.
+
+Caches. A core keeps the weights, biases, multipliers and shifts of its own neurons and inputs (1,
+4, 4 and 1 bytes each), its own part of the state (4 bytes a number), and the activations that a
+layer reads and writes, of all neurons. What does not fit is fetched again for every inference:
+buffers stay, then parameters in the order of their use until the cache is full, and the rest is
+streamed past the cache. That is counted in bytes and not in cycles: the paper names no memory, and
+the schedule supposes one that keeps up.
+
+Port. With `port_bytes`, one port of that width serves all cores, and its cycles are counted.
+Biases, multipliers, shifts and buffers stay in the caches, and as many words of weights as fit the
+fullest one, in the order of their use. Of the words that cores start together, the port brings
+those that are missing, one after the other, each in ``ceil(macs / port_bytes)`` cycles; the cores
+start in the last of them. Between layers the port waits as the MAC units do.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION, requantise_half_up, saturate
+from exwarp_cli.accelerator.mlp import QuantisedLayer, QuantisedMlp, Requantisation, check_states
+from exwarp_cli.kernels.array_types import I8, I32
+
+BIAS_BYTES = 4
+SCALE_BYTES = 5  # of a multiplier and a shift
+
+SUM_BYTES = 4  # of a number of the state, or of an output
+
+COMPARE_CYCLES = 1  # of the decision
+
+PAPER_LATENCY_NS = 6.2  # the paper, "Synthesis Results"
+
+
+@dataclass(frozen=True)
+class MacArray:
+    """The machine's parts; the defaults are the paper's. ValueError if a number is too small."""
+
+    cores: int = 4  # at least 1
+    macs: int = 10  # multiply-accumulate units of a core, at least 1
+    pipeline_stages: int = 4  # at least 1
+    cache_bytes: int = 16384  # of each core, at least 1
+    port_bytes: int = 0  # width of the port that reloads weights, bytes a cycle; 0: memory keeps up
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            least = 0 if name == "port_bytes" else 1
+            if value < least:
+                raise ValueError(f"{name} is {value}, and {least} is the least")
+
+    def share(self, count: int, core: int) -> int:
+        """Return how many of `count` inputs or neurons a core gets."""
+        return len(range(core, count, self.cores))
+
+    def words(self, fan_in: int) -> int:
+        """Return the cycles that the products of one neuron take."""
+        return -(-fan_in // self.macs)
+
+    @property
+    def beats(self) -> int:
+        """Cycles that a word of weights takes to come through the port."""
+        return -(-self.macs // self.port_bytes)
+
+
+@dataclass(frozen=True)
+class InputSchedule:
+    """The input stage."""
+
+    numbers: int  # of the state
+    multiply_cycles: int  # until the last input is started
+    fill_cycles: int  # from there until it is through the pipeline
+    parameter_bytes: int  # multipliers and shifts of the fullest core
+    refill_bytes: int  # how many of them do not fit its cache
+
+    @property
+    def cycles(self) -> int:
+        """All cycles of the stage."""
+        return self.multiply_cycles + self.fill_cycles
+
+
+@dataclass(frozen=True)
+class LayerSchedule:
+    """One layer."""
+
+    fan_in: int
+    neurons: int
+    mac_cycles: int  # cycles in which a MAC unit starts a product
+    fill_cycles: int  # until the last products are through the pipeline
+    requantise_cycles: int  # adder and multiplier after that, for the last neuron
+    refill_cycles: int  # cycles in which MAC units wait for the port
+    useful_macs: int  # products that the layer needs
+    utilisation: float  # those over what all MAC units could start in the layer's cycles, 0 … 1
+    weight_bytes: int  # of the fullest core, which is core 0, as all that follow
+    bias_bytes: int
+    scale_bytes: int  # multipliers and shifts
+    refill_bytes: int  # how much of that does not fit the core's cache
+
+    @property
+    def cycles(self) -> int:
+        """All cycles of the layer."""
+        return self.mac_cycles + self.fill_cycles + self.requantise_cycles + self.refill_cycles
+
+    @property
+    def parameter_bytes(self) -> int:
+        """All parameters of the fullest core."""
+        return self.weight_bytes + self.bias_bytes + self.scale_bytes
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """A whole inference."""
+
+    array: MacArray
+    sizes: tuple[int, ...]  # numbers into the network, and out of each layer
+    inputs: InputSchedule
+    layers: tuple[LayerSchedule, ...]
+    buffer_bytes: int  # state and activations in the fullest core
+    core_bytes: tuple[int, ...]  # parameters and buffers of each core
+    core_refill_bytes: tuple[int, ...]  # how much of that it reloads for every inference
+
+    @property
+    def mac_cycles(self) -> int:
+        """Cycles in which a MAC unit starts a product."""
+        return sum(layer.mac_cycles for layer in self.layers)
+
+    @property
+    def cycles(self) -> int:
+        """All cycles from the state to the decision."""
+        return self.inputs.cycles + sum(layer.cycles for layer in self.layers) + COMPARE_CYCLES
+
+    @property
+    def utilisation(self) -> float:
+        """Products needed over what the MAC units could start in all cycles, 0 … 1."""
+        useful = sum(layer.useful_macs for layer in self.layers)
+        return useful / (self.array.cores * self.array.macs * self.cycles)
+
+    @property
+    def refill_bytes(self) -> int:
+        """Bytes that all cores together fetch again for every inference."""
+        return sum(self.core_refill_bytes)
+
+    def latency_ns(self, clock_hz: float) -> float:
+        """Return the nanoseconds of an inference at a clock rate in hertz."""
+        return 1e9 * self.cycles / clock_hz
+
+
+def schedule(array: MacArray, sizes: Sequence[int]) -> Schedule:
+    """Lay out an inference on the machine, as the module describes it.
+
+    `sizes`: numbers into the network, and out of each layer; two or more, each at least 1.
+
+    ValueError: sizes are missing, or a core's cache does not hold the state and activations; with a
+    port, biases, multipliers and shifts, too.
+    """
+    sizes = tuple(sizes)
+    if len(sizes) < 2 or min(sizes) < 1:
+        raise ValueError(f"sizes are two or more numbers from 1, not {list(sizes)}")
+    buffers = [_buffer_bytes(array, sizes, core) for core in range(array.cores)]
+    if max(buffers) > array.cache_bytes:
+        raise ValueError(
+            f"a cache of {array.cache_bytes} bytes does not hold the {max(buffers)} bytes of "
+            "state and activations"
+        )
+    held = [_parameter_bytes(array, sizes, core) for core in range(array.cores)]
+    waits = [0] * len(sizes)
+    if array.port_bytes:
+        waits, refills = _port_traffic(array, sizes)
+    else:
+        refills = [
+            _overflow_by_stage([sum(stage) for stage in stages], array.cache_bytes - buffer)
+            for stages, buffer in zip(held, buffers, strict=True)
+        ]
+    fill = array.pipeline_stages - 1
+    inputs = InputSchedule(sizes[0], array.share(sizes[0], 0), fill, sum(held[0][0]), refills[0][0])
+    layers = tuple(
+        _schedule_layer(array, sizes, number, held[0][number], (waits[number], refills[0][number]))
+        for number in range(1, len(sizes))
+    )
+    totals = [sum(map(sum, stages)) + buffer for stages, buffer in zip(held, buffers, strict=True)]
+    refill = tuple(sum(stages) for stages in refills)
+    return Schedule(array, sizes, inputs, layers, buffers[0], tuple(totals), refill)
+
+
+def resident_words(array: MacArray, sizes: Sequence[int]) -> int:
+    """Return how many words of weights a core's cache holds beside all else.
+
+    ValueError: it does not hold the rest and one word.
+    """
+    sizes = tuple(sizes)
+    stages = _parameter_bytes(array, sizes, 0)
+    rest = _buffer_bytes(array, sizes, 0) + sum(bias + scale for _, bias, scale in stages)
+    if rest + array.macs > array.cache_bytes:
+        raise ValueError(
+            f"a cache of {array.cache_bytes} bytes does not hold the {rest + array.macs} bytes of "
+            "buffers, biases, multipliers, shifts and a word of weights"
+        )
+    return (array.cache_bytes - rest) // array.macs
+
+
+def missing_words(
+    array: MacArray, sizes: Sequence[int]
+) -> Iterator[tuple[int, list[tuple[int, int]]]]:
+    """Yield every step of the MAC units: its layer from 1 on, and the words that no cache holds.
+
+    A word is a core and its index among the core's words, in the order in which the port brings
+    them. ValueError as `resident_words`.
+    """
+    room = resident_words(array, sizes)
+    at = [0] * array.cores
+    for layer, (fan_in, neurons) in enumerate(pairwise(sizes), start=1):
+        for first in range(0, neurons, array.cores):
+            active = range(min(array.cores, neurons - first))
+            for _ in range(array.words(fan_in)):
+                yield layer, [(core, at[core]) for core in active if at[core] >= room]
+                for core in active:
+                    at[core] += 1
+
+
+def _port_traffic(array: MacArray, sizes: tuple[int, ...]) -> tuple[list[int], list[list[int]]]:
+    waits = [0] * len(sizes)
+    reloaded = [[0] * len(sizes) for _ in range(array.cores)]
+    for layer, missing in missing_words(array, sizes):
+        waits[layer] += max(len(missing) * array.beats - 1, 0)
+        for core, _ in missing:
+            reloaded[core][layer] += array.macs
+    return waits, reloaded
+
+
+def _schedule_layer(
+    array: MacArray,
+    sizes: tuple[int, ...],
+    number: int,
+    held: tuple[int, int, int],
+    refill: tuple[int, int],
+) -> LayerSchedule:
+    fan_in, neurons = sizes[number - 1 : number + 1]
+    macs = array.share(neurons, 0) * array.words(fan_in)
+    fill, after = array.pipeline_stages - 1, 1 if number == len(sizes) - 1 else 2
+    waits, refill_bytes = refill
+    useful = fan_in * neurons
+    utilisation = useful / (array.cores * array.macs * (macs + fill + after + waits))
+    return LayerSchedule(
+        fan_in, neurons, macs, fill, after, waits, useful, utilisation, *held,
+        refill_bytes=refill_bytes,
+    )  # fmt: skip
+
+
+def _parameter_bytes(
+    array: MacArray, sizes: tuple[int, ...], core: int
+) -> list[tuple[int, int, int]]:
+    stages = [(0, 0, SCALE_BYTES * array.share(sizes[0], core))]
+    for number in range(1, len(sizes)):
+        own = array.share(sizes[number], core)
+        scales = 0 if number == len(sizes) - 1 else SCALE_BYTES * own
+        stages.append((own * sizes[number - 1], BIAS_BYTES * own, scales))
+    return stages
+
+
+def _buffer_bytes(array: MacArray, sizes: tuple[int, ...], core: int) -> int:
+    hidden = [before + after for before, after in pairwise(sizes[:-1])]
+    last = sizes[-2] + SUM_BYTES * sizes[-1]
+    return SUM_BYTES * array.share(sizes[0], core) + max([*hidden, last])
+
+
+def _overflow_by_stage(stages: list[int], room: int) -> list[int]:
+    missing = []
+    for needed in stages:
+        kept = min(needed, room)
+        room -= kept
+        missing.append(needed - kept)
+    return missing
+
+
+@dataclass(frozen=True)
+class LayerCount:
+    """What was counted in a layer; named as in `LayerSchedule`."""
+
+    mac_cycles: int
+    fill_cycles: int
+    requantise_cycles: int
+    useful_macs: int
+    weight_bytes: int
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """One inference on the machine."""
+
+    outputs: I32  # int32 [2]
+    choice: int  # 0 to warp, 1 to extrapolate
+    input_cycles: tuple[int, int]  # multiply and fill cycles of the input stage
+    layers: tuple[LayerCount, ...]
+    cycles: int  # all of them, including the decision
+
+
+@dataclass(frozen=True)
+class _Products:
+    """The operands of one core's MAC units, on their way through the pipeline."""
+
+    neuron: int
+    weights: list[int]
+    activations: list[int]
+    first: bool
+    last: bool
+
+
+class _Core:
+    """A core at work on a layer."""
+
+    def __init__(self, array: MacArray, layer: QuantisedLayer, activations: I8, core: int) -> None:
+        self.layer = layer
+        self.todo = deque(_layer_words(array, layer, activations, core))
+        self.pipeline: deque[_Products | None] = deque([None] * array.pipeline_stages)
+        self.accumulator = 0
+        self.summed: tuple[int, int] | None = None  # neuron and sum, for the adder
+        self.biased: tuple[int, int] | None = None  # neuron and sum, for the multiplier
+        self.results: dict[int, int] = {}
+        self.weight_bytes = 0
+
+    def cycle(self) -> tuple[bool, bool]:
+        """Advance by a cycle; return whether products started, and whether the pipeline is busy."""
+        # From the end to the front, so that a unit takes the result of the cycle before.
+        self._multiplier()
+        self._adder()
+        started = bool(self.todo)
+        self.pipeline.appendleft(self.todo.popleft() if started else None)
+        self.pipeline.pop()
+        busy = any(stage is not None for stage in self.pipeline)
+        if started and self.pipeline[0] is not None:
+            self.weight_bytes += len(self.pipeline[0].weights)
+        self._accumulate(self.pipeline[-1])
+        return started, busy
+
+    @property
+    def is_idle(self) -> bool:
+        """True if nothing is left to do."""
+        empty = all(stage is None for stage in self.pipeline)
+        return not self.todo and empty and self.summed is None and self.biased is None
+
+    def _accumulate(self, products: _Products | None) -> None:
+        if products is None:
+            return
+        pairs = zip(products.weights, products.activations, strict=True)
+        total = sum(weight * activation for weight, activation in pairs)
+        self.accumulator = total if products.first else self.accumulator + total
+        if products.last:
+            self.summed = (products.neuron, self.accumulator)
+
+    def _adder(self) -> None:
+        if self.summed is None:
+            return
+        neuron, total = self.summed
+        self.summed = None
+        biased = (neuron, total + int(self.layer.biases[neuron]))
+        if self.layer.requantisation is None:
+            self.results[neuron] = biased[1]
+        else:
+            self.biased = biased
+
+    def _multiplier(self) -> None:
+        if self.biased is None:
+            return
+        assert self.layer.requantisation is not None
+        neuron, total = self.biased
+        self.biased = None
+        self.results[neuron] = _requantise_number(self.layer.requantisation, neuron, total)
+
+
+def simulate(array: MacArray, network: QuantisedMlp, fixed_state: I32) -> Simulation:
+    """Run one inference cycle by cycle, of a state in Q16.16; caches do not matter here.
+
+    It computes with what the registers hold, and counts cycles, to verify the schedule's outputs
+    and cycles. ValueError: the state is not int32 [n].
+    """
+    state = check_states(network, fixed_state).reshape(network.sizes[0])
+    activations, input_cycles = _simulate_input_stage(array, network.inputs, state)
+    counts = []
+    outputs: list[int] = []
+    for layer in network.layers:
+        outputs, count = _simulate_layer(array, layer, activations)
+        if layer.requantisation is not None:
+            activations = np.array(outputs, np.int8)
+        counts.append(count)
+    cycles = sum(input_cycles) + 1  # the decision
+    cycles += sum(c.mac_cycles + c.fill_cycles + c.requantise_cycles for c in counts)
+    choice = int(outputs[1] - outputs[0] > 0)
+    return Simulation(np.array(outputs, np.int32), choice, input_cycles, tuple(counts), cycles)
+
+
+def _simulate_input_stage(
+    array: MacArray, scale: Requantisation, state: I32
+) -> tuple[I8, tuple[int, int]]:
+    todo = [deque(range(core, state.size, array.cores)) for core in range(array.cores)]
+    pipelines: list[deque[int | None]] = [deque([None] * array.pipeline_stages) for _ in todo]
+    activations = np.zeros(state.size, np.int8)
+    multiplying, filling, left = 0, 0, state.size
+    while left:
+        if any(todo):
+            multiplying += 1
+        else:
+            filling += 1
+        for queue, pipeline in zip(todo, pipelines, strict=True):
+            pipeline.appendleft(queue.popleft() if queue else None)
+            pipeline.pop()
+            done = pipeline[-1]
+            if done is not None:
+                activations[done] = _requantise_number(scale, done, int(state[done]))
+                left -= 1
+    return activations, (multiplying, filling)
+
+
+def _simulate_layer(
+    array: MacArray, layer: QuantisedLayer, activations: I8
+) -> tuple[list[int], LayerCount]:
+    cores = [_Core(array, layer, activations, core) for core in range(array.cores)]
+    starting = filling = after = 0
+    while not all(core.is_idle for core in cores):
+        states = [core.cycle() for core in cores]
+        if any(started for started, _ in states):
+            starting += 1
+        elif any(busy for _, busy in states):
+            filling += 1
+        else:
+            after += 1
+    results: dict[int, int] = {}
+    for core in cores:
+        results |= core.results
+    useful = sum(core.weight_bytes for core in cores)
+    count = LayerCount(starting, filling, after, useful, cores[0].weight_bytes)
+    return [results[neuron] for neuron in range(layer.neurons)], count
+
+
+def _layer_words(
+    array: MacArray, layer: QuantisedLayer, activations: I8, core: int
+) -> list[_Products]:
+    words = []
+    for neuron in range(core, layer.neurons, array.cores):
+        for at in range(0, layer.fan_in, array.macs):
+            last = at + array.macs >= layer.fan_in
+            row = layer.weights[neuron, at : at + array.macs].tolist()
+            values = activations[at : at + array.macs].tolist()
+            words.append(_Products(neuron, row, values, at == 0, last))
+    return words
+
+
+def _requantise_number(scale: Requantisation, place: int, value: int) -> int:
+    wide = requantise_half_up(value, scale.multipliers[place], scale.shifts[place])
+    return int(saturate(wide, 0, MAX_ACTIVATION))

@@ -1,0 +1,197 @@
+"""Connected components of a stencil, by union and find of the runs of its rows.
+
+Serial, as a run's label comes from the runs above it. Pixel by pixel, to label forty objects in a
+1080p stencil took 1.4 times as long, to measure their areas three times.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels.array_types import I32, I64
+
+# Of a row, from left to right: first columns, columns after the last, and labels.
+Runs = tuple[I32, I32, I32]
+
+# Pixels of a row that are looked at together, and where these do not go on, so many of them.
+SPAN, FINE = 64, 16
+
+
+@inline
+def _find_root(parent: I32, label_components: int) -> int:
+    # Path halving: every other label on the way skips one.
+    while parent[label_components] != label_components:
+        parent[label_components] = parent[parent[label_components]]
+        label_components = int(parent[label_components])
+    return label_components
+
+
+@inline
+def _join_sets(parent: I32, first: int, second: int) -> int:
+    """Merge two sets under the lower root, and return it."""
+    first, second = _find_root(parent, first), _find_root(parent, second)
+    low, high = min(first, second), max(first, second)
+    parent[high] = low
+    return low
+
+
+@inline
+def _is_continued(span: I32, ident: np.int32) -> bool:
+    """Return whether all pixels of a span show one object, or none where `ident` is 0."""
+    if ident == 0:
+        most = np.int32(0)
+        for j in range(span.size):
+            most = max(most, span[j])
+        return bool(most == 0)
+    changed = np.int32(0)
+    for j in range(span.size):
+        changed |= span[j] ^ ident
+    return bool(changed == 0)
+
+
+@device_function
+def _find_runs(row: I32, begins: I32, ends: I32) -> int:
+    """Write where a row's runs of objects begin and end, [W], and return their number."""
+    count, ident = 0, np.int32(0)
+    for first in range(0, row.size, SPAN):
+        after = min(first + SPAN, row.size)
+        if _is_continued(row[first:after], ident):
+            continue
+        for begin in range(first, after, FINE):
+            end = min(begin + FINE, after)
+            if _is_continued(row[begin:end], ident):
+                continue
+            for j in range(begin, end):
+                value = max(row[j], np.int32(0))
+                if value != ident:
+                    if ident > 0:
+                        ends[count - 1] = j
+                    if value > 0:
+                        begins[count] = j
+                        count += 1
+                    ident = value
+    if ident > 0:
+        ends[count - 1] = row.size
+    return count
+
+
+@device_function
+def _label_runs(
+    rows: tuple[I32, I32],  # ids of the row before, and of this one
+    above: Runs,  # the runs of both rows; labels of `current` are written
+    current: Runs,
+    counts: tuple[int, int],  # how many runs there are
+    parent: I32,  # [H W + 1]: a forest of labels, changed
+    last_label: int,  # the last label so far
+) -> int:
+    """Label the runs of a row by those above, and note which labels meet; return the last label."""
+    skipped = 0
+    for n in range(counts[1]):
+        begin, end, label_components = current[0][n], current[1][n], np.int32(0)
+        ident = rows[1][begin]
+        while skipped < counts[0] and above[1][skipped] < begin:
+            skipped += 1
+        k = skipped
+        while k < counts[0] and above[0][k] <= end:
+            if rows[0][above[0][k]] == ident:
+                label_components = (
+                    np.int32(_join_sets(parent, label_components, above[2][k]))
+                    if label_components > 0
+                    else above[2][k]
+                )
+            k += 1
+        if label_components == 0:
+            last_label += 1
+            label_components = np.int32(last_label)
+            parent[label_components] = label_components
+        current[2][n] = label_components
+    return last_label
+
+
+@device_function
+def _write_run(label_components: np.int32, line: I32) -> None:
+    for j in range(line.size):
+        line[j] = label_components
+
+
+@device_function
+def _write_runs(runs: Runs, count: int, parent: I32, line: I32) -> None:
+    """Write a row's labels from the roots of its runs."""
+    done = np.int64(0)
+    for n in range(count):
+        begin, end = np.int64(runs[0][n]), np.int64(runs[1][n])
+        _write_run(np.int32(0), line[done:begin])
+        _write_run(parent[runs[2][n]], line[begin:end])
+        done = end
+    _write_run(np.int32(0), line[done:])
+
+
+@kernel
+def label_components(
+    stencil: I32,  # [H, W], ids; 0 and below is background
+    # labels: [H, W], written: 0 background, else from 1 in the order of the first pixels, row by
+    # row
+    labels: I32,
+) -> int:
+    """Label the connected pixels of equal id, and return the number of components."""
+    # Eight neighbours touch. A set's root is its lowest label, that of its first pixel's run.
+    height = stencil.shape[0]
+    # Memory that is not written to takes none.
+    parent, first = np.empty(stencil.size + 1, np.int32), np.zeros(height + 1, np.int64)
+    begins, ends, run_labels = np.empty_like(parent), np.empty_like(parent), np.empty_like(parent)
+    last_label, above_count = 0, 0
+    for i in range(height):
+        last, at = max(i - 1, 0), first[i]
+        above = begins[first[last] :], ends[first[last] :], run_labels[first[last] :]
+        current = begins[at:], ends[at:], run_labels[at:]
+        count = _find_runs(stencil[i], current[0], current[1])
+        rows = stencil[last], stencil[i]
+        last_label = _label_runs(rows, above, current, (above_count, count), parent, last_label)
+        first[i + 1], above_count = at + count, count
+    total = 0
+    for k in range(1, last_label + 1):
+        if parent[k] == k:
+            total += 1
+            parent[k] = total
+        else:  # its parent is lower, so that one's number is final
+            parent[k] = parent[parent[k]]
+    for i in range(height):
+        at = first[i]
+        _write_runs((begins[at:], ends[at:], run_labels[at:]), first[i + 1] - at, parent, labels[i])
+    return total
+
+
+@kernel
+def measure_component_areas(
+    stencil: I32,  # as in `label_components`
+    areas: I64,  # [H W + 1], its beginning is written: by label, background first
+) -> int:
+    """Count the pixels of each component, and return the number of labels, background included."""
+    # Only the runs of two rows are kept.
+    height, width = stencil.shape
+    parent, runs = np.empty(stencil.size + 1, np.int32), np.empty((2, 3, width), np.int32)
+    areas[0] = stencil.size
+    last_label, above_count = 0, 0
+    for i in range(height):
+        above, current = runs[(i + 1) % 2], runs[i % 2]
+        count, before = _find_runs(stencil[i], current[0], current[1]), last_label
+        rows, counts = (stencil[max(i - 1, 0)], stencil[i]), (above_count, count)
+        row_runs = (above[0], above[1], above[2]), (current[0], current[1], current[2])
+        last_label = _label_runs(rows, row_runs[0], row_runs[1], counts, parent, last_label)
+        for k in range(before + 1, last_label + 1):
+            areas[k] = 0
+        for n in range(count):
+            area = current[1, n] - current[0, n]
+            areas[current[2, n]] += area
+            areas[0] -= area
+        above_count = count
+    for k in range(last_label, 0, -1):
+        if parent[k] != k:  # it is lower, and comes later
+            areas[parent[k]] += areas[k]
+    count = 0
+    for k in range(1, last_label + 1):
+        if parent[k] == k:
+            count += 1
+            areas[count] = areas[k]
+    return count + 1

@@ -1,0 +1,421 @@
+"""FLIP: what a viewer sees of an image, and the error map of two images.
+
+Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild, "FLIP: A Difference Evaluator for
+Alternating Images", Proceedings of the ACM on Computer Graphics and Interactive Techniques 3(2),
+2020; sections in the text are its. Opponent colours are the paper's YCxCz without scales and
+offset, which filters leave as they are: float32 sums keep more digits of dark colours that way.
+Filters are passes down and along rows, with the image's edge repeated outside.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._row_bands import Band, band_range
+from exwarp_cli.kernels.array_types import F32, F64
+
+_MANTISSA = np.int32(23)  # bits of a float32's mantissa
+
+# Bits of the least mantissa: those from sqrt(1/2) to sqrt(2) lie closest around 1.
+_ROOT_HALF_BITS = np.int32(np.float32(np.sqrt(0.5)).view(np.int32))
+
+_BIAS = np.int32(127)
+
+_ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
+
+MIN_BASE = np.float32(1e-30)
+
+# log2((1 + s) / (1 - s)) = 2 / ln 2 * (s + s^3 / 3 + ...); the next term is below 4e-9 of the sum.
+_LOG1, _LOG3, _LOG5, _LOG7, _LOG9 = (np.float32(2 / np.log(2) / n) for n in (1, 3, 5, 7, 9))
+
+# 2^x = 1 + x ln 2 + (x ln 2)^2 / 2! + ...; the next term is below 6e-9.
+_EXP1, _EXP2, _EXP3, _EXP4, _EXP5, _EXP6, _EXP7 = (
+    np.float32(np.log(2) ** n / f) for n, f in enumerate((1, 2, 6, 24, 120, 720, 5040), 1)
+)
+
+
+@inline
+def power(base: np.float32, exponent: np.float32) -> np.float32:
+    """Return base ** exponent within 2e-6; both 0 or more, the result 2^-126 to 2^126.
+
+    A base below MIN_BASE counts as 0, with the result 0 whatever the exponent. All operations are
+    single float32 ones, so that builds agree in every bit.
+    """
+    # Without Intel's SVML numba calls the C library's `pow` for each number: two thirds of FLIP's
+    # time. The casts tell numba the type; they change nothing.
+    bits = np.float32(base).view(np.int32)
+    shift = np.int32(np.int32(bits - _ROOT_HALF_BITS) >> _MANTISSA)
+    mantissa = np.int32(bits - np.int32(shift << _MANTISSA)).view(np.float32)
+    s = (mantissa - _ONE) / (mantissa + _ONE)
+    q = s * s
+    log = np.float32(shift) + s * (_LOG1 + q * (_LOG3 + q * (_LOG5 + q * (_LOG7 + q * _LOG9))))
+    scaled = exponent * log
+    integer = np.floor(scaled + _HALF)
+    r = scaled - integer
+    fraction = _ONE + r * (
+        _EXP1 + r * (_EXP2 + r * (_EXP3 + r * (_EXP4 + r * (_EXP5 + r * (_EXP6 + r * _EXP7)))))
+    )
+    scale = np.int32(np.int32(np.int32(integer) + _BIAS) << _MANTISSA).view(np.float32)
+    return fraction * scale if base >= MIN_BASE else _ZERO
+
+
+# Opponent colours of an image: y, x - y and y - z, each of x, y, z 0 to 1 (white).
+OPPONENT_PLANES = 3
+
+# Linear sRGB to CIE XYZ, as the paper's code has it, in relation to white: rows sum to 1.
+TO_XYZ = np.array(
+    [
+        [10135552 / 24577794, 8788810 / 24577794, 4435075 / 24577794],
+        [2613072 / 12288897, 8788810 / 12288897, 887015 / 12288897],
+        [1425312 / 73733382, 8788810 / 73733382, 70074185 / 73733382],
+    ]
+)
+TO_XYZ /= TO_XYZ.sum(axis=1, keepdims=True)
+_XR, _XG, _XB, _YR, _YG, _YB, _ZR, _ZG, _ZB = TO_XYZ.astype(np.float32).ravel()
+_RX, _RY, _RZ, _GX, _GY, _GZ, _BX, _BY, _BZ = np.linalg.inv(TO_XYZ).astype(np.float32).ravel()
+
+_SRGB_TOE, _SRGB_EXPONENT = np.float32(0.04045), np.float32(2.4)
+_SRGB_SLOPE, _SRGB_SCALE = np.float32(1 / 12.92), np.float32(1 / 1.055)
+_SRGB_OFFSET = np.float32(0.055 / 1.055)
+_PEAK, _UNIT = np.float32(255), np.float32(1 / 255)
+
+# ACES as Narkowicz fits it, with the exposure of 0.6 that goes with the fit: a quotient of two
+# quadratic polynomials.
+_N2, _N1 = np.float32(0.6**2 * 2.51), np.float32(0.6 * 0.03)
+_D2, _D1, _D0 = np.float32(0.6**2 * 2.43), np.float32(0.6 * 0.59), np.float32(0.14)
+
+
+def _linear_of_tone(tone: np.float32) -> np.float32:
+    """Return the linear value that the tone mapper turns into `tone`."""
+    # With float32 coefficients, as the authors' package: where luminances lie whole stops apart,
+    # the last digit decides on the number of exposures.
+    a, b, c = (float(v) for v in (_N2 - tone * _D2, _N1 - tone * _D1, -tone * _D0))
+    return np.float32((-b + np.sqrt(b * b - 4 * a * c)) / (2 * a))
+
+
+SATURATED = _linear_of_tone(np.float32(0.85))  # the brightest value that HDR-FLIP wants to show
+
+
+@inline
+def _to_xyz(r: np.float32, g: np.float32, b: np.float32) -> tuple[np.float32, ...]:
+    """Return CIE XYZ relative to white, 0 to 1, of linear colour, 0 to 1."""
+    x = _XR * r + _XG * g + _XB * b
+    y = _YR * r + _YG * g + _YB * b
+    z = _ZR * r + _ZG * g + _ZB * b
+    return x, y, z
+
+
+@inline
+def _to_linear(x: np.float32, y: np.float32, z: np.float32) -> tuple[np.float32, ...]:
+    r = _RX * x + _RY * y + _RZ * z
+    g = _GX * x + _GY * y + _GZ * z
+    b = _BX * x + _BY * y + _BZ * z
+    return r, g, b
+
+
+@device_function
+def _copy_channel(image: F32, row: int, channel: int, out: F32) -> None:
+    # LLVM vectorises what follows only where pixels lie together.
+    for i in range(out.size):
+        out[i] = image[row, i, channel]
+
+
+@device_function
+def _decode_line(line: F32) -> None:
+    """Turn display-encoded values, 0 to 255, into linear colour, 0 to 1; in place."""
+    for i in range(line.size):
+        v = min(max(line[i], _ZERO), _PEAK) * _UNIT
+        curve = power(v * _SRGB_SCALE + _SRGB_OFFSET, _SRGB_EXPONENT)
+        line[i] = v * _SRGB_SLOPE if v <= _SRGB_TOE else curve
+
+
+@device_function
+def _tone_line(line: F32, gain: np.float32) -> None:
+    """Turn linear values, 0 or more, into tone-mapped ones at an exposure; in place."""
+    for i in range(line.size):
+        v = line[i] * gain
+        line[i] = min(v * (v * _N2 + _N1) / (v * (v * _D2 + _D1) + _D0), _ONE)
+
+
+@device_function
+def _write_opponent_row(r: F32, g: F32, b: F32, row: int, planes: F32) -> None:
+    achromatic, red_green, blue_yellow = planes[0, row], planes[1, row], planes[2, row]
+    for i in range(r.size):
+        x, y, z = _to_xyz(r[i], g[i], b[i])
+        achromatic[i] = y
+        red_green[i] = x - y
+        blue_yellow[i] = y - z
+
+
+@device_function
+def _decode_row(image: F32, row: int, planes: F32) -> None:
+    lines = np.empty((3, image.shape[1]), np.float32)
+    for c in range(3):
+        _copy_channel(image, row, c, lines[c])
+        _decode_line(lines[c])
+    _write_opponent_row(lines[0], lines[1], lines[2], row, planes)
+
+
+@device_function
+def _tone_row(image: F32, gain: np.float32, row: int, planes: F32) -> None:
+    lines = np.empty((3, image.shape[1]), np.float32)
+    for c in range(3):
+        _copy_channel(image, row, c, lines[c])
+        _tone_line(lines[c], gain)
+    _write_opponent_row(lines[0], lines[1], lines[2], row, planes)
+
+
+@kernel(parallel=True)
+def decode_opponent(
+    image: F32,  # [H, W, 3 or more], 0 to 255 with sRGB primaries; clipped
+    planes: F32,  # [OPPONENT_PLANES, H, W], written
+    band: Band,
+) -> None:
+    """Write the opponent colours of a display-encoded image."""
+    for row in band_range(image.shape[0], band):
+        _decode_row(image, row, planes)
+
+
+@kernel(parallel=True)
+def expose_opponent(
+    image: F32,  # [H, W, 3 or more], 0 to 65504 with sRGB primaries
+    gain: np.float32,  # factor before the tone mapper, up to 2^25
+    planes: F32,  # [OPPONENT_PLANES, H, W], written
+    band: Band,
+) -> None:
+    """Write the opponent colours of a scene-linear image as shown at an exposure."""
+    for row in band_range(image.shape[0], band):
+        _tone_row(image, gain, row, planes)
+
+
+# A 4K display, 0.7 m wide, seen from 0.7 m: 67.02.
+PIXELS_PER_DEGREE = 0.7 * (3840 / 0.7) * np.pi / 180
+
+_NEGLIGIBLE = 1e-9  # Weights below this share of the largest change no float32 sum
+
+# Spreads b of the Gaussians sqrt(pi / b) exp(-pi^2 x^2 / b), x in degrees; the blue-yellow channel
+# has two, of different heights.
+_ACHROMATIC, _RED_GREEN = 0.0047, 0.0053
+_BLUE_YELLOW = (34.1, 0.04), (13.5, 0.025)
+
+_FEATURE_WIDTH = 0.082  # Of edges and points, in degrees
+
+
+def _total(weights: F64) -> float:
+    """Sum weights over both sides and the centre."""
+    return float(2 * weights.sum() - weights[0])
+
+
+def _bells() -> list[F64]:
+    """Return the Gaussians of the three channels; the last two down, and their share along."""
+    widest = max(b for _, b in _BLUE_YELLOW)
+    radius = int(np.ceil(3 * np.sqrt(widest / (2 * np.pi**2)) * PIXELS_PER_DEGREE))
+    x = np.arange(radius + 1) / PIXELS_PER_DEGREE
+    achromatic, red_green = (np.exp(-((np.pi * x) ** 2) / b) for b in (_ACHROMATIC, _RED_GREEN))
+    blue_yellow = [np.exp(-((np.pi * x) ** 2) / b) for _, b in _BLUE_YELLOW]
+    heights = [a * np.sqrt(np.pi / b) for a, b in _BLUE_YELLOW]
+    volume = sum(a * _total(bell) ** 2 for a, bell in zip(heights, blue_yellow, strict=True))
+    shares = [a * bell / volume for a, bell in zip(heights, blue_yellow, strict=True)]
+    return [achromatic / _total(achromatic), red_green / _total(red_green), *blue_yellow, *shares]
+
+
+def _detectors() -> list[F64]:
+    """Return the Gaussian of the features, and its first and second derivative."""
+    # Positive weights sum to 1 and negative ones to -1.
+    sigma = 0.5 * _FEATURE_WIDTH * PIXELS_PER_DEGREE
+    x = np.arange(int(np.ceil(3 * sigma)) + 1)
+    bell = np.exp(-(x**2) / (2 * sigma**2))
+    slope = x * bell
+    bend = (x**2 / sigma**2 - 1) * bell
+    outside, inside = np.where(bend > 0, bend, 0), np.where(bend < 0, bend, 0)
+    bend = outside / _total(outside) - inside / _total(inside)
+    return [bell / _total(bell), slope / slope.sum(), bend]
+
+
+_ALL = [*_bells(), *_detectors()]
+# The filters' numbers.
+BRIGHT, RED_GREEN, WIDE, NARROW, WIDE_SHARE, NARROW_SHARE, BELL, SLOPE, BEND = range(len(_ALL))
+
+HALO = max(map(len, _ALL)) - 1  # Samples that a line has on either side of the image
+
+_WEIGHTS = np.array([np.pad(w, (0, HALO + 1 - len(w))) for w in _ALL], np.float32)
+_COUNTS = np.array([np.flatnonzero(w > _NEGLIGIBLE * w.max()).max() + 1 for w in _ALL])
+# Of the samples above and to the left.
+_SIGNS = np.array([-1 if n == SLOPE else 1 for n in range(len(_ALL))], np.float32)
+
+
+# One array written and two read, as LLVM vectorises only loops that need few checks for overlap.
+@device_function
+def _scale_line(weight: np.float32, a: F32, out: F32) -> None:
+    for i in range(out.size):
+        out[i] = weight * a[i]
+
+
+@device_function
+def _add_pair(total: F32, weight: np.float32, a: F32, sign: np.float32, b: F32) -> None:
+    for i in range(total.size):
+        total[i] += weight * (b[i] + sign * a[i])
+
+
+@device_function
+def _filter_down(plane: F32, row: int, number: int, line: F32) -> None:
+    """Filter a plane [H, W] downwards at one row into a line [W + 2 HALO]."""
+    width, last = plane.shape[1], plane.shape[0] - 1
+    inner = line[HALO : HALO + width]
+    weights, sign = _WEIGHTS[number], _SIGNS[number]
+    _scale_line(weights[0], plane[row], inner)
+    for k in range(1, _COUNTS[number]):
+        above, below = plane[max(row - k, 0)], plane[min(row + k, last)]
+        _add_pair(inner, weights[k], above, sign, below)
+    line[:HALO] = inner[0]
+    line[HALO + width :] = inner[width - 1]
+
+
+@device_function
+def _filter_along(line: F32, number: int, out: F32) -> None:
+    """Filter a line [W + 2 HALO] along the row into [W]."""
+    weights, sign = _WEIGHTS[number], _SIGNS[number]
+    _scale_line(weights[0], line[HALO:], out)
+    for k in range(1, _COUNTS[number]):
+        _add_pair(out, weights[k], line[HALO - k :], sign, line[HALO + k :])
+
+
+# Planes of what is seen: lightness, red-green, blue-yellow, strength of edges and of points.
+PERCEIVED_PLANES = 5
+
+# CIELAB; all of it scaled so that lightness is 0 to 100.
+_LAB_TOE, _LAB_SLOPE = np.float32((6 / 29) ** 3), np.float32(29**2 / (3 * 6**2))
+_LAB_OFFSET, _THIRD = np.float32(4 / 29), np.float32(1 / 3)
+_L1, _L0, _HUNT = np.float32(116), np.float32(16), np.float32(0.01)
+_A1, _B1 = np.float32(500), np.float32(200)
+
+
+@inline
+def _lab_curve(value: np.float32) -> np.float32:
+    """Return CIELAB's cube root with its straight toe, of 0 to 1."""
+    toe = value * _LAB_SLOPE + _LAB_OFFSET
+    return power(value, _THIRD) if value > _LAB_TOE else toe
+
+
+@inline
+def _clip_unit(value: np.float32) -> np.float32:
+    return min(max(value, _ZERO), _ONE)
+
+
+@device_function
+def _write_lab_row(filtered: F32, row: int, perceived: F32) -> None:
+    """Turn filtered opponent colours into CIELAB with Hunt's effect (section 4.1.2)."""
+    # What no display can show is clipped first; chroma is scaled by lightness.
+    achromatic, red_green, wide, narrow = filtered[0], filtered[1], filtered[2], filtered[3]
+    lightness, a, b = perceived[0, row], perceived[1, row], perceived[2, row]
+    for i in range(lightness.size):
+        y = achromatic[i]
+        x, z = y + red_green[i], y - (wide[i] + narrow[i])
+        red, green, blue = _to_linear(x, y, z)
+        x, y, z = _to_xyz(_clip_unit(red), _clip_unit(green), _clip_unit(blue))
+        fx, fy, fz = _lab_curve(x), _lab_curve(y), _lab_curve(z)
+        light = _L1 * fy - _L0
+        lightness[i] = light
+        a[i] = _HUNT * light * (_A1 * (fx - fy))
+        b[i] = _HUNT * light * (_B1 * (fy - fz))
+
+
+@device_function
+def _write_lengths(a: F32, b: F32, out: F32) -> None:
+    for i in range(out.size):
+        out[i] = np.sqrt(a[i] * a[i] + b[i] * b[i])
+
+
+# The plane, the filter down and the filter along. A table, as each call compiles for 0.1 s.
+_PASSES = np.array(
+    [
+        (0, BRIGHT, BRIGHT),
+        (1, RED_GREEN, RED_GREEN),
+        (2, WIDE, WIDE_SHARE),
+        (2, NARROW, NARROW_SHARE),
+        (0, BELL, SLOPE),
+        (0, SLOPE, BELL),
+        (0, BELL, BEND),
+        (0, BEND, BELL),
+    ]
+)
+
+
+@device_function
+def _perceive_row(planes: F32, row: int, perceived: F32) -> None:
+    width = planes.shape[2]
+    line = np.empty(width + 2 * HALO, np.float32)
+    filtered = np.empty((_PASSES.shape[0], width), np.float32)
+    for n in range(_PASSES.shape[0]):
+        plane, down, along = _PASSES[n, 0], _PASSES[n, 1], _PASSES[n, 2]
+        _filter_down(planes[plane], row, down, line)
+        _filter_along(line, along, filtered[n])
+    _write_lab_row(filtered, row, perceived)
+    _write_lengths(filtered[4], filtered[5], perceived[3, row])
+    _write_lengths(filtered[6], filtered[7], perceived[4, row])
+
+
+@kernel(parallel=True)
+def write_perceived(
+    planes: F32,  # [OPPONENT_PLANES, H, W], opponent colours
+    # perceived: [PERCEIVED_PLANES, H, W], written: CIELAB with Hunt's effect; edges and points, 0
+    # to sqrt(2)
+    perceived: F32,
+    band: Band,
+) -> None:
+    """Write what a viewer sees of an image (sections 4.1.1, 4.1.2 and 4.2.1)."""
+    for row in band_range(planes.shape[1], band):
+        _perceive_row(planes, row, perceived)
+
+
+def _largest_distance() -> float:
+    """Return the distance of green and blue, the colours farthest apart (section 4.1.3)."""
+
+    def lab(colour: tuple[int, int, int]) -> F64:
+        x, y, z = np.cbrt(TO_XYZ @ np.array(colour, np.float64))
+        lightness = 116 * y - 16
+        chroma = 0.01 * lightness
+        return np.array([lightness, chroma * 500 * (x - y), chroma * 200 * (y - z)])
+
+    difference = lab((0, 1, 0)) - lab((0, 0, 1))
+    return float((abs(difference[0]) + np.hypot(difference[1], difference[2])) ** 0.7)
+
+
+# Distances to the power of 0.7; those below 0.4 of the largest take 0.95 of the range.
+_DISTANCE_EXPONENT = np.float32(0.7)
+_LARGEST = _largest_distance()
+_BEND, _AT_BEND = np.float32(0.4 * _LARGEST), np.float32(0.95)
+_BELOW, _ABOVE = np.float32(0.95 / (0.4 * _LARGEST)), np.float32((1 - 0.95) / (0.6 * _LARGEST))
+
+_ROOT_HALF = np.float32(np.sqrt(0.5))
+
+
+@device_function
+def _differ_row(reference: F32, test: F32, row: int, error: F32) -> None:
+    l0, a0, b0 = reference[0, row], reference[1, row], reference[2, row]
+    l1, a1, b1 = test[0, row], test[1, row], test[2, row]
+    e0, p0, e1, p1 = reference[3, row], reference[4, row], test[3, row], test[4, row]
+    colour = np.empty(l0.size, np.float32)
+    for i in range(colour.size):
+        da, db = a0[i] - a1[i], b0[i] - b1[i]
+        distance = abs(l0[i] - l1[i]) + np.sqrt(da * da + db * db)
+        curved = power(distance, _DISTANCE_EXPONENT)
+        colour[i] = _BELOW * curved if curved < _BEND else _AT_BEND + _ABOVE * (curved - _BEND)
+    out = error[row]
+    for i in range(out.size):
+        feature = np.sqrt(_ROOT_HALF * max(abs(e0[i] - e1[i]), abs(p0[i] - p1[i])))
+        value = power(colour[i], _ONE - min(feature, _ONE))
+        out[i] = max(out[i], min(value, _ONE))
+
+
+@kernel(parallel=True)
+def raise_flip_error(
+    reference: F32,  # [PERCEIVED_PLANES, H, W], as `test`; from `write_perceived`
+    test: F32,
+    error: F32,  # [H, W], 0 to 1: becomes the larger of itself and the pair's FLIP error
+    band: Band,
+) -> None:
+    """Raise an error map to the error of a pair of images (sections 4.1.3, 4.2.2 and 4.3)."""
+    for row in band_range(error.shape[0], band):
+        _differ_row(reference, test, row, error)

@@ -1,0 +1,317 @@
+"""Statistics of frames: the features that the policy sees, and thumbnails of light.
+
+The earth mover's distance (paper, "List of features") is, in one dimension, the area between two
+cumulative distributions (Vallender 1974). They are histograms over the range that both buffers
+share. Against the distance of the values themselves, 15 pairs of the benchmark scenes were off by,
+median / worst: normals 0.4 / 1.0 percent, positions 1.1 / 6.5 percent. The worst is a view outdoors
+whose positions span 1,900 units, where the distance is 0.3.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+
+from exwarp_cli.kernels._compile import device_function, kernel
+from exwarp_cli.kernels._row_bands import Band, band_range
+from exwarp_cli.kernels.array_types import B8, F32, F64, I64
+
+# Rows with a common range and histogram; also the grain of the parallel loop.
+ROWS_PER_STRIP = 32
+
+
+@device_function
+def _finite_range(values: F32, mask: B8) -> tuple[np.float32, np.float32]:
+    least, most = np.float32(np.inf), np.float32(-np.inf)
+    for i in range(mask.shape[0]):
+        for j in range(mask.shape[1]):
+            value = values[i, j]
+            if mask[i, j] and abs(value) < np.float32(np.inf):
+                least, most = min(least, value), max(most, value)
+    return least, most
+
+
+@kernel(parallel=True)
+def write_ranges(
+    values: F32,  # [H, W, C]
+    mask: B8,  # [H, W]: pixels that count
+    # out: [ceil(H / ROWS_PER_STRIP), C, 2], written, of finite values; +inf and -inf without any
+    out: F32,
+    band: Band,
+) -> None:
+    """Write the minimum and maximum of each strip of rows and channel."""
+    for strip in band_range(out.shape[0], band):
+        rows = slice(strip * ROWS_PER_STRIP, (strip + 1) * ROWS_PER_STRIP)
+        for c in range(values.shape[2]):
+            out[strip, c, 0], out[strip, c, 1] = _finite_range(values[rows, :, c], mask[rows])
+
+
+BINS = 256
+
+
+@device_function
+def _bin_of(value: float, low: float, high: float) -> int:
+    """Return the bin of a value from `low` to `high`, 0 to BINS - 1."""
+    # Near an edge the edge itself decides, as in numpy.
+    scale, step = BINS / (high - low), (high - low) / BINS
+    k = int((value - low) * scale)
+    if value < low + k * step:
+        k -= 1
+    elif value >= low + (k + 1) * step:
+        k += 1
+    return min(max(k, 0), BINS - 1)
+
+
+@device_function
+def _count_channel(values: F32, mask: B8, low: float, high: float, counts: I64) -> None:
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            if mask[i, j] and abs(values[i, j]) < np.float32(np.inf):
+                counts[_bin_of(np.float64(values[i, j]), low, high)] += 1
+
+
+@kernel(parallel=True)
+def count_histograms(
+    values: F32,  # [H, W, C]
+    mask: B8,  # [H, W]: pixels that count
+    # ranges: [C, 2]: range of each channel's finite values; channels with equal ends are not
+    # counted
+    ranges: F64,
+    counts: I64,  # [ceil(H / ROWS_PER_STRIP), C, BINS], written; NaN and infinities are left out
+    band: Band,
+) -> None:
+    """Write histograms of each strip of rows, by the convention of ``numpy.histogram``."""
+    for strip in band_range(counts.shape[0], band):
+        rows = slice(strip * ROWS_PER_STRIP, (strip + 1) * ROWS_PER_STRIP)
+        for c in range(values.shape[2]):
+            counts[strip, c, :] = 0
+            low, high = ranges[c, 0], ranges[c, 1]
+            if low < high:
+                _count_channel(values[rows, :, c], mask[rows], low, high, counts[strip, c])
+
+
+class ValueDistribution:
+    """The range and the cumulative distribution of a buffer, computed once for all comparisons."""
+
+    def __init__(
+        self,
+        values: F32,  # [H, W, C]; NaN and infinities never count
+        shown: B8,  # [H, W]: pixels that count
+    ) -> None:
+        self._values = np.ascontiguousarray(values)
+        self._mask = np.ascontiguousarray(shown)
+        self._ranges = np.zeros((values.shape[2], 2))
+        self._shares = np.zeros((values.shape[2], BINS))
+
+    @cached_property
+    def range(self) -> F64:
+        """Minimum and maximum of each channel, float64 [C, 2]; crossed when there is none."""
+        ends = np.empty((self._bands, self._values.shape[2], 2), np.float32)
+        write_ranges(self._values, self._mask, ends)
+        low, high = ends[..., 0].min(axis=0), ends[..., 1].max(axis=0)
+        return np.stack([low, high], axis=-1).astype(np.float64)
+
+    def shares(self, ranges: F64) -> F64:
+        """Return the cumulative distribution at each bin's upper end, float64 [C, BINS], 0 to 1.
+
+        `ranges` as in `count_histograms`.
+        """
+        # Often a channel has the range of the last call, as normals do: it is not counted again.
+        new = (ranges != self._ranges).any(axis=1)
+        if new.any():
+            counts = np.empty((self._bands, self._values.shape[2], BINS), np.int64)
+            count_histograms(self._values, self._mask, np.where(new[:, None], ranges, 0.0), counts)
+            total = counts.sum(axis=0).cumsum(axis=-1)
+            self._shares[new] = (total / np.maximum(total[:, -1:], 1))[new]
+            self._ranges = ranges
+        return self._shares
+
+    @property
+    def _bands(self) -> int:
+        rows: int = self._values.shape[0]
+        return -(-rows // ROWS_PER_STRIP)
+
+
+def earth_movers_distances(
+    before: ValueDistribution,  # as `after`: of equally many channels
+    after: ValueDistribution,
+) -> F64:
+    """Return the earth mover's distances between two buffers, float64 [C], in their unit.
+
+    0 for channels where either has no value, or both hold only one and the same. Sizes may differ.
+    """
+    ends = np.stack([before.range, after.range])
+    low, high = ends[..., 0].min(axis=0), ends[..., 1].max(axis=0)
+    usable = (ends[..., 0] <= ends[..., 1]).all(axis=0) & (low < high)
+    ranges = np.where(usable[:, None], np.stack([low, high], axis=-1), 0.0)
+    early, late = before.shares(ranges), after.shares(ranges)
+    areas: F64 = np.abs(early - late).sum(axis=-1) * (ranges[:, 1] - ranges[:, 0]) / BINS
+    return areas
+
+
+@device_function
+def _has_any(mask: B8) -> bool:
+    # All are read, without branches: vectorised.
+    result = False
+    for j in range(mask.size):
+        result |= mask[j]
+    return result
+
+
+@device_function
+def _write_block_mean(motion: F32, mask: B8, mean: F64) -> None:
+    """Write the mean [2] of the values [R, C, 2] of a block that count; NaN without any."""
+    sum_x, sum_y, count = np.float64(0), np.float64(0), 0
+    for i in range(motion.shape[0]):
+        if mask.size > 0 and not _has_any(mask[i]):
+            continue  # as mostly in sky, half of all the time without
+        for j in range(motion.shape[1]):
+            vx, vy = np.float64(motion[i, j, 0]), np.float64(motion[i, j, 1])
+            # Two float32 cannot add up to infinity here.
+            if (mask.size == 0 or mask[i, j]) and math.isfinite(vx + vy):
+                sum_x += vx
+                sum_y += vy
+                count += 1
+    mean[0] = sum_x / count if count > 0 else np.nan
+    mean[1] = sum_y / count if count > 0 else np.nan
+
+
+@kernel(parallel=True)
+def block_means(
+    motion: F32,  # [H, W, 2] px
+    mask: B8,  # [H, W]: pixels that count; [0, 0] for all
+    size: int,  # side of a block in px, at least 1; smaller at the right and lower edge
+    out: F64,  # [ceil(H / size), ceil(W / size), 2], written; NaN for blocks without a finite value
+    band: Band,
+) -> None:
+    """Write the mean motion of each block."""
+    height, width, _ = motion.shape
+    for block_row in band_range(out.shape[0], band):
+        rows = slice(block_row * size, min((block_row + 1) * size, height))
+        for block in range(out.shape[1]):
+            columns = slice(block * size, min((block + 1) * size, width))
+            _write_block_mean(motion[rows, columns], mask[rows, columns], out[block_row, block])
+
+
+SAMPLES = 1 << 14  # values that locate the median roughly
+
+# Share of all values, on each side of the samples' median, that is searched for the median of all:
+# four times the standard error of so many samples. Twice the share took a fifth longer at 1080p.
+# In the rare case that the median lies beyond, all values are searched.
+SEARCH_SHARE = 0.016
+
+TALLY_SPAN = 256  # values that are tested together: most spans contain none that is picked
+
+MEDIAN_BANDS = 16  # parts of the values: the grain of the parallel loop
+
+
+@device_function
+def _tally(values: F32, mask: B8, low: float, high: float) -> tuple[int, int, int]:
+    """Return how many of a span count, lie below `low`, and from there to `high`."""
+    total, below, until = np.int32(0), np.int32(0), np.int32(0)
+    for n in range(values.size):
+        counts = mask[n] & (values[n] > np.float32(0))
+        total += np.int32(counts)
+        below += np.int32(counts & (values[n] < low))
+        until += np.int32(counts & (values[n] <= high))
+    return int(total), int(below), int(until - below)
+
+
+@device_function
+def _copy_between(values: F32, mask: B8, low: float, high: float, out: F32) -> None:
+    count = 0
+    for n in range(values.size):
+        value = values[n]
+        out[count] = value  # kept where the next one goes to another place
+        count += mask[n] & (value > np.float32(0)) & (value >= low) & (value <= high)
+
+
+@device_function
+def _pick_band(values: F32, mask: B8, low: float, high: float, out: F32, counts: I64) -> None:
+    total, below, count = 0, 0, 0
+    for begin in range(0, values.size, TALLY_SPAN):
+        span, span_mask = values[begin : begin + TALLY_SPAN], mask[begin : begin + TALLY_SPAN]
+        counting, lower, between = _tally(span, span_mask, low, high)
+        if between > 0:
+            _copy_between(span, span_mask, low, high, out[count:])
+        total, below, count = total + counting, below + lower, count + between
+    counts[0], counts[1], counts[2] = total, below, count
+
+
+@kernel(parallel=True)
+def pick_between(
+    values: F32,  # [N]
+    mask: B8,  # [N]: those that count, where they are above 0
+    low: np.float32,  # both ends count
+    high: np.float32,
+    out: F32,  # [B, M + 1] for bands of M values; the beginning of each is written
+    counts: I64,  # [B, 3], written: how many of a band count, lie below `low`, and were copied
+    band: Band,
+) -> None:
+    """Copy values above 0 that lie from `low` to `high`, by bands."""
+    step = out.shape[1] - 1
+    for strip in band_range(out.shape[0], band):
+        span = slice(min(strip * step, values.size), min((strip + 1) * step, values.size))
+        _pick_band(values[span], mask[span], low, high, out[strip], counts[strip])
+
+
+def positive_median(
+    values: F32,  # [H, W]
+    counted: B8,  # [H, W]: values that count if they are above 0
+) -> np.float32:
+    """Return the median of values [H, W] above 0, as numpy does; NaN without any."""
+    flat, mask = np.ascontiguousarray(values).ravel(), np.ascontiguousarray(counted).ravel()
+    step = max(1, flat.size // SAMPLES)
+    samples = flat[::step][mask[::step]]
+    samples = np.sort(samples[samples > 0])
+    low, high = np.float32(0), np.float32(np.inf)
+    if step > 1 and samples.size:
+        near = max(1, round(SEARCH_SHARE * samples.size))
+        low, high = (
+            samples[max(0, samples.size // 2 - near)],
+            samples[min(samples.size // 2 + near, len(samples) - 1)],
+        )
+    out = np.empty((MEDIAN_BANDS, -(-flat.size // MEDIAN_BANDS) + 1), np.float32)
+    counts = np.empty((MEDIAN_BANDS, 3), np.int64)
+    pick_between(flat, mask, low, high, out, counts)
+    total, below, count = counts.sum(axis=0).tolist()
+    # An even number has two in the middle, whose mean is the median.
+    first, last = (total - 1) // 2 - below, total // 2 - below
+    if first < 0 or last >= count:
+        return np.float32(np.median(flat[mask & (flat > 0)])) if total else np.float32(np.nan)
+    picked = np.concatenate(
+        [values[:length] for values, length in zip(out, counts[:, 2], strict=True)]
+    )
+    return np.float32(np.partition(picked, (first, last))[first : last + 1].mean())
+
+
+RED, GREEN, BLUE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
+MAX_LUMINANCE = np.float32(1e4)
+
+
+@kernel
+def mean_square_roots(
+    pixels: F32,  # [H, W C], scene-linear; NaN and negative luminance count as black
+    channels: int,  # C, 3 or more, red, green, blue first
+    rows: I64,  # [h points], the pixels' rows, cell by cell; below 0 outside, which is black
+    columns: I64,  # [w points]
+    points: int,  # pixels along a cell's side
+    out: F32,  # [h, w], written; finite, 0 or more
+) -> None:
+    """Write mean square roots of luminance, from a square of pixels of each cell."""
+    # In numpy the same took ten times as long.
+    black = np.float32(0)
+    for y in range(out.shape[0]):
+        for x in range(out.shape[1]):
+            total = black
+            for row in rows[y * points : (y + 1) * points]:
+                for column in columns[x * points : (x + 1) * points]:
+                    if row >= 0 and column >= 0:
+                        at = column * channels
+                        red, green, blue = pixels[row, at], pixels[row, at + 1], pixels[row, at + 2]
+                        light = RED * red + GREEN * green + BLUE * blue
+                        light = light if light > black else black  # NaN is not
+                        total += np.float32(math.sqrt(min(light, MAX_LUMINANCE)))
+            out[y, x] = total / np.float32(points * points)

@@ -1,0 +1,251 @@
+"""Planes as networks take them, from interleaved pixels and back."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._row_bands import Band, band_range
+from exwarp_cli.kernels.array_types import B8, F32
+from exwarp_cli.kernels.gather import clamp
+
+Frame = tuple[F32, B8]
+
+# First planes of the colour of the three frames and of the filled one, and planes of their masks.
+COLOUR_PLANES, MASK_PLANES = (13, 17, 21, 3), (16, 20, 24)
+
+# Least median of depths, which are divided by it.
+MIN_MEDIAN = np.float32(np.finfo(np.float32).tiny)
+
+
+@inline
+def _clamp_known(value: np.float32, low: float, high: float, unknown: float) -> np.float32:
+    if math.isnan(value):
+        return np.float32(unknown)
+    return np.float32(low) if value < low else np.float32(high) if value > high else value
+
+
+@inline
+def _clamp_normal(value: np.float32) -> np.float32:
+    return np.float32(0) if math.isinf(value) else _clamp_known(value, -1.0, 1.0, 0.0)
+
+
+PlaneRow = tuple[int, int]  # A plane and a row of it
+
+# Columns of a part that lie in the frame: the first, the one after the last, and the first's column
+# in the frame. At least one.
+Columns = tuple[int, int, int]
+
+
+@device_function
+def _visible_columns(left: int, width: int, count: int) -> Columns:
+    """Return which of `count` columns from `left` on lie in a frame of some width."""
+    begin = clamp(-left, 0, count - 1)
+    return begin, clamp(width - left, begin + 1, count), clamp(left + begin, 0, width - 1)
+
+
+@device_function
+def _fill_line(value: np.float32, line: F32) -> None:
+    for x in range(line.size):
+        line[x] = value
+
+
+@device_function
+def _repeat_ends(columns: Columns, y: int, out: F32) -> None:
+    begin, end, _ = columns
+    for plane in range(out.shape[0]):
+        line = out[plane, y]
+        for x in range(begin):
+            line[x] = line[begin]
+        for x in range(end, line.size):
+            line[x] = line[end - 1]
+
+
+@device_function
+def _write_colour(
+    pixels: F32, at: int, channels: int, columns: Columns, out: F32, place: PlaneRow
+) -> None:
+    """Write three lines of colour from a row of `pixels` [H W C] that begins at pixel `at`."""
+    begin, end, start = columns
+    plane, y = place
+    span = slice(begin, end)
+    red, green, blue = out[plane, y][span], out[plane + 1, y][span], out[plane + 2, y][span]
+    row = pixels[(at + start) * channels : (at + start + end - begin) * channels]
+    for n in range(red.size):
+        first = np.uint64(channels) * np.uint64(n)
+        red[n] = row[first]
+        green[n] = row[first + np.uint64(1)]
+        blue[n] = row[first + np.uint64(2)]
+
+
+@device_function
+def _write_mask(row: B8, columns: Columns, line: F32) -> None:
+    begin, end, start = columns
+    for n in range(end - begin):
+        line[begin + n] = np.float32(row[start + n])
+
+
+@device_function
+def _write_visible_colour(y: int, out: F32) -> None:
+    """Write again the newest frame's mask, and its colour there alone."""
+    mask, copy = out[MASK_PLANES[0], y], out[6, y]
+    for x in range(mask.size):  # as a slice, it took a second more to compile
+        copy[x] = mask[x]
+    for c in range(3):
+        line, visible = out[COLOUR_PLANES[0] + c, y], out[c, y]
+        for x in range(mask.size):
+            visible[x] = line[x] * mask[x]
+
+
+@device_function
+def _write_normals(normal: F32, at: int, columns: Columns, out: F32, place: PlaneRow) -> None:
+    """Write three lines of a row of normals [H W 3] that begins at pixel `at`; 0 without any."""
+    begin, end, _ = columns
+    plane, y = place
+    if normal.size == 0:
+        for c in range(3):
+            _fill_line(np.float32(0), out[plane + c, y])
+        return
+    _write_colour(normal, at, 3, columns, out, place)
+    for c in range(3):
+        line = out[plane + c, y][begin:end]
+        for n in range(line.size):
+            line[n] = _clamp_normal(line[n])
+
+
+@device_function
+def _write_depth(
+    depth: F32, at: int, columns: Columns, median: np.float32, unknown: float, line: F32
+) -> None:
+    """Write a line of relative depth from a row of `depth` [H W] that begins at pixel `at`."""
+    if depth.size == 0:
+        _fill_line(np.float32(unknown), line)
+        return
+    begin, end, start = columns
+    scale = max(median, MIN_MEDIAN)
+    for n in range(end - begin):
+        value = depth[np.uint64(at + start + n)]
+        distance = np.float32(0) if value < 0 else value
+        nearness = np.float32(median / np.float32(distance + scale))
+        line[begin + n] = _clamp_known(np.float32(np.float32(1) - nearness), 0.0, 1.0, unknown)
+
+
+@device_function
+def _write_unit_values(values: F32, at: int, columns: Columns, unknown: float, line: F32) -> None:
+    """Write a line of values clamped to 0 and 1 from a row of `values` [H W]."""
+    if values.size == 0:
+        _fill_line(np.float32(unknown), line)
+        return
+    begin, end, start = columns
+    for n in range(end - begin):
+        line[begin + n] = _clamp_known(values[np.uint64(at + start + n)], 0.0, 1.0, unknown)
+
+
+@device_function
+def _write_input_row(
+    rows: tuple[int, int],  # of the frame, and of the planes
+    columns: Columns,
+    pixels: tuple[F32, F32, F32, F32],  # of the three frames, and of the filled one
+    masks: tuple[B8, B8, B8],
+    # surface: depth and normal, then roughness and metallic
+    surface: tuple[tuple[F32, F32], tuple[F32, F32]],
+    defaults: tuple[float, float, float],
+    median: np.float32,
+    out: F32,
+) -> None:
+    """Write one row of a slot's planes."""
+    # Plane by plane: for one pixel after the other, lines of 25 planes, mostly a multiple of 4096
+    # bytes apart, evicted each other from the cache.
+    (i, y), ((depth, normal), materials) = rows, surface
+    at = i * pixels[0].shape[1]
+    for k in range(4):  # a call for each took twice as long to compile
+        colour = pixels[k]
+        _write_colour(colour.reshape(-1), at, colour.shape[2], columns, out, (COLOUR_PLANES[k], y))
+    for k in range(3):
+        _write_mask(masks[k][i], columns, out[MASK_PLANES[k], y])
+    _write_normals(normal.reshape(-1), at, columns, out, (7, y))
+    _write_depth(depth.reshape(-1), at, columns, median, defaults[0], out[10, y])
+    for k in range(2):
+        _write_unit_values(materials[k].reshape(-1), at, columns, defaults[1 + k], out[11 + k, y])
+    _write_visible_colour(y, out)
+    _repeat_ends(columns, y, out)
+
+
+@kernel(parallel=True)
+def write_input_planes(
+    # frames: F_k, F_k-1, F_k-2 moved to the slot: colour [H, W, C] and mask [H, W]
+    frames: tuple[Frame, Frame, Frame],
+    filled: F32,  # [H, W, C]: the frame of W
+    # surface: depth [H, W], normal [H, W, 3], roughness, metallic of the slot; [0, 0(, 3)] if
+    # unknown
+    surface: tuple[F32, F32, F32, F32],
+    defaults: tuple[float, float, float],  # relative depth, roughness and metallic where unknown
+    median: np.float32,  # of the finite depth: becomes 0.5
+    # corner: row and column of the part's first pixel; beyond the frame its edge is repeated
+    corner: tuple[int, int],
+    # out: [25, h, w], written: `warped`, `mask`, `features`, `history` of `domain` NetworkInputs
+    out: F32,
+    band: Band,
+) -> None:
+    """Write a part of a slot's planes, colour still linear."""
+    height, width, _ = filled.shape
+    pixels = (frames[0][0], frames[1][0], frames[2][0], filled)
+    masks = (frames[0][1], frames[1][1], frames[2][1])
+    shape, materials = (surface[0], surface[1]), (surface[2], surface[3])
+    columns = _visible_columns(corner[1], width, out.shape[2])
+    for y in band_range(out.shape[1], band):
+        i = clamp(corner[0] + y, 0, height - 1)
+        _write_input_row((i, y), columns, pixels, masks, (shape, materials), defaults, median, out)
+
+
+@kernel(parallel=True)
+def write_network_frame(
+    colour: F32,  # [3, H, W], linear
+    modulation: F32,  # [H, W, 3], multiplied with it; [0, 0, 3] for none
+    filled: F32,  # [H, W, C]: the filled warp, whose further channels are copied
+    out: F32,  # [H, W, C], written
+    band: Band,
+) -> None:
+    """Write a network's output as a frame."""
+    height, width, channels = filled.shape
+    for i in band_range(height, band):
+        for j in range(width):
+            for c in range(3):
+                value = colour[c, i, j]
+                if modulation.size:
+                    value *= modulation[i, j, c]
+                out[i, j, c] = value
+            for c in range(3, channels):
+                out[i, j, c] = filled[i, j, c]
+
+
+@inline
+def _surface_colour(
+    diffuse: np.float32, glossy: np.float32, bounds: tuple[float, float]
+) -> np.float32:
+    colour: np.float32 = _clamp_known(np.float32(diffuse + glossy), bounds[0], bounds[1], np.nan)
+    return colour
+
+
+@kernel(parallel=True)
+def divide_by_albedo(
+    pixels: F32,  # [H, W, C], scene-linear
+    albedo: F32,  # [H, W, 3]; its sum with `specular`, within `bounds`, is the surface colour
+    specular: F32,
+    bounds: tuple[float, float],  # minimum and maximum
+    out: F32,  # [H, W, C], written
+    band: Band,
+) -> None:
+    """Divide a frame's colour by its surface colour; further channels are copied."""
+    height, width, channels = pixels.shape
+    for i in band_range(height, band):
+        diffuse, glossy = albedo[i].reshape(-1), specular[i].reshape(-1)
+        source, target = pixels[i].reshape(-1), out[i].reshape(-1)
+        for j in range(width):
+            for c in range(3):
+                colour = _surface_colour(diffuse[3 * j + c], glossy[3 * j + c], bounds)
+                target[channels * j + c] = source[channels * j + c] / colour
+            for k in range(channels * j + 3, channels * (j + 1)):
+                target[k] = source[k]

@@ -1,0 +1,247 @@
+"""Motion vectors, depths and ids from the raw channels of a file.
+
+Serial except for vectors: each takes 5 to 20 ms for 1080p, and several frames are read at once.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._row_bands import Band, band_range
+from exwarp_cli.kernels.array_types import F32, I32, U32
+from exwarp_cli.kernels.silhouettes import SAME_DEPTH
+
+
+@device_function
+def _scale_adjacent(raw: F32, scales: tuple[np.float32, np.float32], out: F32) -> None:
+    # Two adjacent channels of four: strides that the compiler knows halve the time.
+    for n in range(out.size // 2):
+        x, y = raw[4 * n] * scales[0], raw[4 * n + 1] * scales[1]
+        is_finite = abs(x + y) < np.float32(np.inf)
+        out[2 * n] = x if is_finite else np.float32(np.nan)
+        out[2 * n + 1] = y if is_finite else np.float32(np.nan)
+
+
+@device_function
+def _scale_pair(
+    raw: F32, channels: tuple[int, int], scales: tuple[np.float32, np.float32], out: F32
+) -> None:
+    if raw.shape[1] == 4 and channels[1] == channels[0] + 1:
+        _scale_adjacent(raw.reshape(-1)[channels[0] :], scales, out.reshape(-1))
+        return
+    for n in range(out.shape[0]):
+        x, y = raw[n, channels[0]] * scales[0], raw[n, channels[1]] * scales[1]
+        is_finite = math.isfinite(x + y)
+        out[n, 0] = x if is_finite else np.float32(np.nan)
+        out[n, 1] = y if is_finite else np.float32(np.nan)
+
+
+@kernel(parallel=True)
+def scale_vectors(
+    raw: F32,  # [N, C]
+    channels: tuple[int, int],  # of x and y
+    scales: tuple[np.float32, np.float32],
+    out: F32,  # [N, 2], written; NaN where x, y or their sum is not finite
+    band: Band,
+) -> None:
+    """Write two channels times their scales."""
+    rows = band_range(out.shape[0], band)
+    _scale_pair(raw[rows.start : rows.stop], channels, scales, out[rows.start : rows.stop])
+
+
+@kernel
+def write_depths(depth: F32, far: np.float32, out: F32) -> None:
+    """Write distances [N] that are above 0 and below `far`; +inf for all others and NaN."""
+    infinite = np.float32(np.inf)
+    for n in range(out.size):
+        value = depth[n]
+        out[n] = value if np.float32(0) < value < far else infinite
+
+
+@kernel
+def write_depths_by_normal(depth: F32, normals: F32, far: np.float32, out: F32) -> bool:
+    """Write distances as `write_depths`, and +inf where the normal is (-1, -1, -1).
+
+    Return whether all normals [3 N] are finite.
+    """
+    # In the same pass: one of its own took as long as this.
+    infinite, mark = np.float32(np.inf), np.float32(-1)
+    finite = True
+    for n in range(out.size):
+        x, y, z = normals[3 * n], normals[3 * n + 1], normals[3 * n + 2]
+        value = depth[n]
+        is_valid = (np.float32(0) < value) & (value < far)
+        is_valid &= (x != mark) | (y != mark) | (z != mark)
+        out[n] = value if is_valid else infinite
+        finite &= (abs(x) < infinite) & (abs(y) < infinite) & (abs(z) < infinite)
+    return finite
+
+
+MIN_ID, MAX_ID = np.float32(-1), np.float32(2**31 - 128)
+MAX_FRACTION = np.float32(0.02)  # from here on an id is a mixture of two
+
+
+@kernel
+def round_ids(ids: F32, out: I32) -> None:
+    """Round ids [N] to integers within int32; -1 for NaN and for mixed ids (fractions)."""
+    infinite = np.float32(np.inf)
+    for n in range(out.size):
+        value = ids[n] if abs(ids[n]) < infinite else MIN_ID
+        rounded = min(max(np.rint(value), MIN_ID), MAX_ID)
+        out[n] = np.int32(rounded) if abs(value - rounded) < MAX_FRACTION else np.int32(-1)
+
+
+AMBIGUOUS = -1  # id of pixels without a dominant surface
+
+MAGNITUDE, EXPONENT = np.uint32(0x7FFFFFFF), np.uint32(0x7F800000)
+HALF_STEP, TAIL_BITS = np.uint32(0x80), np.uint32(0xFF)
+
+
+@inline
+def decode_id(bits: np.uint32, rounded: bool) -> np.int32:
+    """Return an id without its sign; `rounded`: as PXR24 compression leaves it, of 24 bits."""
+    # PXR24: the nearest multiple of 256, half way up, unless that is infinite.
+    magnitude = np.uint32(bits & MAGNITUDE)
+    if rounded:
+        up = np.uint32(magnitude + (magnitude & HALF_STEP))
+        if up < EXPONENT:
+            magnitude = up
+        magnitude = np.uint32(magnitude & ~TAIL_BITS)
+    return np.int32(magnitude)
+
+
+@inline
+def _clamp_share(share: np.float32, ident: np.int32) -> np.float32:
+    if ident == 0 or not share > np.float32(0):
+        return np.float32(0)
+    return min(share, np.float32(1))
+
+
+@inline
+def _dominant_id(
+    first: np.int32, second: np.int32, share: np.float32, second_share: np.float32, lead: np.float32
+) -> np.int32:
+    """Return the dominant id, 0 if it is the background, AMBIGUOUS if there is none.
+
+    The shares are those of the two ids. The remainder of 1 is background or surfaces of lower rank;
+    a file holds four more, and none exceeds the lesser of the two.
+    """
+    if second_share > share:
+        first, share, second_share = second, second_share, share
+    remainder = max(np.float32(1) - share - second_share, np.float32(0))
+    if share - max(second_share, remainder) > lead:
+        return first
+    if remainder - np.float32(4) * second_share - share > lead:
+        return np.int32(0)
+    return np.int32(AMBIGUOUS)
+
+
+@inline
+def _is_listed(ident: np.int32, ids: I32) -> bool:
+    low, high = 0, ids.size
+    while low < high:
+        middle = (low + high) // 2
+        if ids[middle] < ident:
+            low = middle + 1
+        else:
+            high = middle
+    return bool(low < ids.size and ids[low] == ident)
+
+
+@kernel
+def write_dominant_ids(
+    bits: U32,  # [H, W, 4], the same array as `shares`: id, share, id, share, in any order of rank
+    shares: F32,
+    lead: np.float32,  # margin of the greatest share over every other one
+    rounded: bool,  # ids have 24 bits
+    out: I32,  # [H, W], written: id above 0, 0 background, or AMBIGUOUS
+) -> None:
+    """Write the id of the surface that each pixel shows."""
+    height, width, _ = bits.shape
+    for i in range(height):
+        for j in range(width):
+            first = decode_id(bits[i, j, 0], rounded)
+            second = decode_id(bits[i, j, 2], rounded)
+            share = _clamp_share(shares[i, j, 1], first)
+            second_share = _clamp_share(shares[i, j, 3], second)
+            out[i, j] = _dominant_id(first, second, share, second_share, lead)
+
+
+@kernel
+def write_moving_ids(
+    bits: U32,  # as `shares`, `lead`, `rounded`: see `write_dominant_ids`
+    shares: F32,
+    lead: np.float32,
+    rounded: bool,
+    moving: I32,  # [N], ids, ascending
+    # out: [H, W], written: a dominant moving id; 0 for still ones; else AMBIGUOUS if any moves
+    out: I32,
+) -> None:
+    """Write the ids of the surfaces that move."""
+    height, width, _ = bits.shape
+    # Neighbours mostly have the same ids: looking each up anew took ten times as long.
+    ids, moves = np.zeros(2, np.int32), np.zeros(2, np.bool_)
+    for i in range(height):
+        for j in range(width):
+            for rank in range(2):
+                ident = decode_id(bits[i, j, 2 * rank], rounded)
+                if ident != ids[rank]:
+                    ids[rank], moves[rank] = ident, _is_listed(ident, moving)
+            first, second = ids[0], ids[1]
+            share = _clamp_share(shares[i, j, 1], first)
+            second_share = _clamp_share(shares[i, j, 3], second)
+            first_moves = moves[0] and share > np.float32(0)
+            second_moves = moves[1] and second_share > np.float32(0)
+            out[i, j] = np.int32(0)
+            if first_moves or second_moves:
+                dominant = _dominant_id(first, second, share, second_share, lead)
+                is_moving = (first_moves and dominant == first) or (
+                    second_moves and dominant == second
+                )
+                if dominant < 0 or is_moving:
+                    out[i, j] = dominant
+
+
+@inline
+def _relative_difference(first: np.float32, second: np.float32) -> np.float32:
+    """Return the relative difference of two depths; background is one surface."""
+    if first == second:  # infinite too
+        return np.float32(0)
+    return abs(first - second) / max(abs(first), abs(second))
+
+
+@inline
+def _nearest_id_in_depth(ids: I32, depth: F32, i: int, j: int) -> np.int32:
+    least, best_id = np.float32(np.inf), ids[i, j]
+    for y in range(max(i - 1, 0), min(i + 2, ids.shape[0])):
+        for x in range(max(j - 1, 0), min(j + 2, ids.shape[1])):
+            if ids[y, x] < 0 or (y == i and x == j):
+                continue
+            difference = _relative_difference(depth[i, j], depth[y, x])
+            if not difference <= SAME_DEPTH:  # nor NaN
+                continue
+            if ids[y, x] == ids[i, j]:
+                return np.int32(ids[i, j])
+            if difference < least:
+                least, best_id = difference, ids[y, x]
+    return np.int32(best_id)
+
+
+@kernel
+def write_ids_by_depth(
+    ids: I32,  # [H, W], negative where ambiguous
+    depth: F32,  # [H, W], +inf background
+    out: I32,  # [H, W], written
+) -> None:
+    """Give each pixel the id of its surface by depth.
+
+    A pixel keeps its id if a neighbour of that id is at its depth. Otherwise it takes that of the
+    neighbour nearest in depth, if the difference is at most SAME_DEPTH.
+    """
+    height, width = ids.shape
+    for i in range(height):
+        for j in range(width):
+            out[i, j] = _nearest_id_in_depth(ids, depth, i, j)

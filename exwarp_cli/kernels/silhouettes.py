@@ -1,0 +1,462 @@
+"""Silhouettes: where they are, the ghosts that they leave, and the motion of their pixels.
+
+Renderers write a filtered mixture of vectors at silhouettes; surfaces do not move so.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._row_bands import Band, band_range
+from exwarp_cli.kernels.array_types import B8, F32, F64, I32
+from exwarp_cli.kernels.projection import project_point, screen_displacement
+
+Line = npt.NDArray[Any]
+
+# Relative difference of depth below which neighbours lie on one surface.
+SAME_DEPTH = np.float32(0.05)
+
+# Factor between the depths of neighbours from which on they may be two surfaces that move.
+DEPTH_JUMP = np.float32(1.1)
+
+# Pixels by which the motion of neighbours differs from which on they are two surfaces.
+MOTION_GAP = np.float32(1 / 8)
+
+ROWS_PER_STRIP = 16
+
+
+@device_function
+def _write_extremes(above: Line, current: Line, below: Line, low: Line, high: Line) -> None:
+    """Write minimum and maximum of three rows [W] to [1 : W + 1] of `low` and `high` [W + 2].
+
+    The ends repeat the pixels beside them. NaN spreads.
+    """
+    width = current.size
+    for j in range(width):
+        low[j + 1] = np.minimum(above[j], np.minimum(current[j], below[j]))
+        high[j + 1] = np.maximum(above[j], np.maximum(current[j], below[j]))
+    low[0], high[0] = low[1], high[1]
+    low[width + 1], high[width + 1] = low[width], high[width]
+
+
+@device_function
+def _mark_depth_edges(depth: F32, low: F32, high: F32, edge: B8) -> None:
+    """Mark the pixels of a row whose nearest or farthest neighbour is another surface."""
+    # The others lie between those two: they are of its surface if both are.
+    infinite = np.float32(np.inf)
+    for j in range(depth.size):
+        least = np.minimum(low[j], np.minimum(low[j + 1], low[j + 2]))
+        most = np.maximum(high[j], np.maximum(high[j + 1], high[j + 2]))
+        same = depth[j] - least <= SAME_DEPTH * depth[j]
+        same &= (most - depth[j] <= SAME_DEPTH * most) & (most < infinite)
+        edge[j] = not (same | (least == infinite))
+
+
+@device_function
+def _mark_id_edges(low: I32, high: I32, edge: B8) -> None:
+    for j in range(edge.size):
+        least = min(low[j], min(low[j + 1], low[j + 2]))
+        most = max(high[j], max(high[j + 1], high[j + 2]))
+        edge[j] |= least != most
+
+
+@device_function
+def _find_edge_rows(depth: F32, stencil: I32, rows: tuple[int, int], edge: B8) -> None:
+    height, width = depth.shape
+    low, high = np.empty(width + 2, np.float32), np.empty(width + 2, np.float32)
+    low_id, high_id = np.empty(width + 2, np.int32), np.empty(width + 2, np.int32)
+    for i in range(rows[0], rows[1]):
+        above, below = max(i - 1, 0), min(i + 1, height - 1)
+        _write_extremes(depth[above], depth[i], depth[below], low, high)
+        _mark_depth_edges(depth[i], low, high, edge[i])
+        if stencil.shape[0] > 0:
+            _write_extremes(stencil[above], stencil[i], stencil[below], low_id, high_id)
+            _mark_id_edges(low_id, high_id, edge[i])
+
+
+@kernel(parallel=True)
+def find_edges(
+    depth: F32,  # [H, W], not negative; +inf background
+    stencil: I32,  # [H, W], or [0, 0] if unknown
+    edge: B8,  # [H, W], written
+    band: Band,
+) -> None:
+    """Mark pixels with another surface among their eight neighbours."""
+    # Minimum and maximum of three rows, then of three columns, without branches: 0.3 times
+    # cv2.remap. Comparing each pixel with its eight neighbours took 19 times.
+    height, _ = depth.shape
+    for strip in band_range((height + ROWS_PER_STRIP - 1) // ROWS_PER_STRIP, band):
+        begin = strip * ROWS_PER_STRIP
+        end = min(begin + ROWS_PER_STRIP, height)
+        _find_edge_rows(depth, stencil, (begin, end), edge)
+
+
+@device_function
+def _mark_rim(above: F32, current: F32, below: F32, rim: B8) -> None:
+    """Mark the pixels of a row with a clearly nearer surface among their four neighbours.
+
+    Rows are depths [W]. NaN is not nearer, and nothing is nearer than NaN.
+    """
+    last = current.size - 1
+    for j in range(current.size):
+        limit = current[j] * (np.float32(1) - SAME_DEPTH)
+        rim[j] = (above[j] < limit) | (below[j] < limit)
+    for j in range(last):
+        rim[j] |= current[j + 1] < current[j] * (np.float32(1) - SAME_DEPTH)
+    for j in range(last):
+        rim[j + 1] |= current[j] < current[j + 1] * (np.float32(1) - SAME_DEPTH)
+
+
+@device_function
+def _mark_rim_row(depth: F32, i: int, rim: B8) -> None:
+    height, width = depth.shape
+    if 0 < i < height - 1:
+        _mark_rim(depth[i - 1], depth[i], depth[i + 1], rim)
+        return
+    beyond = np.full(width, np.inf, np.float32)
+    above = depth[i - 1] if i > 0 else beyond
+    below = depth[i + 1] if i + 1 < height else beyond
+    _mark_rim(above, depth[i], below, rim)
+
+
+@device_function
+def _write_sources(
+    i: int,  # the row
+    line: F32,  # [2 W], x and y in turn
+    shape: tuple[int, int],  # H, W
+    source: I32,  # [W], written, counted along the rows
+) -> None:
+    """Write the nearest pixel that a row [2 W] of a motion field leads to; H W without one."""
+    height, width = np.int32(shape[0]), np.int32(shape[1])
+    half = np.float32(0.5)
+    end_x, end_y = np.float32(shape[1]) - half, np.float32(shape[0]) - half
+    for j in range(source.size):
+        x, y = np.float32(j) + line[2 * j], np.float32(i) + line[2 * j + 1]
+        is_inside = (x >= -half) & (y >= -half) & (x <= end_x) & (y <= end_y)
+        column = min(np.int32(x + half if is_inside else half), width - np.int32(1))
+        row = min(np.int32(y + half if is_inside else half), height - np.int32(1))
+        source[j] = row * width + column if is_inside else height * width
+
+
+@kernel(parallel=True)
+def _mark_rims(
+    depth: F32,  # [H, W]
+    rims: B8,  # [H W + 1], written but for the last
+    band: Band,
+) -> None:
+    height, width = depth.shape
+    for i in band_range(height, band):
+        _mark_rim_row(depth, i, rims[i * width : (i + 1) * width])
+
+
+@kernel(parallel=True)
+def _mark_ghosts(
+    field: F32,  # as `near`, `ghost`: see `find_ghosts`
+    near: F32,
+    rims: B8,  # [H W + 1], from `_mark_rims`; the last is where there is no source
+    ghost: B8,
+    band: Band,
+) -> None:
+    """Mark the pixels that show a rim without being one."""
+    height, width = near.shape
+    source = np.empty(width, np.int32)
+    for i in band_range(height, band):
+        ghosts = ghost[i]
+        _mark_rim_row(near, i, ghosts)
+        _write_sources(i, np.ascontiguousarray(field[i]).reshape(-1), (height, width), source)
+        for j in range(width):
+            ghosts[j] = rims[np.uint64(source[j])] & (not ghosts[j])
+
+
+def find_ghosts(
+    field: F32,  # [H, W, 2], from target to source; NaN where unknown
+    near: F32,  # [H, W], depth at the target; NaN where unknown, +inf background
+    depth: F32,  # [H, W], depth at the source
+    ghost: B8,  # [H, W], written
+) -> None:
+    """Mark target pixels that show the rim of a surface that has moved on.
+
+    Colour is filtered over more than a pixel, so a pixel beside a nearer surface holds part of that
+    one's colour. Where that surface has moved on, this is a ghost of its outline.
+    """
+    # All rims and sources at once, without branches: 0.5 times cv2.remap. Looking at the neighbours
+    # of each target pixel's source took 2.4.
+    rims = np.empty(depth.size + 1, np.bool_)
+    rims[-1] = False
+    _mark_rims(depth, rims)  # whole, before any of them is looked up
+    _mark_ghosts(field, near, rims, ghost)
+
+
+@device_function
+def _has_depth_jump(depth: F32, at: tuple[int, int]) -> bool:
+    """Return whether the depths of the 3x3 pixels differ by DEPTH_JUMP; NaN is far."""
+    height, width = depth.shape
+    nearest, farthest = np.float32(np.inf), np.float32(0)
+    for i in range(max(at[0] - 1, 0), min(at[0] + 2, height)):
+        for j in range(max(at[1] - 1, 0), min(at[1] + 2, width)):
+            z = np.float32(np.inf) if math.isnan(depth[i, j]) else depth[i, j]
+            nearest, farthest = min(nearest, z), max(farthest, z)
+    return bool(farthest > DEPTH_JUMP * nearest)
+
+
+@device_function
+def _has_motion_gap(field: F32, at: tuple[int, int]) -> bool:
+    """Return whether the motion of the 3x3 pixels differs, or some is unknown."""
+    height, width, _ = field.shape
+    for axis in range(2):
+        least, most, is_known = np.float32(np.inf), np.float32(-np.inf), True
+        for i in range(max(at[0] - 1, 0), min(at[0] + 2, height)):
+            for j in range(max(at[1] - 1, 0), min(at[1] + 2, width)):
+                component = field[i, j, axis]
+                is_known &= not math.isnan(component)
+                least, most = min(least, component), max(most, component)
+        if not is_known or most - least > MOTION_GAP:
+            return True
+    return False
+
+
+@kernel(parallel=True)
+def find_moving_edges(
+    depth: F32,  # [H, W]; NaN where unknown, +inf background
+    field: F32,  # [H, W, 2] px; NaN where unknown
+    excluded: B8,  # [H, W]: pixels that are never marked
+    edge: B8,  # [H, W], changed; marks are kept
+    band: Band,
+) -> None:
+    """Mark pixels beside another surface that moves differently."""
+    height, width = depth.shape
+    for i in band_range(height, band):
+        for j in range(width):
+            if not (edge[i, j] | excluded[i, j]) and _has_depth_jump(depth, (i, j)):
+                edge[i, j] = _has_motion_gap(field, (i, j))
+
+
+Surfaces = tuple[F32, F32, I32, B8]
+
+SEARCH_RADIUS = 2  # How far to look for an unmixed pixel of the same surface, pixels
+
+# Steps (rows, columns) to the pixels so far around, the nearest first; equally near ones row by
+# row.
+NEIGHBOUR_STEPS = np.array(
+    sorted(
+        itertools.product(range(-SEARCH_RADIUS, SEARCH_RADIUS + 1), repeat=2),
+        key=lambda step: step[0] ** 2 + step[1] ** 2,
+    )
+)
+
+NEAR, FAR = 0, 1  # Which camera is for points, and which for the background
+
+
+@device_function
+def _place_row(position: F32, depth: F32, points: F64) -> None:
+    """Write the points of a row as four coordinates [4, W], by position or else by depth."""
+    a, b, c, d = points[0], points[1], points[2], points[3]
+    if position.size > 0:
+        for j in range(depth.size):
+            a[j] = np.float64(position[3 * j])
+            b[j] = np.float64(position[3 * j + 1])
+            c[j] = np.float64(position[3 * j + 2])
+    else:
+        for j in range(depth.size):
+            d[j] = 1.0 / np.float64(depth[j])
+
+
+@device_function
+def _project_row(points: F64, camera: F64, columns: F64, row: float, out: F32) -> None:
+    """Write the screen motion [2, W] of the points [4, W] of a row."""
+    a, b, c, d, x = points[0], points[1], points[2], points[3], columns
+    right, down = out[0], out[1]
+    ax, bx, cx, dx = camera[0, 0], camera[0, 1], camera[0, 2], camera[0, 3]
+    ay, by, cy, dy = camera[1, 0], camera[1, 1], camera[1, 2], camera[1, 3]
+    az, bz, cz, dz = camera[2, 0], camera[2, 1], camera[2, 2], camera[2, 3]
+    for j in range(x.size):
+        u = ax * a[j] + bx * b[j] + cx * c[j] + dx * d[j]
+        v = ay * a[j] + by * b[j] + cy * c[j] + dy * d[j]
+        w = az * a[j] + bz * b[j] + cz * c[j] + dz * d[j]
+        p, q = np.float32(u / w - x[j]), np.float32(v / w - row)
+        right[j] = p if w > 0 else np.float32(np.nan)
+        down[j] = q if w > 0 else np.float32(np.nan)
+
+
+@device_function
+def _copy_background(depth: F32, far: F32, rigid: F32) -> None:
+    """Take the motion of a row's background from `far`; both [2, W]."""
+    right, down, away_right, away_down = rigid[0], rigid[1], far[0], far[1]
+    for j in range(depth.size):
+        right[j] = away_right[j] if abs(depth[j]) == np.float32(np.inf) else right[j]
+    for j in range(depth.size):
+        down[j] = away_down[j] if abs(depth[j]) == np.float32(np.inf) else down[j]
+
+
+@device_function
+def _has_background(depth: F32) -> bool:
+    background = False
+    for j in range(depth.size):
+        background |= abs(depth[j]) == np.float32(np.inf)
+    return background
+
+
+@device_function
+def _mark_moving(stencil: I32, moving: B8) -> None:
+    for j in range(stencil.size):
+        moving[j] = stencil[j] > 0
+
+
+@device_function
+def _clean_row(
+    vectors: F32, rigid: F32, depth: F32, moving: B8, tolerance: np.float32, out: F32
+) -> None:
+    """Clean the pixels of a row as if none were at an edge; `vectors` and `out` are [2 W]."""
+    right, down = rigid[0], rigid[1]
+    for j in range(depth.size):
+        dx, dy = vectors[2 * j] - right[j], vectors[2 * j + 1] - down[j]
+        static = (dx * dx + dy * dy <= tolerance * tolerance) & (not moving[j])
+        static |= abs(depth[j]) == np.float32(np.inf)
+        static &= abs(right[j]) < np.float32(np.inf)
+        out[2 * j] = right[j] if static else vectors[2 * j]
+        out[2 * j + 1] = down[j] if static else vectors[2 * j + 1]
+
+
+@inline
+def _rigid_motion(
+    i: int, j: int, position: F32, depth: F32, cameras: F64
+) -> tuple[np.float32, np.float32]:
+    """Return `_project_row` of one pixel."""
+    x, y = np.float64(j), np.float64(i)
+    a, b, c, d, camera = x, y, 1.0, -0.0, FAR
+    if not math.isinf(depth[i, j]):
+        camera = NEAR
+        d = 1.0 / np.float64(depth[i, j])
+        if position.shape[0] > 0:
+            a = np.float64(position[i, 3 * j])
+            b = np.float64(position[i, 3 * j + 1])
+            c = np.float64(position[i, 3 * j + 2])
+            d = 1.0
+    away_x, away_y = screen_displacement(x, y, project_point(cameras[camera], (a, b, c, d)))
+    return away_x, away_y
+
+
+@inline
+def _is_same_depth(first: np.float32, second: np.float32) -> bool:
+    if math.isinf(first) or math.isinf(second):
+        return math.isinf(first) == math.isinf(second)
+    return bool(abs(first - second) <= SAME_DEPTH * max(first, second))
+
+
+@inline
+def _nearest_unmixed(
+    i: int, j: int, depth: F32, stencil: I32, edge: B8, vectors: F32
+) -> tuple[int, int]:
+    """Return the nearest pixel of the same surface that is not at its edge, (-1, -1) if none."""
+    height, width = depth.shape
+    for k in range(len(NEIGHBOUR_STEPS)):
+        y, x = i + NEIGHBOUR_STEPS[k, 0], j + NEIGHBOUR_STEPS[k, 1]
+        if y < 0 or x < 0 or y >= height or x >= width:
+            continue
+        if edge[y, x] or (stencil.shape[0] > 0 and stencil[y, x] != stencil[i, j]):
+            continue
+        if _is_same_depth(depth[i, j], depth[y, x]) and math.isfinite(vectors[y, 2 * x]):
+            return y, x
+    return -1, -1
+
+
+@device_function
+def _clean_edges(
+    i: int,
+    vectors: F32,
+    rigid: F32,
+    surfaces: Surfaces,
+    cameras: F64,
+    tolerance: np.float32,
+    out: F32,
+) -> None:
+    """Clean the pixels of a row that are at edges; `rigid` is their motion if they stand still."""
+    # Out of the tuple once a row: at each pixel it took as long as all the rest.
+    position, depth, stencil, edge = surfaces
+    for j in range(depth.shape[1]):
+        if not edge[i, j]:
+            continue
+        background = math.isinf(depth[i, j])
+        static = math.isfinite(rigid[0, j])
+        y, x = i, j
+        if not (static and background):
+            static &= not (background or (stencil.shape[0] > 0 and stencil[i, j] > 0))
+            y, x = _nearest_unmixed(i, j, depth, stencil, edge, vectors)
+            if y < 0:
+                y, x = i, j
+            elif static:
+                right, down = _rigid_motion(y, x, position, depth, cameras)
+                dx, dy = vectors[y, 2 * x] - right, vectors[y, 2 * x + 1] - down
+                static = dx * dx + dy * dy <= tolerance * tolerance
+        out[2 * j] = rigid[0, j] if static else vectors[y, 2 * x]
+        out[2 * j + 1] = rigid[1, j] if static else vectors[y, 2 * x + 1]
+
+
+@device_function
+def _clean_rows(
+    rows: tuple[int, int],
+    vectors: tuple[F32, F32],
+    surfaces: Surfaces,
+    cameras: F64,
+    tolerance: np.float32,
+    out: tuple[F32, F32],
+) -> None:
+    position, depth, stencil, _ = surfaces
+    width = depth.shape[1]
+    points, sky = np.ones((4, width), np.float64), np.ones((4, width), np.float64)
+    for j in range(width):  # np.arange takes 1.4 s to compile
+        points[0, j] = sky[0, j] = np.float64(j)
+    # Times the last column of its camera, 1, this leaves every number as it is, zeros' signs too.
+    sky[3] = -0.0
+    rigid, far = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
+    moving, no_positions = np.zeros(width, np.bool_), np.empty(0, np.float32)
+    for i in range(rows[0], rows[1]):
+        row = np.float64(i)
+        points[1], sky[1] = row, row
+        _place_row(position[i] if position.shape[0] > 0 else no_positions, depth[i], points)
+        if stencil.shape[0] > 0:
+            _mark_moving(stencil[i], moving)
+        background = _has_background(depth[i])
+        for side in range(2):
+            if vectors[side].shape[0] == 0:
+                continue
+            _project_row(points, cameras[side, NEAR], sky[0], row, rigid)
+            if background:
+                _project_row(sky, cameras[side, FAR], sky[0], row, far)
+                _copy_background(depth[i], far, rigid)
+            _clean_row(vectors[side][i], rigid, depth[i], moving, tolerance, out[side][i])
+            _clean_edges(i, vectors[side], rigid, surfaces, cameras[side], tolerance, out[side][i])
+
+
+@kernel(parallel=True)
+def clean_vectors(
+    # vectors: [H, 2 W] each, x and y in px; NaN where unusable, [0, 0] without any
+    vectors: tuple[F32, F32],
+    surfaces: Surfaces,  # positions [H, 3 W] or [0, 0]; depth, stencil and edges as in `find_edges`
+    # cameras: [2, 2, 3, 4] by frame: for (X, Y, Z, 1) or (x, y, 1, 1/depth); for background (x, y,
+    # 1)
+    cameras: F64,
+    tolerance: np.float32,  # px by which vectors and the motion of static points may differ
+    out: tuple[F32, F32],  # [H, 2 W] each, written; [0, 0] without vectors
+    band: Band,
+) -> None:
+    """Give every pixel its own surface's motion, to the frames before and after.
+
+    Static pixels and background move as the cameras say, bit for bit as in `projection.rigid`.
+    Inside a surface the rendered vector holds. At its edge the nearest unmixed pixel of the same
+    surface decides whether it is static, or moves with that pixel's vector. A surface that is all
+    edge counts as static unless an id says that it moves.
+    """
+    # Both frames at once, with the cameras' motion in rows that stay in the cache: whole frames of
+    # it, written and read again, took 2.3 times as long.
+    height, _ = surfaces[1].shape
+    for strip in band_range((height + ROWS_PER_STRIP - 1) // ROWS_PER_STRIP, band):
+        begin = strip * ROWS_PER_STRIP
+        rows = begin, min(begin + ROWS_PER_STRIP, height)
+        _clean_rows(rows, vectors, surfaces, cameras, tolerance, out)
