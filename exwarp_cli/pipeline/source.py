@@ -366,8 +366,8 @@ def _output_factor(settings: SourceSettings, fps: Fraction) -> Fraction:
     if not 1 < factor <= MAX_FACTOR:
         raise UsageError(
             f"--to-fps {float(settings.to_fps):g} is {float(factor):g} times the input's "
-            f"{float(fps):g} fps; give more than that and at most {MAX_FACTOR} times it, or correct "
-            "the input's rate with --fps"
+            f"{float(fps):g} fps; give more than that and at most {MAX_FACTOR} times it, or "
+            "correct the input's rate with --fps"
         )
     return factor
 
