@@ -192,7 +192,7 @@ def test_what_frames_say_of_themselves_may_be_forged(
     """Their checksum is no signature."""
     options = ("-m", "s6", *FORWARD, "--progress", "none")
     upsample(nine, tmp_path / "out", *options)
-    facts_in = frame_writer.facts_in
-    monkeypatch.setattr(frame_writer, "facts_in", lambda path: facts_in(path) | change)
+    read_facts = frame_writer.read_facts
+    monkeypatch.setattr(frame_writer, "read_facts", lambda path: read_facts(path) | change)
     result = exwarp("upsample", nine, "-o", tmp_path / "out", *options, "--skip-existing")
     result.refused(5, "shot.0002.exr says of itself")

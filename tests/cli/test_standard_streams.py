@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from exwarp_cli.errors import OutputError
-from exwarp_cli.models import picture_network
+from exwarp_cli.models import session
 from tests.cli import shots
 
 COMMAND = [sys.executable, "-m", "exwarp_cli"]
@@ -159,6 +159,6 @@ def test_warnings_of_the_network_runtime_stay_off_the_terminal(monkeypatch, tmp_
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setitem(sys.modules, "onnxruntime", None)  # so that the copy goes afterwards
     monkeypatch.delitem(sys.modules, "onnxruntime")
-    assert picture_network.runtime_version() == "1.2.3"
-    assert picture_network.open_session(tmp_path / "network.onnx", b"", 1, "cpu") == "session"
+    assert session.runtime_version() == "1.2.3"
+    assert session.open_session(tmp_path / "network.onnx", b"", 1, "cpu") == "session"
     assert capfd.readouterr().err == ""

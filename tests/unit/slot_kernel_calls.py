@@ -211,13 +211,13 @@ def _hold(serial: bool) -> Arrays:
 
 
 CASES: dict[str, Callable[[bool], Arrays]] = {
-    "standing": _standing,
-    "follow_shown": _follow_shown,
-    "take_over": _take_over,
-    "go_on": lambda serial: gone_on(cases.field(82), cases.field(83), seen(84), serial),
-    "spread": _spread,
-    "join": _join,
+    "mark_static": _standing,
+    "follow_visible": _follow_shown,
+    "copy_surface": _take_over,
+    "fill_predicted": lambda serial: gone_on(cases.field(82), cases.field(83), seen(84), serial),
+    "write_input_planes": _spread,
+    "write_network_frame": _join,
     "raise_bounds": _raise_bounds,
-    "hold": _hold,
-    "demodulate": lambda serial: demodulated(frame(85)[0], *colours(86), serial),
+    "clamp_to_bounds": _hold,
+    "divide_by_albedo": lambda serial: demodulated(frame(85)[0], *colours(86), serial),
 }

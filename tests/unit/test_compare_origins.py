@@ -91,9 +91,9 @@ def test_headers_that_tell_nothing_leave_nulls(
 
 def test_each_header_is_read_once(shots: tuple[str, str], monkeypatch) -> None:
     read: list[str] = []
-    known = sequence_scores.facts_in
+    known = sequence_scores.read_facts
     monkeypatch.setattr(
-        sequence_scores, "facts_in", lambda path: read.append(path.name) or known(path)
+        sequence_scores, "read_facts", lambda path: read.append(path.name) or known(path)
     )
     for settings in (MeasureSettings(("psnr_db",)), MeasureSettings(("ssim",), "extranet")):
         read.clear()

@@ -5,12 +5,12 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from pathlib import Path
-from types import FunctionType
 
 import numpy as np
 import pytest
 
 from exwarp_cli import kernels
+from exwarp_cli.kernels._compile import ParallelKernel
 from tests.unit import kernel_calls as calls
 from tests.unit import kernel_cases as cases
 from tests.unit.all_kernel_cases import CASES, run_all
@@ -29,8 +29,7 @@ def test_every_kernel_with_threads_has_a_case():
         for module in modules
         for name, value in vars(module).items()
         if not name.startswith("_")
-        and isinstance(value, FunctionType)
-        and hasattr(value, "__wrapped__")
+        and isinstance(value, ParallelKernel)
         and value.__module__ == module.__name__
     }
     # It runs two kernels of its own.

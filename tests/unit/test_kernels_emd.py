@@ -234,7 +234,9 @@ class TestValues:
         values = scene(15)
         asked: list[np.ndarray] = []
         true = frame_statistics.count_histograms
-        monkeypatch.setattr(frame_statistics, "count", lambda *a: asked.append(a[2]) or true(*a))
+        monkeypatch.setattr(
+            frame_statistics, "count_histograms", lambda *a: asked.append(a[2]) or true(*a)
+        )
         one = ValueDistribution(values, everything(values))
         first = np.array([[-9.0, 9], [0, 900], [-2, 2]])
         shares = one.shares(first).copy()

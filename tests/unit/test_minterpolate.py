@@ -100,7 +100,7 @@ def test_a_failing_ffmpeg_is_quoted(tmp_path: Path, monkeypatch, script, said):
 
 
 def test_frames_at_other_instants_are_noticed(monkeypatch):
-    true = module._filtered
-    monkeypatch.setattr(module, "_filtered", lambda frames: true(frames)[1:])
+    true = module._run_minterpolate
+    monkeypatch.setattr(module, "_run_minterpolate", lambda frames: true(frames)[1:])
     with pytest.raises(OutputError, match="not at the instants"):
         minterpolate(None, picture(0), picture(1))

@@ -22,7 +22,7 @@ def seen(monkeypatch) -> list[tuple[float, float]]:
         pairs.append((float(before.max()), float(after.max())))
         return _flow_in(before), _flow_in(after)
 
-    monkeypatch.setattr(key_frames, "estimate", estimate)
+    monkeypatch.setattr(key_frames, "estimate_flow", estimate)
     return pairs
 
 

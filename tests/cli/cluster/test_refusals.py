@@ -128,13 +128,13 @@ class TestRefusals:
         def hide() -> None:
             from exwarp_cli.farm import dask_worker
 
-            dask_worker.shows = lambda path: False
+            dask_worker.is_visible = lambda path: False
 
         def show() -> None:
             from exwarp_cli.farm import dask_worker
             from exwarp_cli.io.files import is_visible
 
-            dask_worker.shows = is_visible
+            dask_worker.is_visible = is_visible
 
         with changed(farm, hide, show):
             result = self.run(exwarp, keys, tmp_path / "out", "--cluster", farm)

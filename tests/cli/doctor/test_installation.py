@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from exwarp_cli.errors import MissingExtraError
-from exwarp_cli.models import model_file, picture_network
+from exwarp_cli.models import model_file, picture_network, session
 from exwarp_cli.pipeline.doctor import environment, libraries
 from exwarp_cli.runtime.machine import Folder, Memory, Processors
 from tests.cli.doctor.judging import failed, healthy, warned
@@ -51,11 +51,10 @@ class TestModels:
         """A copy of the shipped models, to be spoilt."""
         copy = tmp_path / "models"
         copy.mkdir()
-        for path in picture_network.shipped_folder().glob("*.*"):
+        for path in model_file.shipped_folder().glob("*.*"):
             if path.suffix in (".onnx", ".npz", ".json"):
                 shutil.copy(path, copy)
-        for module in (picture_network, model_file):
-            monkeypatch.setattr(module, "shipped_folder", lambda: copy)
+        monkeypatch.setattr(model_file, "shipped_folder", lambda: copy)
         return copy
 
     def test_the_copy_is_healthy(self, examined, folder):
@@ -81,7 +80,7 @@ class TestModels:
         failed(examined("models"), "models", "install ExWarp again")
 
     def test_cuda_that_is_offered_and_does_not_start(self, examined, monkeypatch):
-        offered = (picture_network.CUDA, "CPUExecutionProvider")
+        offered = (session.CUDA, "CPUExecutionProvider")
         real = picture_network.load_extrapolator
 
         def load(path: Path | None, threads: int, device: str) -> Any:
@@ -90,7 +89,7 @@ class TestModels:
             return real(path, threads, device)
 
         monkeypatch.setattr(picture_network, "load_extrapolator", load)
-        monkeypatch.setattr(picture_network, "providers", lambda: offered)
+        monkeypatch.setattr(session, "providers", lambda: offered)
         found = examined("network")
         warned(found, "network", "--device")
         assert found[1]["checks"]["network"]["facts"]["devices"] == {"cpu": True, "cuda": False}
