@@ -79,7 +79,7 @@ def _print_summary(merged: Merged, output: Path) -> None:
         show(f"older reports, of key frames that newer ones tell of: {names}")
     if merged.unseen:
         names = _list_folders(merged.unseen)
-        show(f"without pictures, as report.html is not there or cannot be read: {names}")
+        show(f"without pictures, as album.json is not there or cannot be read: {names}")
     show(f"report in {output}")
 
 
