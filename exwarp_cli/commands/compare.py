@@ -100,27 +100,28 @@ def command(
     the display window, sRGB-encoded and clipped to [0, 1]; for HDR-FLIP as it is. Flicker follows
     A's own motion vectors. Pulse is by how many per cent B's mean gradient is above A's.
     """
-    from exwarp_cli.pipeline.evaluation import evaluate
+    from exwarp_cli.api import compare
     from exwarp_cli.pipeline.progress import reporting
-    from exwarp_cli.report.comparison import REFERENCE, TEST, comparison_document, require_quality
-    from exwarp_cli.report.folder import prepare_comparison, write_comparison
-    from exwarp_cli.report.gallery import Gallery
+    from exwarp_cli.report.comparison import require_quality
 
     set_max_pixels(max_pixels)
     kind = progress or ("bar" if sys.stderr.isatty() else "none")
     with reporting(kind, results_on_stdout=as_json) as reporter:
-        if folder is not None:
-            prepare_comparison(folder)
         measuring = MeasureSettings(metrics, preset, (*fail_below, *fail_above), view, scan)
-        gallery = None if folder is None else Gallery(True, TEST, REFERENCE)
-        result = evaluate(reference, test, frames, holes, reporter, measuring, gallery)
-        if folder is not None and gallery is not None:
-            write_comparison(folder, result, gallery.album)
+        result = compare(
+            reference,
+            test,
+            frames=frames,
+            holes=holes,
+            report=folder,
+            measuring=measuring,
+            progress=reporter,
+        )
         if as_json:
-            print_json(comparison_document(result))
+            print_json(result.document)
         else:
-            _print_scores(result)
-        require_quality(result)
+            _print_scores(result.comparison)
+        require_quality(result.comparison)
 
 
 def _print_scores(result: Comparison) -> None:

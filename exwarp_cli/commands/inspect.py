@@ -45,8 +45,8 @@ def command(write_map: Path | None, overwrite: bool, as_json: bool, **source: An
     The motion convention is measured on the first, middle and last pair of frames; what the channel
     names say is only a first guess.
     """
-    from exwarp_cli.domain.settings import SourceSettings
-    from exwarp_cli.pipeline.inspect import inspect, save_channel_map
+    from exwarp_cli.api import SourceSettings, inspect
+    from exwarp_cli.pipeline.inspect import save_channel_map
 
     inspection = inspect(SourceSettings(**source))
     if write_map is not None:

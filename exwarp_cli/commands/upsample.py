@@ -32,11 +32,11 @@ from exwarp_cli.domain.settings import (
     UpsampleSettings,
 )
 from exwarp_cli.domain.timeline import MAX_FACTOR
-from exwarp_cli.errors import IncompleteError, UsageError
+from exwarp_cli.errors import IncompleteError
 from exwarp_cli.runtime.read_registry import enable_restart, is_restarted
 
 if TYPE_CHECKING:
-    from exwarp_cli.domain.results import RunSummary
+    from exwarp_cli.api import UpsampleResult
     from exwarp_cli.pipeline.dry_run import DryRun
     from exwarp_cli.pipeline.job import Job
     from exwarp_cli.pipeline.progress import Progress
@@ -247,6 +247,7 @@ def command(
     motion is then estimated from colour, which needs the extra 'video' and is far less exact. A
     render with depth, normals or other passes needs vectors, or --estimate-motion.
     """
+    from exwarp_cli.api import find_report_folder, upsample
     from exwarp_cli.pipeline.job import open_job
     from exwarp_cli.pipeline.progress import reporting
 
@@ -262,17 +263,24 @@ def command(
         with suppress(RuntimeError):  # no more threads: what needs one says so
             Thread(target=_import_run, name="exwarp-import").start()
     with _farm_task(progress), reporting(progress, results_on_stdout=as_json) as reporter:
-        job = replace(open_job(settings), reported=as_json or report_folder is not None)
-        folder = _report_folder(report_folder, as_chunk, job)
         if dry_run:
+            job = replace(open_job(settings), reported=as_json or report_folder is not None)
+            folder = find_report_folder(report_folder, as_chunk, job.key_numbers)
             _print_dry_run(_foresee(job, distribution, folder, reporter), as_json)
             return
-        summary = _run(job, distribution, folder, reporter)
-        _print_summary(summary, settings, folder, as_json)
-        if summary.left_out:
+        result = upsample(
+            settings,
+            report=report_folder,
+            is_chunk=as_chunk,
+            distribution=distribution,
+            progress=reporter,
+            has_document=as_json,
+        )
+        _print_summary(result, settings, as_json)
+        if not result.is_complete:
             from exwarp_cli.pipeline.messages import require_complete
 
-            require_complete(summary)
+            require_complete(result.summary)
 
 
 @contextmanager
@@ -301,43 +309,6 @@ def _import_run() -> None:
     """
     with suppress(Exception):
         import_module("exwarp_cli.pipeline.run")
-
-
-def _report_folder(folder: Path | None, as_chunk: bool, job: Job) -> Path | None:
-    """Return the folder of the report: of a chunk, one of its own."""
-    if not as_chunk:
-        return folder
-    if folder is None:
-        raise UsageError(
-            "--as-chunk says where the report goes; give --report too, or leave it out"
-        )
-    from exwarp_cli.report.folder import chunk_folder
-
-    return chunk_folder(folder, job.key_numbers)
-
-
-def _run(
-    job: Job, distribution: ClusterSettings, folder: Path | None, reporter: Progress
-) -> RunSummary:
-    """Do the job, in this process or others, and write its report."""
-    settings, gallery = job.settings, None
-    if folder is not None:
-        from exwarp_cli.report.folder import prepare_report, write_report
-        from exwarp_cli.report.gallery import Gallery
-
-        prepare_report(folder, replace=settings.overwrite or settings.skip_existing)
-        gallery = Gallery(settings.ground_truth is not None)
-    if distribution.spread:
-        from exwarp_cli.farm.dask_cluster import run_on_cluster
-
-        summary = run_on_cluster(job, distribution, reporter, gallery)
-    else:
-        from exwarp_cli.pipeline.run import run_job
-
-        summary = run_job(job, reporter, gallery)
-    if folder is not None and gallery is not None:
-        write_report(folder, summary, gallery.album)
-    return summary
 
 
 def _foresee(
@@ -370,15 +341,12 @@ def _print_dry_run(plan: DryRun, as_json: bool) -> None:
         show(line)
 
 
-def _print_summary(
-    summary: RunSummary, settings: UpsampleSettings, folder: Path | None, as_json: bool
-) -> None:
+def _print_summary(result: UpsampleResult, settings: UpsampleSettings, as_json: bool) -> None:
     """Say in a few lines what was done, or print the report's document."""
     from exwarp_cli.commands.summary_lines import summary_lines
     from exwarp_cli.io.video_reader import is_clip
-    from exwarp_cli.report.schema import run_document
 
-    document = run_document(summary)
+    document = result.document
     if as_json:
         print_json(document)
         return
@@ -387,9 +355,9 @@ def _print_summary(
             is_scored = settings.ground_truth is not None
             for line in summary_lines(document, settings.output, is_scored):
                 show(line)
-            if folder is not None:
-                show(f"report in {folder}")
-        elif not summary.left_out:
+            if result.report_folder is not None:
+                show(f"report in {result.report_folder}")
+        elif result.is_complete:
             # A video without frames is an error, so it was kept.
             if is_clip(settings.output):
                 show(f"{settings.output} is there already, as this run would write it")

@@ -44,6 +44,7 @@ class Features:
 WARP = "warp"
 EXTRAPOLATE = "extrapolate"
 HOLD = "hold"
+INTERPOLATE = "interpolate"  # no choice of the tree: frames of an interpolator
 
 # Method of a frame that repeats the key frame, as the next one shows the same picture.
 HELD = "held"

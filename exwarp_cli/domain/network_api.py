@@ -254,9 +254,6 @@ def _spread_tiles(cells: int, count: int, length: int, margin: int, stride: int)
     ]
 
 
-INTERPOLATE = "interpolate"  # the step on which an interpolator's time is booked
-
-
 class Interpolator(Protocol):
     """A network that makes the frame at any time between two, from their colour alone."""
 

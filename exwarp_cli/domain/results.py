@@ -8,9 +8,8 @@ from enum import Enum
 from fractions import Fraction
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.decision import BLEND, HELD, HOLD, Decision, Trial
+from exwarp_cli.domain.decision import BLEND, HELD, HOLD, INTERPOLATE, Decision, Trial
 from exwarp_cli.domain.metric import METRICS
-from exwarp_cli.domain.network_api import INTERPOLATE
 from exwarp_cli.domain.tiles import Risk, TileMakers
 from exwarp_cli.domain.timeline import FACTOR, Cut
 

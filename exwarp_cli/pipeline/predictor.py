@@ -24,13 +24,8 @@ from exwarp_cli.accelerator.mac_array import (
     resident_words,
     schedule,
 )
-from exwarp_cli.accelerator.mlp import (
-    PAPER_SIZES,
-    Inference,
-    MlpKernel,
-    QuantisedMlp,
-    infer_reference,
-)
+from exwarp_cli.accelerator.mlp import PAPER_SIZES, Inference, QuantisedMlp, infer_reference
+from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.kernels.array_types import I32

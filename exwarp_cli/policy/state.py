@@ -17,7 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.accelerator.fixed_point import to_fixed
-from exwarp_cli.accelerator.mlp import MlpKernel, QuantisedMlp
+from exwarp_cli.accelerator.mlp import QuantisedMlp
+from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import (
     CHOICES,
     FEATURES,

@@ -7,9 +7,18 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 
-from exwarp_cli.domain.decision import BLEND, EXTRAPOLATE, HELD, HOLD, PATHS, SOFTSPLAT, WARP
+from exwarp_cli.domain.decision import (
+    BLEND,
+    EXTRAPOLATE,
+    HELD,
+    HOLD,
+    INTERPOLATE,
+    PATHS,
+    SOFTSPLAT,
+    WARP,
+)
 from exwarp_cli.domain.frame import Float32, KeyFrame
-from exwarp_cli.domain.network_api import HISTORY_FRAMES, INTERPOLATE, LOOKAHEAD, LookAheadNetwork
+from exwarp_cli.domain.network_api import HISTORY_FRAMES, LOOKAHEAD, LookAheadNetwork
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.tiles import REWARP, Risk, TilePlan
 from exwarp_cli.synthesis.camera import F64

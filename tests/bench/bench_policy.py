@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 
-from exwarp_cli.accelerator.mlp import MlpKernel, QuantisedMlp, infer_reference
+from exwarp_cli.accelerator.mlp import QuantisedMlp, infer_reference
+from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.research.training.onnx_export import STATE, VALUES, export_float, export_integer
 from tests.bench import goals
 from tests.bench.timing import ROUNDS, Work, compare

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from exwarp_cli.accelerator.mac_array import MacArray
-from exwarp_cli.accelerator.mlp import MlpKernel, QuantisedMlp, Requantisation, infer_reference
+from exwarp_cli.accelerator.mlp import QuantisedMlp, Requantisation, infer_reference
+from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.io.files import atomic_write_text
 from exwarp_cli.pipeline.predictor import CACHE, design, hex_files, sample_states
 

@@ -10,13 +10,8 @@ import sys
 
 import numpy as np
 
-from exwarp_cli.accelerator.mlp import (
-    PAPER_SIZES,
-    MlpKernel,
-    QuantisedLayer,
-    QuantisedMlp,
-    Requantisation,
-)
+from exwarp_cli.accelerator.mlp import PAPER_SIZES, QuantisedLayer, QuantisedMlp, Requantisation
+from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from tests.reference.mlp import Parts
 
 FEW = 9

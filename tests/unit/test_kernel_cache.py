@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from exwarp_cli.accelerator import mlp as accelerator
+from exwarp_cli.accelerator import mlp_kernel as accelerator
 from exwarp_cli.kernels import _compile, splat
 from exwarp_cli.kernels._row_bands import ALL
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = """
 import numpy as np
-from exwarp_cli.accelerator import mlp as accelerator
+from exwarp_cli.accelerator import mlp_kernel as accelerator
 from exwarp_cli.kernels import _row_bands, splat
 from exwarp_cli.runtime.compilation import compilation
 out, reach = np.zeros((4, 5, 2), np.float32), np.zeros((0, 0, 2), np.float32)
@@ -257,7 +257,7 @@ def test_the_accelerator_has_its_builds_there_too(folder):
         return sum(stats.cache_hits.values()), sum(stats.cache_misses.values())
 
     assert use() == (0, 1)
-    assert [path.name[:16] for path in folder.iterdir()] == ["mlp.run_network-"]
+    assert [path.name[:16] for path in folder.iterdir()] == ["mlp_kernel.run_n"]
     assert use() == (1, 0)
 
 

@@ -10,7 +10,8 @@ import onnx
 import onnxruntime
 import pytest
 
-from exwarp_cli.accelerator.mlp import MlpKernel, QuantisedMlp, infer_reference
+from exwarp_cli.accelerator.mlp import QuantisedMlp, infer_reference
+from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.research.training.onnx_export import STATE, VALUES, export_float, export_integer
 from tests.unit.mlp_cases import edges, network, states
 

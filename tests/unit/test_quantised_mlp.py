@@ -12,13 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exwarp_cli.accelerator.mac_array import MacArray, simulate
-from exwarp_cli.accelerator.mlp import (
-    MlpKernel,
-    QuantisedLayer,
-    QuantisedMlp,
-    Requantisation,
-    infer_reference,
-)
+from exwarp_cli.accelerator.mlp import QuantisedLayer, QuantisedMlp, Requantisation, infer_reference
+from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from tests.reference.mlp import infer, infer_many
 from tests.unit.interpreted import same_when_interpreted
 from tests.unit.mlp_cases import edges, network, parts, run_all, states
@@ -215,8 +210,8 @@ class TestRefusals:
 
 def test_the_specification_does_without_numba():
     code = (
-        "import sys; from exwarp_cli.accelerator import fixed_point, mac_array, quantised_mlp, "
-        "simulation; print([name for name in sys.modules if name.split('.')[0] == 'numba'])"
+        "import sys; from exwarp_cli.accelerator import fixed_point, mac_array, mlp; "
+        "print([name for name in sys.modules if name.split('.')[0] == 'numba'])"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.stdout == "[]\n", result.stderr

@@ -20,7 +20,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from exwarp_cli.accelerator.fixed_point import to_fixed
-from exwarp_cli.accelerator.mlp import MlpKernel, QuantisedMlp
+from exwarp_cli.accelerator.mlp import QuantisedMlp
+from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.tiles import REWARP, TILE_STATE
 from exwarp_cli.io.files import atomic_write_text, make_folder
