@@ -111,7 +111,7 @@ class ClusterError(ExwarpError):
 
 
 class InstallationError(ExwarpError):
-    """Something that ExWarp needs does not work on this machine."""
+    """Something of the installation does not work on this machine."""
 
     exit_code = 10
 

@@ -1,4 +1,4 @@
-"""Exit codes: the classes, the tree in their docstring, the README and the help say the same."""
+"""Exit codes: the classes, the tree in their docstring, docs and the help say the same."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from exwarp_cli import cli, errors
 from exwarp_cli.errors import ExwarpError
 
-README = Path(__file__).parents[2] / "README.md"
+SETTINGS = Path(__file__).parents[2] / "docs" / "settings.md"
 NO_ERRORS = {0, cli.TERMINATED, errors.INTERRUPTED}
 """Codes that no class of the tree has."""
 
@@ -38,14 +38,16 @@ def documented() -> dict[str, tuple[str, int]]:
     return found
 
 
-@pytest.fixture(params=["README", "exwarp --help"])
+@pytest.fixture(params=["docs", "exwarp --help"])
 def meanings(request, capsys) -> dict[int, str]:
-    """Return the codes of the sentence on exit codes, with what it says of them."""
-    if request.param == "README":
-        text = README.read_text(encoding="utf-8")
-    else:
-        assert cli.run(["--help"]) == 0
-        text = capsys.readouterr().out
+    """Return the documented codes, with what is said of them."""
+    if request.param == "docs":
+        table = (
+            SETTINGS.read_text(encoding="utf-8").partition("## Exit codes")[2].partition("## ")[0]
+        )
+        return {int(code): text for code, text in re.findall(r"\| (\d+) \| (.+) \|", table)}
+    assert cli.run(["--help"]) == 0
+    text = capsys.readouterr().out
     (sentence,) = re.findall(r"Exit codes: (.*?)\.(?= |$)", " ".join(text.split()))
     parts = [re.fullmatch(r"(\d+) (.+)", part) for part in re.split(r", (?=\d)", sentence)]
     assert None not in parts, sentence
