@@ -89,7 +89,7 @@ class OtherRate:
 
     @property
     def note(self) -> str:
-        """What a user is told of it."""
+        """A sentence about it for the user."""
         scored = "each new frame is scored against the frame of its own instant"
         if self.rate.denominator > 1:
             scored = "new frames at whose instant it has none are not scored"

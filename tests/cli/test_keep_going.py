@@ -274,15 +274,6 @@ class TestReport:
         assert [one["key"] for one in document["left_out"]] == [2]
         assert document["frames"]["written"] == FRAMES - 4
 
-    def test_reports_of_before_are_read(self, exwarp, upsample, keys, tmp_path):
-        report = tmp_path / "report"
-        upsample(keys, tmp_path / "out", "-m", "hold", *FORWARD, "--report", report, "--as-chunk")
-        (path,) = (report / "chunks").glob("*/report.json")
-        document = json.loads(path.read_text())
-        del document["left_out"]
-        path.write_text(json.dumps(document))
-        assert exwarp("merge-reports", report).code == 0
-
     def test_the_document_is_printed(self, exwarp, keys, tmp_path):
         remove(damaged_at(keys, 2))
         quiet = ("--progress", "none", "--threads", 1, "-m", "softsplat", "--keep-going", "--json")
