@@ -122,28 +122,6 @@ def test_any_split_into_chunks_tells_the_same(exwarp, softened, tmp_path, method
     assert report_of(merged)["pulse"] == report_of(single)["pulse"]
 
 
-def test_reports_of_an_earlier_version_merge(exwarp, softened, tmp_path):
-    """The first chunk's report is as it was written before there was a pulse."""
-    first, second = softened("a", "--frames", "1"), softened("b", "--frames", "2-3")
-    table = [line.split(",") for line in (first / "frames.csv").read_text().splitlines()]
-    gone = [table[0].index(name) for name in ("pulse", "pulse_ms")]
-    older = [",".join(c for i, c in enumerate(row) if i not in gone) for row in table]
-    (first / "frames.csv").write_text("\n".join(older) + "\n")
-    document = report_of(first)
-    del document["pulse"], document["timing_ms"]["pulse"]
-    quality = document["quality"]
-    for name in ("all", "holes", "dropped"):
-        del quality[name]["pulse"]
-    for part in quality["by_decision"].values():
-        del part["pulse"]
-    (first / "report.json").write_text(json.dumps(document))
-    merged = tmp_path / "merged"
-    result = exwarp("merge-reports", first, second, "-o", merged)
-    assert result.code == 0, result.err
-    assert pulses(merged) == {**dict.fromkeys("1234", ""), **pulses(second)}
-    assert report_of(merged)["pulse"]["frames"] == 6
-
-
 def test_a_negative_pulse_fails_by_its_magnitude(exwarp, softened, plain_truth, tmp_path):
     softened("a", "--no-tail", method="blend")
     compare = ("compare", plain_truth, tmp_path / "a", "--metrics", "pulse")
