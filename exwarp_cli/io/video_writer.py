@@ -28,7 +28,7 @@ from exwarp_cli.io.ffmpeg import (
     pad_to_even,
     run_ffmpeg,
 )
-from exwarp_cli.io.files import atomic_path
+from exwarp_cli.io.files import ResourceOwner, atomic_path
 
 # ffmpeg's name of the container by file suffix.
 CONTAINERS = {".mp4": "mp4", ".mov": "mov"}
@@ -198,7 +198,7 @@ def read_video_note(path: Path) -> str | None:
     return None if comment is None else re.sub(r"\\(.)", r"\1", comment[1])
 
 
-class VideoWriter:
+class VideoWriter(ResourceOwner):
     """Writes frames to a video, ``.mp4`` or ``.mov``, that appears when it is complete.
 
     A context manager: leaving it without an error puts the video in place, with one discards it.
@@ -228,26 +228,22 @@ class VideoWriter:
         self._look = look or VideoLook()
         # The timecode at the video's rate; None without, and if it cannot count that rate.
         self._timecode = self._look.timecode and self._look.timecode.convert(self._rate)
-        self._stack = ExitStack()
         self._count = 0
         self._tracks: EncodedTracks = ()
         self._track_remarks: tuple[str, ...] = ()
 
-    def __enter__(self) -> VideoWriter:
-        with ExitStack() as stack:
-            temporary = stack.enter_context(atomic_path(self._path))
-            temporary.touch()  # a bad folder shows here, with its reason
-            if self._look.sound is not None:
-                self._tracks, self._track_remarks = plan_tracks(self._look.sound, self._container)
-            try:
-                self._ffmpeg = stack.enter_context(FfmpegWriter(self._options(temporary)))
-            except FfmpegError as error:
-                raise OutputError(
-                    f"cannot write the video {self._path}: {error}; reinstall the "
-                    "package imageio-ffmpeg, or run without the video"
-                ) from error
-            self._stack = stack.pop_all()
-        return self
+    def _open(self, stack: ExitStack) -> None:
+        temporary = stack.enter_context(atomic_path(self._path))
+        temporary.touch()  # a bad folder shows here, with its reason
+        if self._look.sound is not None:
+            self._tracks, self._track_remarks = plan_tracks(self._look.sound, self._container)
+        try:
+            self._ffmpeg = stack.enter_context(FfmpegWriter(self._options(temporary)))
+        except FfmpegError as error:
+            raise OutputError(
+                f"cannot write the video {self._path}: {error}; reinstall the "
+                "package imageio-ffmpeg, or run without the video"
+            ) from error
 
     def __exit__(
         self,
@@ -256,7 +252,7 @@ class VideoWriter:
         trace: TracebackType | None,
     ) -> None:
         if error is not None:
-            self._stack.__exit__(kind, error, trace)
+            super().__exit__(kind, error, trace)
             return
         with self._stack:
             try:
