@@ -6,14 +6,14 @@ example and writes docs/images/comparison.webp. The frames pass four times as sl
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
-import numpy as np
-import OpenEXR
 from PIL import Image, ImageDraw, ImageFont
+
+from exwarp_cli import api
+from exwarp_cli.io.display_colour import to_display
+from exwarp_cli.io.frames import read_image
 
 ROOT = Path(__file__).parents[1]
 MARKET = ROOT / "examples" / "market"
@@ -28,15 +28,8 @@ MILLISECONDS = 33
 
 
 def read_frame(path: Path) -> Image.Image:
-    """Return a frame of scene-linear Rec. 709 as a display shows it."""
-    with OpenEXR.File(str(path)) as file:
-        beauty = next(
-            c for name, c in file.channels().items() if name.endswith(("RGB", "Combined"))
-        )
-        linear = beauty.pixels[..., :3]
-    linear = np.clip(np.asarray(linear, np.float32), 0, 1)
-    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return Image.fromarray(np.rint(shown * 255).astype(np.uint8))
+    """Return a frame as a display shows it."""
+    return Image.fromarray(to_display(read_image(path).pixels))
 
 
 def compose(panels: list[Image.Image]) -> Image.Image:
@@ -61,9 +54,9 @@ def compose(panels: list[Image.Image]) -> Image.Image:
 
 def main() -> None:
     """Upsample the example and write the picture."""
-    command = [sys.executable, "-m", "exwarp_cli", "upsample", str(MARKET / "keys")]
     with tempfile.TemporaryDirectory() as folder:
-        subprocess.run([*command, "-o", folder, "--no-tail", "--isolated"], check=True)
+        source = api.SourceSettings(str(MARKET / "keys"), tail=False)
+        api.upsample(api.UpsampleSettings(source, folder))
         generated = sorted(Path(folder).glob("*.exr"))
         truth = sorted((MARKET / "truth").glob("*.exr"))
         frames = [
