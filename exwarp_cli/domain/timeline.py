@@ -202,7 +202,7 @@ def _name_missing(gaps: list[tuple[int, int]], step: int) -> str:
 # Relative distance at which a rate counts as a standard one: 23.98 is 24000/1001, not 24.
 RATE_TOLERANCE = Fraction(2, 10_000)
 
-NTSC_RATIO = Fraction(1000, 1001)  # NTSC rates are whole numbers times this
+NTSC_RATIO = Fraction(1000, 1001)  # NTSC rates are integer multiples of this
 
 # Largest denominator and numerator of a rate that is read: eight times it, or a part of it, still
 # fits OpenEXR's 32-bit integers.

@@ -360,7 +360,7 @@ def is_visible(path: Path) -> bool:
 def with_retries(path: Path, read: Callable[[], T]) -> T:
     """Call a reader of a file, again after a pause while the system makes it fail.
 
-    `read` opens the file anew at each call, as a stale handle stays stale. Raises UnreadableError
+    `read` opens the file again at each call, as a stale handle stays stale. Raises UnreadableError
     when the system makes the last try fail, too, and OSError or DamagedFileError as `read` does
     when the file or its path is the cause.
     """

@@ -182,7 +182,7 @@ def write_moving_ids(
 ) -> None:
     """Write the ids of the surfaces that move."""
     height, width, _ = bits.shape
-    # Neighbours mostly have the same ids: looking each up anew took ten times as long.
+    # Neighbours mostly have the same ids: looking each up again took ten times as long.
     ids, moves = np.zeros(2, np.int32), np.zeros(2, np.bool_)
     for i in range(height):
         for j in range(width):

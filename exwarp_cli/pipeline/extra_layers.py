@@ -94,7 +94,7 @@ def contents_of(sources: tuple[Source, ...], text: str) -> tuple[Content, ...]:
     """Choose the layers of every view, the one that leads first.
 
     The other views' layers have the same names as the leader's, as far as they have them. `text`
-    is as `io.layers.chosen` takes it.
+    is as `io.layers.select_layers` takes it.
 
     Raises
     ------

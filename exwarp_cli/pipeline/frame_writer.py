@@ -110,7 +110,7 @@ class FrameWriter(ResourceOwner):
         return all(slot_is_there(pattern.path(number), recipe) for pattern in patterns)
 
     def copies(self, source: Path) -> bool:
-        """Return True if a key frame's file is copied, and not decoded and written anew."""
+        """Return True if a key frame's file is copied, not decoded and encoded."""
         frames = self._output.frames
         return frames is not None and frames.type == source.suffix.lower()
 

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from exwarp_cli.pipeline.source import FrameOf, Source
     from exwarp_cli.synthesis.methods import Method
 
-# What `synthesis.modulation` divides by, both together, in the user's words.
+# What `synthesis.extrapolation` divides by, both together, in the user's words.
 SURFACE_COLOURS = {Role.ALBEDO: "diffuse", Role.SPECULAR: "glossy"}
 
 

@@ -38,7 +38,7 @@ COLUMNS = (
     "replaced",
     # Against ground truth where `scored` is true, else against the key frames.
     "pulse",
-    # RMS of the frame in display levels of 0 to 255, and that of its tiles: see `domain.risk`.
+    # RMS of the frame in display levels of 0 to 255, and that of its tiles: see `domain.tiles`.
     *("predicted_error", "risk"),
     # The key frame that the gate predicted, and the PSNR of both predictions.
     "gate",

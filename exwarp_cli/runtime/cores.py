@@ -96,7 +96,7 @@ def count() -> int:
 def spare_count() -> int:
     """Return how many cores no thread keeps busy that renders a frame, at least 1."""
     # On two cores with two such threads, reading and features on two threads more took 3 % more
-    # processor time: each time that another thread gets a core, it fills the cache anew.
+    # processor time: each time that another thread gets a core, it fills the cache again.
     return max(1, count() - len(_rendering))
 
 

@@ -56,7 +56,7 @@ RETURNING = 0.1
 CONTRAST = 0.02
 
 # Colour below this disagrees. Optical flow, which makes the best even of a cut, needs it so high:
-# one pair of 303 falls below, and that one has moved by half a frame.
+# one pair of 303 falls below, and that one has moved by 0.5 frames.
 COLOUR_LIMIT = 0.15
 
 # Geometry below this disagrees, by what is compared, the best first.

@@ -30,7 +30,7 @@ from tests.unit.written_frames import WINDOW, image, pixels
 
 
 class TestParts:
-    """Frames of several layers and views; `pipeline.layers` makes their planes."""
+    """Frames of several layers and views; `pipeline.extra_layers` makes their planes."""
 
     @pytest.fixture
     def source(self, tmp_path) -> Path:
