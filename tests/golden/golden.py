@@ -58,9 +58,10 @@ SILENCED = ("upsample", "features", "compare", "bench", "merge-reports")
 
 MEASURED = re.compile(
     r"_ms$|^timing|^wall_s$|^seconds|^throughput$|^generated_frame_s$|^saved_s|^render_s$"
-    r"|^elapsed|^eta|^remaining|^machine$|^host|^runtime$|^memory"
+    r"|^elapsed|^eta|^remaining|^machine$|^host|^runtime$|^memory|^report_sha256$"
 )
-"""Keys of documents and columns of tables whose values are times, or tell of the machine."""
+"""Keys of documents and columns of tables whose values are times, depend on them, or tell of the
+machine."""
 
 UNSTABLE = re.compile(r"report\.html$|^out/(bench\.\w+|\w*(fps|time)\.csv|parts/.*)$")
 """Files of which only the name is recorded, as they are full of measured times."""
