@@ -17,8 +17,7 @@ from exwarp_cli.commands.options import (
     summary_of_files,
 )
 from exwarp_cli.domain.settings import DEVICES
-from exwarp_cli.research.bench.real_time import CLOCKS
-from exwarp_cli.research.bench.systems import SETTINGS, SYSTEMS, BenchSettings
+from exwarp_cli.research.bench.systems import CLOCKS, SETTINGS, SYSTEMS, BenchSettings
 
 
 @click.command("bench", context_settings={"show_default": True})

@@ -18,7 +18,6 @@ from exwarp_cli.commands.options import (
     scan_option,
     show,
 )
-from exwarp_cli.domain.frame import set_max_pixels
 from exwarp_cli.domain.metric import METRICS, Threshold, parse_threshold
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.domain.wording import pluralise
@@ -101,6 +100,7 @@ def command(
     A's own motion vectors. Pulse is by how many per cent B's mean gradient is above A's.
     """
     from exwarp_cli.api import compare
+    from exwarp_cli.domain.frame import set_max_pixels
     from exwarp_cli.pipeline.progress import reporting
     from exwarp_cli.report.comparison import require_quality
 

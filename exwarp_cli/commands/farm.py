@@ -13,7 +13,7 @@ import click
 from exwarp_cli.commands import upsample
 from exwarp_cli.commands.options import FILE, HelpfulGroup, json_option, print_json, show
 from exwarp_cli.domain.metric import METRICS
-from exwarp_cli.farm.farm_job import DEFAULT_SIZE
+from exwarp_cli.domain.settings import DEFAULT_CHUNK_SIZE
 
 if TYPE_CHECKING:
     from exwarp_cli.farm.farm_job import FarmJob
@@ -68,7 +68,7 @@ def _chunk_options(function: Any) -> Any:
         click.option(
             "--chunk-size",
             type=click.IntRange(1),
-            default=DEFAULT_SIZE,
+            default=DEFAULT_CHUNK_SIZE,
             show_default=True,
             help="Key frames a chunk.",
         ),

@@ -105,6 +105,9 @@ class UpsampleSettings:
         return DEFAULT_METRICS if self.metrics is None else self.metrics
 
 
+DEFAULT_CHUNK_SIZE = 10  # key frames: starting ExWarp takes about as long as one of 2K
+
+
 @dataclass(frozen=True)
 class ClusterSettings:
     """Where the chunks of a run are done, if not in the process itself."""

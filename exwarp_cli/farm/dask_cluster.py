@@ -21,7 +21,7 @@ from typing import Any
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.results import RunOutcome, RunSummary
-from exwarp_cli.domain.settings import ClusterSettings
+from exwarp_cli.domain.settings import DEFAULT_CHUNK_SIZE, ClusterSettings
 from exwarp_cli.domain.timeline import Slot, ranges
 from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import ClusterError, UsageError
@@ -34,7 +34,7 @@ from exwarp_cli.farm.dask_worker import (
     check_worker,
     render_chunk,
 )
-from exwarp_cli.farm.farm_job import DEFAULT_SIZE, split
+from exwarp_cli.farm.farm_job import split
 from exwarp_cli.farm.path_options import absolute, inputs_of
 from exwarp_cli.io.files import ResourceOwner, await_file, marker_file, remove_leftovers
 from exwarp_cli.io.footage import read_sequence_picture
@@ -167,11 +167,11 @@ def chunks_of(
 ) -> tuple[tuple[int, ...], ...]:
     """Divide key frames into chunks, of the size that the user asks for or of a usual one.
 
-    The usual size gives each worker some chunks in turn, so that a lost worker costs little, and is
-    `DEFAULT_SIZE` at most. Each chunk reads key frames of its neighbours again, so smaller is not
-    better.
+    The usual size gives each worker some chunks in turn, so that a lost worker costs little; it is
+    `DEFAULT_CHUNK_SIZE` at most. Each chunk reads key frames of its neighbours again, so smaller is
+    not better.
     """
-    usual = min(DEFAULT_SIZE, max(1, math.ceil(len(keys) / (ROUNDS * workers))))
+    usual = min(DEFAULT_CHUNK_SIZE, max(1, math.ceil(len(keys) / (ROUNDS * workers))))
     return split(keys, where.chunk_size or usual)
 
 

@@ -24,8 +24,6 @@ ISOLATED = "--isolated"
 AFTERWARDS = ("report_folder", "video")
 SCORING = ("ground_truth", "metrics")
 
-DEFAULT_SIZE = 10  # key frames of a chunk: starting ExWarp takes about as long as one of 2K
-
 
 class Placeholder(Enum):
     """What is filled in for every chunk."""

@@ -16,14 +16,16 @@ from exwarp_cli.domain.decision import CHOICES, FEATURES
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import pluralise
-from exwarp_cli.pipeline.decide import NodeFeatures
-from exwarp_cli.pipeline.dry_run import DryRun, Fate, ForeseenFrame
-from exwarp_cli.pipeline.predictor import Decided, Trace
 from exwarp_cli.report.csv_tables import format_cell, format_csv
 from exwarp_cli.report.schema import run_document
 
+# Types alone: each of these brings what its command needs, and the others do without.
 if TYPE_CHECKING:
     from rich.table import Table
+
+    from exwarp_cli.pipeline.decide import NodeFeatures
+    from exwarp_cli.pipeline.dry_run import DryRun, ForeseenFrame
+    from exwarp_cli.pipeline.predictor import Decided, Trace
 
 FEATURES_SCHEMA = "exwarp.features/1"
 CYCLES_SCHEMA = "exwarp.cycles/1"
@@ -247,6 +249,8 @@ def dry_run_document(plan: DryRun) -> dict[str, Any]:
 
     Frames are given as ranges of numbers; the rest has the names that report.json gives it.
     """
+    from exwarp_cli.pipeline.dry_run import Fate
+
     head = run_document(plan.head)
     shared = ("version", "method", "setting", "lookahead", "input", "views", "layers")
     paths = {"output": plan.output, "holes": plan.holes, "video": plan.video}
@@ -274,6 +278,8 @@ def dry_run_document(plan: DryRun) -> dict[str, Any]:
 
 def dry_run_lines(plan: DryRun) -> list[str]:
     """Say in a few lines what a run would do."""
+    from exwarp_cli.pipeline.dry_run import Fate
+
     place = plan.output or plan.video
     count = "no frame"
     if plan.frames:

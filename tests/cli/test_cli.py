@@ -100,6 +100,24 @@ class TestHelp:
         result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
         assert result.stdout.splitlines()[-1] == "['exwarp_cli.cli']"
 
+    @pytest.mark.parametrize("command", cli.COMMANDS)
+    def test_help_of_a_command_does_neither(self, command):
+        code = (
+            f"import sys; from exwarp_cli import cli; cli.run(['{command}', '--help']); "
+            "heavy = ('numpy', 'numba', 'rich', 'fileseq', 'OpenEXR', 'onnxruntime'); "
+            "print([m for m in sys.modules if m.split('.')[0] in heavy])"
+        )
+        result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert result.stdout.splitlines()[-1] == "[]"
+
+    def test_what_a_decision_costs_is_printed_without_the_pipeline(self):
+        code = (
+            "import sys; from exwarp_cli import cli; cli.run(['policy', 'cycles']); "
+            "print([m for m in sys.modules if m in ('OpenEXR', 'exwarp_cli.pipeline.job')])"
+        )
+        result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert result.stdout.splitlines()[-1] == "[]"
+
     def test_help_starts_at_once(self):
         def taken(*arguments: str) -> float:
             begin = time.perf_counter()

@@ -12,7 +12,8 @@ from exwarp_cli.report.plots import Figure
 from exwarp_cli.research.bench.bench_folder import format_markdown
 from exwarp_cli.research.bench.bench_page import bench_page
 from exwarp_cli.research.bench.bench_tables import make_tables
-from exwarp_cli.research.bench.real_time import CLOCKS, SLOT_MS, measured_latencies, table_latencies
+from exwarp_cli.research.bench.real_time import SLOT_MS, measured_latencies, table_latencies
+from exwarp_cli.research.bench.systems import CLOCKS
 from tests.unit.test_bench_report import benchmark_of, document_of, frames, measured
 
 SYSTEMS = ("exwarp", "oracle", "oracle-return", "s1", "s2", "s6")

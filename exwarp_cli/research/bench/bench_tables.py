@@ -11,16 +11,16 @@ from exwarp_cli.domain.decision import EXTRAPOLATE, NODES, WARP
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.research.bench import paper
 from exwarp_cli.research.bench.bench_document import HOLE_EDGES, VARYING_FEATURES, Document
-from exwarp_cli.research.bench.real_time import (
-    BUSY,
-    BY_PATH,
-    CLOCKED_SYSTEMS,
-    LATE,
+from exwarp_cli.research.bench.real_time import BUSY, BY_PATH, CLOCKED_SYSTEMS, LATE
+from exwarp_cli.research.bench.systems import (
+    CHOOSERS,
+    FIXED,
     MEASURED,
+    SLOTS,
+    SYSTEMS,
     TABLE,
     TABLE_AS,
 )
-from exwarp_cli.research.bench.systems import CHOOSERS, FIXED, SLOTS, SYSTEMS
 
 OURS, PAPER = "measured", "paper"
 

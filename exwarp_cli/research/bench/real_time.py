@@ -25,23 +25,17 @@ from exwarp_cli.research.bench.systems import (
     BEST_PSNR,
     BEST_RETURN,
     FIXED,
+    MEASURED,
     POLICY,
     SLOTS,
+    TABLE_AS,
+    TABLE_PIXELS,
     picture_at,
 )
 
 REFRESH_HZ = 120  # slots a second: the paper's display
 BASE_FPS = REFRESH_HZ / FACTOR  # key frames a second
 SLOT_MS = 1000 / REFRESH_HZ
-
-# Sizes of frames in the paper's Table III, in pixels.
-TABLE_PIXELS = {"480p": 854 * 480, "720p": 1280 * 720, "1080p": 1920 * 1080}
-
-# Where latencies come from: Table III by the size of the frames, or as if they had one of its
-# sizes; or this machine's run times.
-TABLE, MEASURED = "table3", "measured"
-TABLE_AS = {f"{TABLE}-{size}": size for size in TABLE_PIXELS}
-CLOCKS = (TABLE, *TABLE_AS, MEASURED)
 
 # Why a slot repeats the frame before: the path makes no frame for it; its frame is not ready at the
 # slot; or the engine still runs an earlier E when its own is requested. A request that meets a busy

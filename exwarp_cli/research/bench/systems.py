@@ -19,6 +19,15 @@ from exwarp_cli.errors import UsageError
 # G-buffers of every slot, as the paper has them, or of the key frames only.
 SETTINGS = ("slot", "key")
 
+# Sizes of frames in the paper's Table III, in pixels.
+TABLE_PIXELS = {"480p": 854 * 480, "720p": 1280 * 720, "1080p": 1920 * 1080}
+
+# Where latencies of the real-time clock come from: Table III by the size of the frames,
+# or as if they had one of its sizes; or this machine's run times.
+TABLE, MEASURED = "table3", "measured"
+TABLE_AS = {f"{TABLE}-{size}": size for size in TABLE_PIXELS}
+CLOCKS = (TABLE, *TABLE_AS, MEASURED)
+
 # Systems that choose a path for every key interval.
 POLICY, BEST_PSNR, BEST_RETURN = "exwarp", "oracle", "oracle-return"
 CHOOSERS = (POLICY, BEST_PSNR, BEST_RETURN)
