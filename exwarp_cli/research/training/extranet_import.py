@@ -166,7 +166,7 @@ class ExtraNet(nn.Module):
 
 
 class ExtraNetAdapter(nn.Module):
-    """ExtraNet behind ExWarp's interface (`domain.extrapolator`).
+    """ExtraNet behind ExWarp's interface (`domain.network_api`).
 
     Translated exactly:
 
@@ -196,7 +196,7 @@ class ExtraNetAdapter(nn.Module):
         self.network = network
 
     def forward(self, warped: Tensor, mask: Tensor, features: Tensor, history: Tensor) -> Tensor:
-        """Return the slot's colour, [N, 3, H, W]; inputs [N, C, H, W] as in `domain.extrapolator`.
+        """Return the slot's colour, [N, 3, H, W]; inputs [N, C, H, W] as in `domain.network_api`.
 
         H and W are multiples of `STRIDE`.
         """

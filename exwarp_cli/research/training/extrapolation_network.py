@@ -143,7 +143,7 @@ class UNet(nn.Module):
 
 
 class ExtrapolationNetwork(nn.Module):
-    """The network as it is exported: the inputs of `domain.extrapolator`, colour out."""
+    """The network as it is exported: the inputs of `domain.network_api`, colour out."""
 
     def __init__(self, architecture: Architecture) -> None:
         super().__init__()

@@ -159,7 +159,7 @@ def export_float(weights: Sequence[F32], biases: Sequence[F32], path: Path) -> N
 def export_integer(network: QuantisedMlp, path: Path) -> None:
     """Write the network in integer operators only: ``state`` int32 [N, in] to ``values`` [N, 2].
 
-    The state is Q16.16, any int32; values are int32 and equal `accel.quantised_mlp.infer_reference`
+    The state is Q16.16, any int32; values are int32 and equal `accelerator.mlp.infer_reference`
     in every bit. The accumulators of layer n are ``accumulators{n}``, without biases
     ``products{n}``. Raises OutputError.
     """
