@@ -196,9 +196,7 @@ def test_batches_follow_from_seed_and_step(crops):
 def test_the_edges_of_crops_are_often_those_of_patches(crops, monkeypatch):
     """What lies there is hidden like nothing else, and has to be learnt."""
     corners = []
-    monkeypatch.setattr(
-        Crops, "batch", lambda self, indices, device, patches: corners.extend(patches)
-    )
+    monkeypatch.setattr(Crops, "batch", lambda self, indices, patches: corners.extend(patches))
     monkeypatch.setattr(batches, "vary", lambda batch, rng: batch)
     for step in range(100):
         crops.draw(step, 4, 32, 0)

@@ -7,10 +7,11 @@ import json
 import math
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -309,6 +310,13 @@ class CachedArrays:
     def __len__(self) -> int:
         return len(self._places)
 
+    def draw(self, step: int, size: int, side: int, seed: int) -> Any:
+        """Return the batch of a step of training: `size` patches of `side` pixels, varied.
+
+        The seed and the step alone decide the order and the changes.
+        """
+        raise NotImplementedError
+
     def draw_index(self, n: int, seed: int) -> int:
         """Return the index of the n-th sample that is drawn: a permutation, then another one."""
         epoch, offset = divmod(n, len(self))
@@ -333,6 +341,10 @@ class Batch:
     modulation: Tensor  # What its answer, decoded, is multiplied with.
     target: Tensor  # The rendered frame, scene-linear
 
+    def to(self, device: str) -> Batch:
+        """Return the batch on a device."""
+        return Batch(*(getattr(self, part.name).to(device) for part in fields(self)))
+
     @property
     def inputs(self) -> tuple[Tensor, ...]:
         """What the network is called with."""
@@ -354,9 +366,7 @@ class Crops(CachedArrays):
     def __init__(self, folders: Sequence[Path]) -> None:
         super().__init__(folders, CROP_ARRAYS)
 
-    def batch(
-        self, indices: Sequence[int], device: str = "cpu", patches: Sequence[Patch] | None = None
-    ) -> Batch:
+    def batch(self, indices: Sequence[int], patches: Sequence[Patch] | None = None) -> Batch:
         """Return crops as they are cached, or a patch of each."""
         if patches is None:
             patches = [(slice(None), slice(None))] * len(indices)
@@ -367,7 +377,7 @@ class Crops(CachedArrays):
                 self._files[f][name][i if name == "time" else (i, slice(None), *patch)]
                 for (f, i), patch in zip(places, patches, strict=True)
             ]
-            tensors[name] = torch.from_numpy(np.stack(cuts)).to(device).float()
+            tensors[name] = torch.from_numpy(np.stack(cuts)).float()
         colour, mask = tensors["colour"], tensors["mask"]
         visible = mask[:, :1]
         history = torch.cat(
@@ -387,22 +397,19 @@ class Crops(CachedArrays):
             target=tensors["target"],
         )
 
-    def draw(self, step: int, size: int, side: int, seed: int, device: str = "cpu") -> Batch:
-        """Return the batch of a step of training: patches of crops, varied.
-
-        The seed and the step alone decide the order and the changes.
-        """
+    def draw(self, step: int, size: int, side: int, seed: int) -> Batch:
+        """Return the batch of a step of training: patches of crops, varied."""
         rng = np.random.default_rng((seed, step))
         indices = [self.draw_index(step * size + i, seed) for i in range(size)]
         room = int(self._files[0]["mask"].shape[-1]) - side
         over = int(OVERHANG * side)
         corners = rng.integers(-over, room + over + 1, (size, 2)).clip(0, room).tolist()
         patches = [(slice(y, y + side), slice(x, x + side)) for y, x in corners]
-        return vary(self.batch(indices, device, patches), rng)
+        return vary(self.batch(indices, patches), rng)
 
 
 def encode(linear: Tensor) -> Tensor:
-    """Return sign(x) log(1 + |x|), as `synthesis.extrapolate` does."""
+    """Return sign(x) log(1 + |x|), as `synthesis.extrapolation` does."""
     return torch.sign(linear) * torch.log1p(linear.abs())
 
 

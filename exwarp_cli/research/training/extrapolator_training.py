@@ -34,6 +34,7 @@ from exwarp_cli.research.training.extrapolation_network import (
 from exwarp_cli.research.training.onnx_export import export_extrapolator
 from exwarp_cli.research.training.resumable_training import (
     WARM_UP,
+    DrawnBatches,
     ResumableTraining,
     Say,
     read_checkpoint,
@@ -90,10 +91,9 @@ class ExtrapolatorTraining(ResumableTraining):
 
     def __init__(self, folder: Path, settings: ExtrapolatorSettings, say: Say) -> None:
         require_sane(settings)
-        self.device = "cuda" if torch.cuda.is_available() else "cpu"
-        self._uses_bfloat16 = _is_bfloat16_fast(self.device)
         self._begins_with_model = False
         super().__init__(folder, settings, say)
+        self._uses_bfloat16 = _is_bfloat16_fast(self.device)
 
     def _make_network(self) -> ExtrapolationNetwork:
         return build_network(self.settings.architecture, self.settings.width)
@@ -131,7 +131,8 @@ class ExtrapolatorTraining(ResumableTraining):
             f"{len(scenes['validation'])} held out"
         )
         if self._begins_with_model:
-            batches = (self._batch(samples, step) for step in range(STATISTICS_BATCHES))
+            drawn = DrawnBatches(samples, self.settings)
+            batches = (drawn[step].to(self.device) for step in range(STATISTICS_BATCHES))
             set_statistics(self.network, batches)
             self.average.load_state_dict(self.network.state_dict())
         super().run(samples, held_out, every)
@@ -145,11 +146,6 @@ class ExtrapolatorTraining(ResumableTraining):
         )
         export_extrapolator(self.average, path, stride=STRIDE, about=about)
         return path
-
-    def _batch(self, samples: CachedArrays, step: int) -> Batch:
-        assert isinstance(samples, Crops)
-        s = self.settings
-        return samples.draw(step, s.batch, s.patch, s.seed, self.device)
 
     def _loss(self, batch: Batch) -> Tensor:
         with torch.autocast(self.device, torch.bfloat16, enabled=self._uses_bfloat16):
@@ -176,7 +172,7 @@ class ExtrapolatorTraining(ResumableTraining):
         for first in range(0, len(indices), VALIDATION_BATCH):
             check_stop()
             chosen = indices[first : first + VALIDATION_BATCH].tolist()
-            batch = samples.batch(chosen, self.device)
+            batch = samples.batch(chosen).to(self.device)
             colour, plain = batch.finish(self.average(*batch.inputs)), batch.plain
             for where, rows in ((None, gains), (1 - batch.mask, gains_in_holes)):
                 gain = psnr(colour, batch.target, where) - psnr(plain, batch.target, where)

@@ -137,6 +137,11 @@ class SampleBatch:
     time: Tensor  # float32 [N]
     truth: Tensor  # float32 [N, 3, S, S], as displayed
 
+    def to(self, device: str) -> SampleBatch:
+        """Return the batch on a device."""
+        inputs = {name: picture.to(device) for name, picture in self.inputs.items()}
+        return SampleBatch(inputs, self.time.to(device), self.truth.to(device))
+
 
 class Samples(CachedArrays):
     """The slots of some folders, of which patches are read as they are needed."""

@@ -235,10 +235,6 @@ class LookAheadTraining(ResumableTraining):
         export_network(shipped, path, LOOKAHEAD_INTERFACE, stride=STRIDE, about=about)
         return path
 
-    def _batch(self, samples: Samples, step: int) -> SampleBatch:
-        s = self.settings
-        return samples.draw(step, s.batch, s.patch, s.seed)
-
     def _loss(self, batch: SampleBatch) -> Tensor:
         colour = mix(self.network(**batch.inputs, time=batch.time), batch.inputs["colour"])
         return loss_of(colour, batch.truth)
@@ -258,7 +254,7 @@ class LookAheadTraining(ResumableTraining):
         self.average.eval()
         count = min(VALIDATED, len(samples))
         indices = np.unique(np.linspace(0, len(samples) - 1, count).astype(int))
-        scores = [self._score(samples.whole(int(index))) for index in indices]
+        scores = [self._score(samples.whole(int(index)).to(self.device)) for index in indices]
         gain, sharpness = np.mean(scores, axis=0)
         return float(gain), float(sharpness)
 

@@ -11,7 +11,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import asdict, replace
-from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.utils.data import DataLoader, Dataset
 
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, split_scenes
@@ -26,7 +26,6 @@ from exwarp_cli.io.files import atomic_path, atomic_write_text, make_folder
 from exwarp_cli.io.generated_frames import file_digest
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.models.model_file import read_file_bytes
-from exwarp_cli.pipeline.scheduling import prefetch
 from exwarp_cli.research.training.crop_cache import CachedArrays, is_complete
 from exwarp_cli.research.training.training_settings import ExtrapolatorSettings, LookAheadSettings
 from exwarp_cli.runtime import cores
@@ -41,6 +40,9 @@ WARM_UP = 200
 
 # The network that is kept is a running average of the weights; this share of it stays at a step.
 AVERAGED = 0.998
+
+# Processes that draw batches for a GPU, at most; one takes several times as long as the GPU learns.
+LOADERS = 12
 
 Say = Callable[[str], None]
 Settings = ExtrapolatorSettings | LookAheadSettings
@@ -57,10 +59,9 @@ class ResumableTraining(ABC):
     largest_gradient: float  # a longer one is scaled to this norm
     columns: tuple[str, ...]  # of the curve: step, seconds, loss, rate, scores of `_validate`
 
-    device = "cpu"  # or "cuda"
-
     def __init__(self, folder: Path, settings: Settings, say: Say) -> None:
         self.folder, self.settings, self.say = folder, settings, say
+        self.device = "cuda" if torch.cuda.is_available() else "cpu"
         torch.manual_seed(settings.seed)
         network = self._make_network().to(self.device)
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -103,9 +104,6 @@ class ResumableTraining(ABC):
 
     @abstractmethod
     def _rate(self) -> float: ...
-
-    @abstractmethod
-    def _batch(self, samples: Any, step: int) -> Any: ...
 
     @abstractmethod
     def _loss(self, batch: Any) -> Tensor: ...
@@ -168,9 +166,10 @@ class ResumableTraining(ABC):
         begin = time.monotonic() - self.seconds
         losses: list[float] = []
         steps = range(self.step, self.settings.steps)
-        # The next batch is read while one is learned.
-        for batch in prefetch((partial(self._batch, samples, step) for step in steps), 1):
-            losses.append(self._learn(batch))
+        loaders = min(LOADERS, cores.count()) if self.device == "cuda" else 0
+        drawn = DrawnBatches(samples, self.settings)
+        for batch in DataLoader(drawn, batch_size=None, sampler=steps, num_workers=loaders):
+            losses.append(self._learn(batch.to(self.device)))
             self.step += 1
             self.seconds = time.monotonic() - begin
             if self.step % every == 0 or self.step == self.settings.steps:
@@ -233,6 +232,18 @@ class ResumableTraining(ABC):
         }  # fmt: skip
         with atomic_path(self.folder / CHECKPOINT) as temporary:
             torch.save(content, temporary)
+
+
+class DrawnBatches(Dataset[Any]):
+    """The batches of a training by their step, from 0: patches of samples, varied."""
+
+    def __init__(self, samples: CachedArrays, settings: Settings) -> None:
+        self._samples, self._settings = samples, settings
+
+    def __getitem__(self, step: int) -> Any:
+        """Return the batch of a step, on the CPU."""
+        s = self._settings
+        return self._samples.draw(step, s.batch, s.patch, s.seed)
 
 
 def read_checkpoint(path: Path, device: str) -> dict[str, Any]:
