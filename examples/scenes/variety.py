@@ -71,7 +71,9 @@ def engine_of(seed: int) -> str:
     return "EEVEE" if (seed * math.sqrt(3)) % 1 < RASTER else "Cycles"
 
 
-def build(seed: int, last: int, listed: ThingList, credits: list[dict[str, str]]) -> dict[int, str]:
+def build(
+    seed: int, last: int, listed: ThingList, credits: list[dict[str, str]], engine: str
+) -> dict[int, str]:
     """Build the shot of a seed; return what each object id is, and fill in the real things."""
     chance, plan = random.Random(seed), Plan.draw(seed)
     stock = Stock(listed, seed, plan.has("real shapes"), plan.has("real textures"))
@@ -82,19 +84,22 @@ def build(seed: int, last: int, listed: ThingList, credits: list[dict[str, str]]
     path = variety_view.choose(scene, speed_of(seed), last)
     after = (variety_wind.blow,) if plan.has("wind") else ()
     dynamic = variety_moves.Troupe(scene, path, last).cast_parts((variety_acts.play,), after)
-    variety_light.expose(scene, night, engine_of(seed))
+    variety_light.expose(scene, night, engine)
     credits[:] = [stock.shown[name].credit for name in sorted(stock.shown)]
     return dynamic
 
 
-def script(seed: int, listed: ThingList) -> Script:
-    """Return the shot of a seed, with the real things of a list where the seed wants some."""
-    plan, credits, engine = Plan.draw(seed), [], engine_of(seed)
+def script(seed: int, listed: ThingList, engine: str | None = None) -> Script:
+    """Return the shot of a seed, with the real things of a list where the seed wants some.
+
+    `engine` renders it in place of the one that the seed draws.
+    """
+    plan, credits, engine = Plan.draw(seed), [], engine or engine_of(seed)
     wants = plan.has("real shapes") or plan.has("real textures")
     return Script(
         f"variety-{seed:04d}",
         f"A random shot for training: {place_of(seed)}.",
-        functools.partial(build, listed=listed, credits=credits),
+        functools.partial(build, listed=listed, credits=credits, engine=engine),
         INSTANTS,
         seed,
         "training",
@@ -124,6 +129,9 @@ def main() -> None:
         default=default_folder(),
         help="folder of real things, written by things.py (%(default)s)",
     )
+    parser.add_argument(
+        "--engine", choices=tuple(PACES), help="renders all of them (one shot in three by EEVEE)"
+    )
     options.options(parser, SIZE)
     chosen = parser.parse_args()
     listed = things_list.read(chosen.things.expanduser())
@@ -133,7 +141,7 @@ def main() -> None:
     for number, seed in enumerate(seeds, 1):
         say(f"shot {number} of {len(seeds)}: seed {seed}, {place_of(seed)}")
         order = options.order(chosen)
-        shot = script(seed, listed)
+        shot = script(seed, listed, chosen.engine)
         if shot.engine == "Cycles" and order.samples is None and order.seeds is None:
             folder = order.data / shot.name
             last = shot.instants - 1

@@ -46,6 +46,7 @@ def options(parser: argparse.ArgumentParser, resolution: str = "240p") -> None:
     add("--samples", type=count, metavar="N", help="per pixel of each render (the look's)")
     add("--renders", type=count, metavar="N", help="whose mean a frame is (the look's)")
     add("--frames", type=ranges, default=frozenset(), help="instants, as in 1-49,97 (all)")
+    add("--gpu", action="store_true", help="Cycles renders on NVIDIA cards, with CUDA")
     add("--what", choices=(*KINDS, "all"), default="all")
     add(
         "--key-step",
@@ -66,6 +67,7 @@ def order(chosen: argparse.Namespace) -> Order:
         hurried=chosen.look == "hurried",
         frames=chosen.frames,
         what=frozenset(what),
+        on_gpu=chosen.gpu,
         key_step=chosen.key_step,
     )
 

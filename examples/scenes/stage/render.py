@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import importlib
 import os
+import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -108,6 +109,24 @@ def settle(size: tuple[int, int], quality: Quality = HURRIED) -> None:
     image.file_format = "OPEN_EXR_MULTILAYER"
     image.color_depth = "16"
     image.exr_codec = "PXR24"  # keeps 24 bits of a data pass; the others are sampling noise
+
+
+def use_gpu() -> None:
+    """Render and denoise on all NVIDIA cards.
+
+    Raises
+    ------
+    SystemExit
+        With one sentence, when there is none.
+    """
+    preferences = bpy.context.preferences.addons["cycles"].preferences
+    preferences.compute_device_type = "CUDA"
+    preferences.refresh_devices()
+    for device in preferences.devices:
+        device.use = device.type == "CUDA"
+    if not any(device.use for device in preferences.devices):
+        sys.exit("--gpu: Blender finds no NVIDIA card that CUDA can use; leave the option out.")
+    bpy.context.scene.cycles.device = "GPU"
 
 
 def drop_noisy_image() -> None:

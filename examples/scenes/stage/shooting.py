@@ -125,6 +125,8 @@ class Order:
         Which of `KINDS`.
     key_step : int or None
         In place of the script's.
+    on_gpu : bool
+        Whether Cycles renders on a GPU. EEVEE does where OpenGL does.
     """
 
     data: Path
@@ -135,6 +137,7 @@ class Order:
     frames: frozenset[int] = frozenset()
     what: frozenset[str] = frozenset(KINDS)
     key_step: int | None = None
+    on_gpu: bool = False
 
 
 @dataclass(frozen=True)
@@ -267,6 +270,8 @@ def _build(job: Job) -> dict[int, str]:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     dynamic = job.script.build(job.script.seed, job.script.instants - 1)
     ENGINES[job.script.engine].settle(job.order.size, job.quality)
+    if job.order.on_gpu and job.script.engine == "Cycles":
+        render.use_gpu()
     return dynamic
 
 
