@@ -103,9 +103,11 @@ def command(
             fps=fps,
             **options,  # type: ignore[arg-type]
         )
-        written = write_benchmark(
-            settings.output, run_benchmark(settings, reporter), hertz, reporter
-        )
+        try:
+            benchmark = run_benchmark(settings, reporter)
+            written = write_benchmark(settings.output, benchmark, hertz, reporter)
+        finally:
+            reporter.finish()
     if as_json:
         print_json(written)
         return

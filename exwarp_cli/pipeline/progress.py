@@ -350,9 +350,16 @@ class BarProgress(_Counting):
     def _show_start(self) -> None:
         # Imported here: it takes 60 ms, which runs without a terminal need not pay.
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            SpinnerColumn,
+            TextColumn,
+        )
 
         self._bar = Progress(
+            SpinnerColumn("line"),  # moves while a frame takes long; ASCII, for any terminal
             BarColumn(),
             MofNCompleteColumn(),
             TextColumn("{task.fields[left]}", markup=False),

@@ -27,6 +27,7 @@ from exwarp_cli.research.bench.measurement import (
     measure_slots,
     part_identity,
     time_subject,
+    timed_keys,
 )
 from exwarp_cli.research.bench.subjects import (
     Networks,
@@ -101,17 +102,18 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
     networks = load_networks(settings, None)
     opened = {subject: OpenedSubject(subject, settings, networks) for subject in subjects}
     _make_folders(opened.values())
-    timings = {subject: _measure_times(entry, progress) for subject, entry in opened.items()}
     keys = {subject: entry.keys for subject, entry in opened.items()}
+    jobs = settings.jobs or processors().usable
+    counts = {_kind(subject): len(chosen) for subject, chosen in keys.items()}
+    counts |= {_timing_kind(subject): len(timed_keys(entry)) for subject, entry in opened.items()}
+    progress.start(sum(counts.values()), counts, jobs)
+    timings = {subject: _measure_times(entry, progress) for subject, entry in opened.items()}
     about = {subject: describe_subject(entry) for subject, entry in opened.items()}
     del opened
     notes = [facts["policy"]["note"] for facts in about.values()]
     for note in dict.fromkeys(note for note in notes if note is not None):
         progress.message(note)
 
-    jobs = settings.jobs or processors().usable
-    counts = {_kind(subject): len(chosen) for subject, chosen in keys.items()}
-    progress.start(sum(counts.values()), counts, jobs)
     # Short sequences are shared out as well.
     size = min(INTERVALS_PER_TASK, -(-sum(map(len, keys.values())) // jobs))
     tasks: list[Task] = [
@@ -125,12 +127,9 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
         progress.advance(step.number, note, _kind(step.subject), step.is_new)
 
     parts: dict[tuple[Subject, int], dict[str, Any]] = {}
-    try:
-        with closing(_run_tasks(tasks, min(jobs, len(tasks)), report)) as results:
-            for subject, measured in results:
-                parts |= {(subject, key): part for key, part in measured}
-    finally:
-        progress.finish()
+    with closing(_run_tasks(tasks, min(jobs, len(tasks)), report)) as results:
+        for subject, measured in results:
+            parts |= {(subject, key): part for key, part in measured}
     return Benchmark(
         settings,
         networks.checksums,
@@ -150,6 +149,10 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
 def _kind(subject: Subject) -> str:
     """Name the kind of a subject's intervals: they take about as long."""
     return f"{subject.source.sequence}, {subject.setting}"
+
+
+def _timing_kind(subject: Subject) -> str:
+    return f"timing {_kind(subject)}"
 
 
 def _run_tasks(
@@ -260,12 +263,20 @@ def _measure_times(opened: OpenedSubject, progress: Progress) -> dict[str, Any]:
     }
     identity = hashlib.sha256(json.dumps(dependencies).encode()).hexdigest()
     path = _folder_of(opened) / "timing.json"
-    timing = _read_kept(path, identity)
+    timing, subject = _read_kept(path, identity), opened.subject
+    is_new = timing is None
+
+    def report(key: int) -> None:
+        note = f"timing {subject.name}, {subject.setting}"
+        progress.advance(opened.number(key), note, _timing_kind(subject), is_new)
+
     if timing is None:
-        subject = opened.subject
         progress.message(f"timing {subject.name} with G-buffers for {GBUFFERS_OF[subject.setting]}")
-        timing = time_subject(opened) | {"identity": identity}
+        timing = time_subject(opened, report) | {"identity": identity}
         atomic_write_text(path, json.dumps(timing, indent=1) + "\n")
+    else:
+        for key in timed_keys(opened):
+            report(key)
     return timing
 
 

@@ -244,8 +244,20 @@ def _score_slots(
     }
 
 
-def time_subject(opened: OpenedSubject) -> dict[str, Any]:
-    """Measure run times on a few key intervals, alone on the machine, with all threads.
+def timed_keys(opened: OpenedSubject) -> tuple[int, ...]:
+    """Return the key intervals that run times are measured on: a few neighbours of the middle.
+
+    The first of them is not counted; a lone interval comes twice.
+    """
+    start = max(len(opened.keys) // 2 - 1, 0)
+    keys = tuple(opened.keys[start : start + TIMED_INTERVALS + 1])
+    return keys * 2 if len(keys) == 1 else keys
+
+
+def time_subject(opened: OpenedSubject, report: Callable[[int], None]) -> dict[str, Any]:
+    """Measure run times on `timed_keys`, alone on the machine, with all threads.
+
+    `report` is called with each of these intervals when it is done.
 
     Returns
     -------
@@ -255,17 +267,14 @@ def time_subject(opened: OpenedSubject) -> dict[str, Any]:
     steps: dict[str, list[float]] = defaultdict(list)
     systems: dict[str, list[float]] = defaultdict(list)
     opened.restart()
-    # A few neighbours from the middle.
-    start = max(len(opened.keys) // 2 - 1, 0)
-    keys = opened.keys[start : start + TIMED_INTERVALS + 1]
-    if len(keys) == 1:
-        keys *= 2
+    keys = timed_keys(opened)
     for count, key in enumerate(keys):
         check_stop()
         if count and key == keys[count - 1]:  # a lone interval is read again, with its features
             opened.restart()
         inputs = opened.load(key, lambda recipes: True)
         interval_steps, interval_systems = _time_interval(opened, inputs)
+        report(key)
         if count == 0:  # compiled the kernels, and read what the next intervals share with it
             continue
         for name, ms in interval_steps.items():

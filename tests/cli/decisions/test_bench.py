@@ -197,7 +197,8 @@ def test_its_document_is_that_of_the_file(exwarp, uneven, truth, tmp_path, kind)
     line = ("bench", *uneven["key"], "--ground-truth", truth, "--frames", "1", *how)
     result = exwarp(*line, "-o", tmp_path / "bench")
     assert document_of(result, "exwarp.bench/1") == document_in(tmp_path / "bench")
-    assert ("openjd_status: 1 frame done" in result.err.splitlines()) == (kind == "openjd")
+    # Two more intervals are timed.
+    assert ("openjd_status: 3 frames done" in result.err.splitlines()) == (kind == "openjd")
 
 
 def test_each_key_interval_moves_the_bar(exwarp, uneven, truth, tmp_path, monkeypatch):
@@ -213,12 +214,16 @@ def test_each_key_interval_moves_the_bar(exwarp, uneven, truth, tmp_path, monkey
     line = ("bench", *uneven["key"], "--ground-truth", truth, "-o", tmp_path / "bench", *how)
     events = [json.loads(text) for text in exwarp(*line, "--frames", "1-3").err.splitlines()]
     seen = [one for one in events if one["event"] in ("measuring", "frame")]
-    assert [one["event"] for one in seen] == ["measuring", "frame"] * 3
-    assert [(one["done"], one["total"]) for one in seen[1::2]] == [(1, 3), (2, 3), (3, 3)]
-    assert seen[1]["eta_s"] > 0 and seen[-1]["eta_s"] == 0
+    # Run times are measured first, on the same three intervals.
+    assert [one["event"] for one in seen] == ["frame"] * 3 + ["measuring", "frame"] * 3
+    counted = [one for one in seen if one["event"] == "frame"]
+    assert [(one["done"], one["total"]) for one in counted] == [(n, 6) for n in range(1, 7)]
+    assert ["timing" in one["note"] for one in counted] == [True] * 3 + [False] * 3
+    assert counted[3]["eta_s"] > 0 and counted[-1]["eta_s"] == 0
     events = [json.loads(text) for text in exwarp(*line, "--frames", "1-4").err.splitlines()]
     kept = [one["eta_s"] for one in events if one["event"] == "frame"]
-    assert kept == [None, None, None, 0]
+    # The fourth interval is new, and timed with others than before.
+    assert kept[-1] == 0 and len(kept) == 7
 
 
 def test_chunks_and_workers_find_what_one_process_finds(bench, monkeypatch):
