@@ -1,0 +1,98 @@
+"""Runs where the system lacks what only Linux, or only POSIX, has: the same bytes come out.
+
+Stands in for Windows and macOS, on which nothing was tested: the functions that Python does not
+have there are taken away before ExWarp is imported.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli.shots import contents
+
+ROOT = Path(__file__).resolve().parents[2]
+
+# What Python's documentation gives as absent, of what ExWarp would use.
+NOT_ON_MACOS = (
+    "os.sched_getaffinity", "os.posix_fadvise", "os.posix_fallocate", "os.copy_file_range",
+)  # fmt: skip
+NOT_ON_WINDOWS = (
+    *NOT_ON_MACOS, "os.fork", "os.getuid", "os.geteuid", "os.preadv", "os.pread", "os.sysconf",
+    "os.sysconf_names", "os.register_at_fork", "os.O_NONBLOCK", "os.waitid", "os.killpg",
+    "os.getpgid", "os.setsid", "signal.pthread_sigmask", "signal.SIGHUP", "signal.SIGKILL",
+    "mmap.MADV_DONTNEED", "resource", "fcntl", "pwd",
+)  # fmt: skip
+SYSTEMS = {"linux": (), "macos": NOT_ON_MACOS, "windows": NOT_ON_WINDOWS}
+
+WITHOUT = """
+import importlib, sys
+for name in {names!r}:
+    module, _, attribute = name.partition(".")
+    if not attribute:
+        sys.modules[module] = None  # importing it fails
+    elif hasattr(importlib.import_module(module), attribute):
+        delattr(importlib.import_module(module), attribute)
+sys.argv = ["exwarp", *{line!r}]
+from exwarp_cli.cli import main
+main()
+"""
+
+
+def run(system: str, *line: object) -> subprocess.CompletedProcess[str]:
+    """Run a command line in a process of its own that lacks what a system lacks."""
+    code = WITHOUT.format(names=SYSTEMS[system], line=[str(word) for word in line])
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.fixture(scope="module")
+def on_linux(plain_shot, plain_truth, tmp_path_factory) -> dict[str, bytes]:
+    """What `upsample` writes with all that Linux has, but for its times."""
+    return upsampled("linux", plain_shot, plain_truth, tmp_path_factory.mktemp("linux"))
+
+
+def upsampled(system: str, keys: Path, truth: Path, out: Path) -> dict[str, bytes]:
+    """Return the frames that a run writes, and check that it says nothing but what it should."""
+    rest = ("--ground-truth", truth, "--video", out / "shot.mp4", "--progress", "none")
+    result = run(system, "upsample", keys, "-o", out / "frames", *rest)
+    assert result.returncode == 0, result.stderr
+    assert "Traceback" not in result.stderr
+    assert (out / "shot.mp4").stat().st_size > 0
+    written = contents(out / "frames")
+    return {name: data for name, data in written.items() if name.endswith(".exr")}
+
+
+@pytest.mark.parametrize("system", ["macos", "windows"])
+def test_frames_are_those_of_linux(system, on_linux, plain_shot, plain_truth, tmp_path):
+    assert upsampled(system, plain_shot, plain_truth, tmp_path) == on_linux
+
+
+@pytest.mark.parametrize("system", ["macos", "windows"])
+def test_a_folder_in_use_is_left_alone_and_a_run_goes_on(system, plain_shot, tmp_path):
+    line = ("upsample", plain_shot, "-o", tmp_path / "out", "--progress", "none")
+    assert run(system, *line, "--frames", "1-2").returncode == 0
+    refused = run(system, *line)
+    assert refused.returncode == 6 and "already" in refused.stderr
+    kept = run(system, *line, "--skip-existing")
+    assert kept.returncode == 0 and "kept of an earlier run" in kept.stdout + kept.stderr
+
+
+@pytest.mark.parametrize("system", ["macos", "windows"])
+def test_bad_input_is_still_one_sentence(system, tmp_path):
+    result = run(system, "upsample", tmp_path / "nothing.####.exr", "-o", tmp_path / "out")
+    assert result.returncode == 3
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("exwarp: error: ")
+
+
+@pytest.mark.parametrize("system", ["macos", "windows"])
+def test_the_doctor_finds_nothing_wrong(system):
+    result = run(system, "doctor")
+    assert result.returncode == 0, result.stdout + result.stderr
