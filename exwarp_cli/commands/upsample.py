@@ -27,6 +27,7 @@ from exwarp_cli.commands.options import (
 from exwarp_cli.domain.settings import (
     DEVICES,
     USUAL_EFFORT,
+    VIDEO_CODECS,
     ClusterSettings,
     SourceSettings,
     UpsampleSettings,
@@ -167,7 +168,23 @@ if TYPE_CHECKING:
     help="Write report.html to look at, report.json and frames.csv there.",
 )
 @click.option("--video", metavar="FILE", help="Also write an MP4 or MOV.")
+@click.option(
+    "--video-codec",
+    type=click.Choice(VIDEO_CODECS),
+    default=UpsampleSettings.video_codec,
+    show_default=True,
+    help="Of the video: h264, 8 bits, plays everywhere; hevc, 10 bits; prores, ProRes 422 HQ, "
+    "10 bits, in MOV alone.",
+)
 @click.option("--exposure", type=float, default=0.0, show_default=True, help="Of the video, stops.")
+@click.option(
+    "--view-transform",
+    default=UpsampleSettings.view_transform,
+    show_default=True,
+    metavar="NAME|CONFIG:DISPLAY:VIEW",
+    help="How the video and the report's pictures show scene-linear colour: srgb, the curve alone; "
+    "aces1 or aces2, the tone scale of ACES 1 or 2; or a view of an OpenColorIO configuration.",
+)
 @click.option("--write-holes", metavar="DIR|PATTERN", help="Also write the hole masks.")
 @click.option(
     "--compression",

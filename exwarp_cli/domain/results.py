@@ -10,6 +10,7 @@ from fractions import Fraction
 from exwarp_cli import __version__
 from exwarp_cli.domain.decision import BLEND, HELD, HOLD, INTERPOLATE, Decision, Trial
 from exwarp_cli.domain.metric import METRICS
+from exwarp_cli.domain.settings import SRGB_VIEW
 from exwarp_cli.domain.tiles import Risk, TileMakers
 from exwarp_cli.domain.timeline import FACTOR, Cut
 
@@ -220,6 +221,7 @@ class RunSummary:
     files: tuple[WrittenFile, ...] = ()  # () where checksums were not asked
     verified: int | None = None  # files that were read back and are as written; None: not asked
     nonfinite: tuple[BrokenPixels, ...] = ()  # ascending
+    view_transform: str = SRGB_VIEW  # of the video and the report's pictures
 
     @property
     def selected(self) -> tuple[int, ...]:

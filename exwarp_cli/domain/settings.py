@@ -15,6 +15,12 @@ MOST_PIXELS = 2**28
 # How interlaced video is read: refused, as if it were progressive, or deinterlaced.
 SCANS = ("auto", "progressive", "deinterlace")
 
+# Codecs of videos; the first is the default.
+VIDEO_CODECS = ("h264", "hevc", "prores")
+
+# The view transform that is the sRGB curve alone.
+SRGB_VIEW = "srgb"
+
 # What networks run on.
 DEVICES = ("cpu", "cuda")
 
@@ -73,7 +79,10 @@ class UpsampleSettings:
     skip_existing: bool = False
     overwrite: bool = False  # replace frames that exist
     video: str | None = None  # path of a video to write too
+    video_codec: str = VIDEO_CODECS[0]  # out of `VIDEO_CODECS`
     exposure: float = 0.0  # of the video, in stops
+    # Of the video and the report's pictures; see `io.view_transform`
+    view_transform: str = SRGB_VIEW
     write_holes: str | None = None  # folder or pattern for hole masks
     threads: int | None = None  # cores for all that works at a time; None: all that there are
     extrapolator: str | None = None  # ONNX file; None: the one that comes with ExWarp

@@ -15,6 +15,7 @@ from exwarp_cli.domain.colour import SRGB
 from exwarp_cli.domain.frame import Float32, UInt8
 
 UInt16 = npt.NDArray[np.uint16]
+Codes = npt.NDArray[np.uint8 | np.uint16]  # of a display
 Float64 = npt.NDArray[np.float64]
 
 # x and y of red, green, blue and white, as OpenEXR's attribute ``chromaticities`` has them.
@@ -150,22 +151,34 @@ def parse_pixel_aspect(ratio: object) -> Fraction:
     return Fraction(ratio).limit_denominator(limit)
 
 
-def to_display(pixels: Float32, exposure_stops: float = 0.0) -> UInt8:
+def brighten(pixels: Float32, stops: float) -> Float32:
+    """Multiply scene-linear colour by two to the power of `stops`; beyond float32 is infinity."""
+    with np.errstate(over="ignore"):
+        brighter: Float32 = pixels * np.float32(2.0**stops)
+    return brighter
+
+
+def to_display(pixels: Float32) -> UInt8:
     """Turn scene-linear colour into 8-bit sRGB [H, W, 3], rounded half up (IEC 61966-2-1).
 
     `pixels` are float32 [H, W, 3 or more] with Rec. 709 primaries; channels past the third are
-    dropped. NaN and negative infinity become 0, positive infinity 255. `exposure_stops` are factors
-    of two to brighten by before the curve.
+    dropped. NaN and negative infinity become 0, positive infinity 255.
     """
-    with np.errstate(over="ignore"):  # brightened beyond float32 is white all the same
-        linear = pixels[..., :3] * np.float32(2.0**exposure_stops)
-    linear = np.nan_to_num(linear, copy=False, nan=0.0, posinf=1.0, neginf=0.0).clip(0.0, 1.0)
-    codes = SRGB.to_code(linear)
-    rounded: UInt8 = np.floor(codes * np.float32(255.0) + np.float32(0.5)).astype(np.uint8)
-    return rounded
+    return _round_codes(pixels, 255.0).astype(np.uint8)
 
 
-def from_display(codes: UInt8 | UInt16) -> Float32:
+def to_display_16(pixels: Float32) -> UInt16:
+    """Turn scene-linear colour into 16-bit sRGB as `to_display` does; white is 65535."""
+    return _round_codes(pixels, 65535.0).astype(np.uint16)
+
+
+def _round_codes(pixels: Float32, white: float) -> Float32:
+    linear = np.nan_to_num(pixels[..., :3], nan=0.0, posinf=1.0, neginf=0.0).clip(0.0, 1.0)
+    codes: Float32 = np.floor(SRGB.to_code(linear) * np.float32(white) + np.float32(0.5))
+    return codes
+
+
+def from_display(codes: Codes) -> Float32:
     """Turn sRGB codes, uint8 or uint16, into scene-linear float32, 0 to 1 (IEC 61966-2-1).
 
     For 8 bits it is the inverse of `to_display`. The type's largest value is white.

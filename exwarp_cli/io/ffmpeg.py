@@ -18,7 +18,7 @@ from typing import IO
 import imageio_ffmpeg
 import numpy as np
 
-from exwarp_cli.domain.frame import UInt8
+from exwarp_cli.io.display_colour import Codes
 from exwarp_cli.io.files import ResourceOwner
 from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.stop import check_stop, clean_up_after
@@ -26,8 +26,9 @@ from exwarp_cli.runtime.stop import check_stop, clean_up_after
 # Names frames as bytes: uint8 [H, W, 3], one after the other.
 RAW = "-f rawvideo -pix_fmt rgb24"
 
-# Options that make ffmpeg read such frames.
+# Options that make ffmpeg read such frames, or those of uint16.
 RAW_INPUT = RAW + " -s {width}x{height} -r {rate} -i -"
+RAW_INPUT_16 = RAW_INPUT.replace("rgb24", "rgb48")
 
 # Of the filter ``scale``: without them colours are off by more than rounding.
 EXACT_SCALING = "flags=accurate_rnd+full_chroma_int"
@@ -148,8 +149,8 @@ class FfmpegWriter(_FfmpegStream):
         self._start(stack, subprocess.PIPE, subprocess.DEVNULL, self._folder)
         stack.enter_context(clean_up_after(self._kill))
 
-    def write(self, frame: UInt8) -> None:
-        """Send a frame, uint8 [H, W, 3]; raises FfmpegError."""
+    def write(self, frame: Codes) -> None:
+        """Send a frame, [H, W, 3]; raises FfmpegError."""
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(np.ascontiguousarray(frame).data)
@@ -175,8 +176,8 @@ class FfmpegWriter(_FfmpegStream):
                 self._process.stdin.close()
 
 
-def pad_to_even(frame: UInt8) -> UInt8:
-    """Repeat the last row and column of uint8 [H, W, 3] where their number is odd.
+def pad_to_even(frame: Codes) -> Codes:
+    """Repeat the last row and column of [H, W, 3] where their number is odd.
 
     4:2:0 video has even sizes only.
     """

@@ -257,7 +257,7 @@ def make_video_look(
     remarks = []
     if clip.has_alpha:
         remarks.append(
-            f"the alpha of {clip.path} is left out of the video, as H.264 has none: it is shown "
+            f"the alpha of {clip.path} is left out of the video, which has none: it is shown "
             "over black; frames as PNG or EXR keep it"
         )
     sound, timecode = None, None

@@ -1,4 +1,4 @@
-"""Writing a video of the result: H.264 in MP4 or QuickTime, with another video's sound.
+"""Writing a video of the result, MP4 or QuickTime, with another video's sound.
 
 What a container takes, and what ffmpeg can decode, is tried out before the video is begun: a track
 that fails would end the video, with all frames that are made for it.
@@ -10,19 +10,21 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Float32, UInt8
-from exwarp_cli.errors import OutputError, UsageError
-from exwarp_cli.io.display_colour import MATRICES, Primaries, VideoColour
+from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.settings import VIDEO_CODECS
+from exwarp_cli.errors import InstallationError, OutputError, UsageError
+from exwarp_cli.io.display_colour import MATRICES, Codes, Primaries, VideoColour
 from exwarp_cli.io.ffmpeg import (
     EXACT_SCALING,
     RAW_INPUT,
+    RAW_INPUT_16,
     FfmpegError,
     FfmpegWriter,
     pad_to_even,
@@ -33,10 +35,46 @@ from exwarp_cli.io.files import ResourceOwner, atomic_path
 # ffmpeg's name of the container by file suffix.
 CONTAINERS = {".mp4": "mp4", ".mov": "mov"}
 
+# Constant rate factor of libx264 and libx265, 0 to 51: at 16 the eye sees no difference from the
+# frames.
+QUALITY_CRF = 16
+
 # Codecs that are copied into each container as they are, since players of it know them.
 COPIED_AUDIO: Mapping[str, frozenset[str]] = {
     "mp4": frozenset({"aac", "ac3", "alac", "eac3", "flac", "mp3", "opus"}),
     "mov": frozenset({"aac", "ac3", "alac", "eac3", "mp3", "pcm_s16le", "pcm_s24le", "pcm_s16be"}),
+}
+
+
+@dataclass(frozen=True)
+class Codec:
+    """How pictures are encoded."""
+
+    title: str  # as in messages
+    encoder: str  # ffmpeg's name
+    options: tuple[str, ...]  # of the encoder, for ffmpeg
+    pixels: str  # ffmpeg's pixel format of the video
+    is_deep: bool = False  # True if frames come with 16 bits a channel, else with 8
+    containers: frozenset[str] = frozenset(CONTAINERS.values())
+    # False if players take the range for 16 to 235 whatever the file says
+    has_full_range: bool = True
+
+
+_CRF = ("-crf", str(QUALITY_CRF))
+# Players of Apple open HEVC with the tag hvc1 alone. libx265 would print its settings.
+_X265 = (*_CRF, "-tag:v", "hvc1", "-x265-params", "log-level=error")
+_PRORES = ("-profile:v", "hq", "-vendor", "apl0")
+_H264, _HEVC, _PRORES_422 = VIDEO_CODECS
+# By the values of --video-codec
+CODECS: Mapping[str, Codec] = {
+    _H264: Codec("H.264", "libx264", _CRF, "yuv420p"),
+    _HEVC: Codec("HEVC", "libx265", _X265, "yuv420p10le", is_deep=True),
+    _PRORES_422: Codec(
+        *("ProRes", "prores_ks", _PRORES, "yuv422p10le"),
+        is_deep=True,
+        containers=frozenset({"mov"}),
+        has_full_range=False,
+    ),
 }
 
 # Subtitles whose styles the two containers have no room for.
@@ -44,9 +82,6 @@ STYLED_SUBTITLES = frozenset({"ass", "ssa"})
 
 # Kinds of tracks, as ffmpeg's options call them.
 SOUND, SUBTITLES = "a", "s"
-
-# Constant rate factor of libx264, 0 to 51: at 16 the eye sees no difference from the frames.
-QUALITY_CRF = 16
 
 # Frames per second that a timecode track of MP4 and QuickTime can count.
 MAX_TIMECODE_RATE = 255
@@ -183,6 +218,41 @@ def require_container(path: Path) -> None:
         )
 
 
+def find_codec(name: str, path: Path) -> Codec:
+    """Return the codec of a name out of `VIDEO_CODECS` for a video.
+
+    Raises
+    ------
+    UsageError
+        For another name, and where the container has no room for it.
+    InstallationError
+        When ffmpeg cannot encode with it.
+    """
+    if name not in CODECS:
+        raise UsageError(f"--video-codec {name} is not one of {', '.join(CODECS)}")
+    codec = CODECS[name]
+    if CONTAINERS[path.suffix.lower()] not in codec.containers:
+        raise UsageError(
+            f"{codec.title} does not go into {path}; name the video .mov, or choose another "
+            "--video-codec"
+        )
+    if codec is not CODECS[_H264]:  # which every build has
+        _try_encoder(codec)
+    return codec
+
+
+def _try_encoder(codec: Codec) -> None:
+    source = RAW_INPUT_16.format(width=64, height=64, rate=1).split()
+    encoder = ("-c:v", codec.encoder, *codec.options, "-pix_fmt", codec.pixels)
+    try:
+        run_ffmpeg([*source, *encoder, "-f", "null", "-"], bytes(64 * 64 * 6))
+    except FfmpegError as error:
+        raise InstallationError(
+            f"ffmpeg cannot encode {codec.title} by {codec.encoder}: {error}; reinstall the "
+            "package imageio-ffmpeg, unset IMAGEIO_FFMPEG_EXE, or choose --video-codec h264"
+        ) from error
+
+
 def read_video_note(path: Path) -> str | None:
     """Return the note of a video; None without one, and for what cannot be read as a video.
 
@@ -204,7 +274,7 @@ class VideoWriter(ResourceOwner):
     A context manager: leaving it without an error puts the video in place, with one discards it.
     The folder must exist. Frames of odd size are padded by repeating the last column or row, since
     4:2:0 video has even sizes only. The frame rate is kept exactly as a `Fraction`; of a float, the
-    nearest fraction.
+    nearest fraction. `codec` is one that `find_codec` returned.
 
     Raises UsageError for another suffix, or a frame rate that is not positive. Raises OutputError
     when ffmpeg is missing or fails, or the video cannot be written.
@@ -217,6 +287,7 @@ class VideoWriter(ResourceOwner):
         height: int,
         fps: Fraction | float,
         look: VideoLook | None = None,
+        codec: Codec = CODECS[_H264],
     ) -> None:
         require_container(path)
         if not 0 < fps < float("inf"):
@@ -226,6 +297,8 @@ class VideoWriter(ResourceOwner):
         self._shape = (height, width, 3)
         self._rate = Fraction(fps).limit_denominator(100_000)
         self._look = look or VideoLook()
+        self._codec = codec
+        self._dtype = np.dtype(np.uint16 if codec.is_deep else np.uint8)
         # The timecode at the video's rate; None without, and if it cannot count that rate.
         self._timecode = self._look.timecode and self._look.timecode.convert(self._rate)
         self._count = 0
@@ -275,10 +348,15 @@ class VideoWriter(ResourceOwner):
         why = f"the timecode is left out of the video, as it cannot count {rate} frames a second"
         return (*remarks, why)
 
-    def write(self, frame: UInt8) -> None:
-        """Append a frame, uint8 [H, W, 3] in display encoding; raises OutputError."""
-        if frame.shape != self._shape or frame.dtype != np.uint8:
-            raise ValueError(f"expected uint8 {self._shape}, got {frame.dtype} {frame.shape}")
+    def write(self, frame: Codes) -> None:
+        """Append a frame, [H, W, 3] in display encoding; raises OutputError.
+
+        It is uint16 where the codec is deep, else uint8.
+        """
+        if frame.shape != self._shape or frame.dtype != self._dtype:
+            raise ValueError(
+                f"expected {self._dtype} {self._shape}, got {frame.dtype} {frame.shape}"
+            )
         try:
             self._ffmpeg.write(pad_to_even(frame))
         except FfmpegError as error:
@@ -287,8 +365,10 @@ class VideoWriter(ResourceOwner):
 
     def _options(self, target: Path) -> list[str]:
         height, width, _ = self._shape
-        look, colour = self._look, self._look.colour
-        source = RAW_INPUT.format(
+        look, codec, colour = self._look, self._codec, self._look.colour
+        if not codec.has_full_range:
+            colour = replace(colour, full_range=False)
+        source = (RAW_INPUT_16 if codec.is_deep else RAW_INPUT).format(
             width=width + width % 2, height=height + height % 2, rate=self._rate
         )
         # Turn sRGB codes into the video's colour, and say so: the encoder labels it with that.
@@ -311,8 +391,7 @@ class VideoWriter(ResourceOwner):
         return [
             *source.split(),
             *sound_in,
-            *("-vf", filters, "-c:v", "libx264", "-crf", str(QUALITY_CRF)),
-            *("-pix_fmt", "yuv420p"),
+            *("-vf", filters, "-c:v", codec.encoder, *codec.options, "-pix_fmt", codec.pixels),
             *sound_out,
             *(("-metadata", f"comment={look.note}") if look.note else ()),
             *("-movflags", "+faststart", "-f", self._container, f"file:{target}"),

@@ -12,7 +12,7 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, Image, Window
 from exwarp_cli.domain.timeline import OutputRate
-from exwarp_cli.io.display_colour import to_display
+from exwarp_cli.io.display_colour import brighten, to_display, to_display_16
 from exwarp_cli.io.exr.template import PREFIX, Plane, PlaneKey
 from exwarp_cli.io.exr.writer import Buffer
 from exwarp_cli.io.files import ResourceOwner, path_exists
@@ -58,6 +58,8 @@ class FrameWriter(ResourceOwner):
         self._look = look or VideoLook()
         self._wants_sums = sums
         self._skips = skips
+        # To what the video's codec takes
+        self._encode = to_display_16 if output.codec.is_deep else to_display
         self._video: VideoWriter | None = None
         self._last_shown: np.ndarray | None = None  # by the video
         self._replaced_early: set[int] = set()
@@ -71,7 +73,9 @@ class FrameWriter(ResourceOwner):
         self._writer = stack.enter_context(AsyncWriter(threads, self._behind + threads))
         if self._output.video is not None:
             height, width = self._display.shape
-            video = VideoWriter(self._output.video, width, height, self._fps, self._look)
+            video = VideoWriter(
+                self._output.video, width, height, self._fps, self._look, self._output.codec
+            )
             self._video = stack.enter_context(video)
 
     @property
@@ -218,14 +222,22 @@ class FrameWriter(ResourceOwner):
     def show(self, image: Image) -> None:
         """Append a frame to the video, if there is one."""
         if self._video is not None:
-            pixels = self.displayed(image.on(self._display).pixels)
-            code = to_display(pixels, self._output.exposure)
+            shown = self.displayed(image.on(self._display).pixels, self._output.exposure)
+            code = self._encode(shown)
             self._video.write(code)
             self._last_shown = code if self._skips else None
 
-    def displayed(self, pixels: Float32) -> Float32:
-        """Return scene-linear colour [H, W, 3 or more] with the primaries of a display."""
-        return self._look.display(pixels)
+    def displayed(self, pixels: Float32, exposure_stops: float = 0.0) -> Float32:
+        """Return the light of a display, Rec. 709, that shows scene-linear colour.
+
+        `pixels` and the result are [H, W, 3 or more]; a display clips what is not from 0 to 1.
+        `exposure_stops` brighten before the view transform.
+        """
+        linear = self._look.display(pixels)
+        if exposure_stops:
+            linear = brighten(linear, exposure_stops)
+        view = self._output.view
+        return linear if view is None else view.apply(linear)
 
     def show_again(self) -> None:
         """Append the last frame to the video again, so that sound stays in step; else a black one.
@@ -234,7 +246,8 @@ class FrameWriter(ResourceOwner):
         """
         if self._video is not None:
             black = np.zeros((*self._display.shape, 3), np.float32)
-            self._video.write(to_display(black) if self._last_shown is None else self._last_shown)
+            shown = self._encode(black) if self._last_shown is None else self._last_shown
+            self._video.write(shown)
 
     def read(self, number: int) -> Image:
         """Read a frame that an earlier run wrote."""

@@ -189,6 +189,7 @@ class Job:
             files=outcome.files,
             verified=outcome.verified,
             nonfinite=outcome.nonfinite,
+            view_transform=self.settings.view_transform,
         )
 
 

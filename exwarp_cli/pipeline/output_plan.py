@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from exwarp_cli.domain.results import FrameKind
-from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.settings import SRGB_VIEW, VIDEO_CODECS, UpsampleSettings
 from exwarp_cli.domain.timeline import Slot, Timeline, ranges
 from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import OutputError, OutputExistsError, UsageError
@@ -39,7 +39,15 @@ from exwarp_cli.io.key_file import KeyFile, possible_key_files
 from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.io.video_reader import is_clip
-from exwarp_cli.io.video_writer import VideoLook, read_video_note, require_container
+from exwarp_cli.io.video_writer import (
+    CODECS,
+    Codec,
+    VideoLook,
+    find_codec,
+    read_video_note,
+    require_container,
+)
+from exwarp_cli.io.view_transform import ViewTransform, find_view_transform
 from exwarp_cli.pipeline.fingerprint import Fingerprinter, key_fingerprint
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.runtime import cores
@@ -80,6 +88,9 @@ class OutputPlan:
     resumes: bool = False  # whether good frames of an earlier run are kept
     overwrites: bool = False
     keeps_bytes: bool = False  # whether key frames are copied byte for byte, also at another rate
+    codec: Codec = CODECS[VIDEO_CODECS[0]]  # of the video
+    # Of the video and the report's pictures; None for the sRGB curve alone
+    view: ViewTransform | None = None
 
     @classmethod
     def from_settings(
@@ -90,7 +101,10 @@ class OutputPlan:
         Raises
         ------
         UsageError
-            When they name the same folder and pattern twice, or a video of an unknown kind.
+            When they name the same folder and pattern twice, or a video of an unknown kind, or a
+            view transform for footage or of an unknown name.
+        InstallationError
+            When the video's codec or the view transform is not installed.
         """
         video_alone = is_clip(settings.output)
         if video_alone and settings.video is not None:
@@ -105,11 +119,17 @@ class OutputPlan:
                     "--write-holes and -o name the same files; give the masks a folder of their own"
                 )
         named = settings.output if video_alone else settings.video
-        video = None if named is None else Path(named)
+        video, codec = None if named is None else Path(named), cls.codec
         if video is not None:
             require_container(video)
+            codec = find_codec(settings.video_codec, video)
             if video.resolve() in {path.resolve() for path in source.files.values()}:
                 raise OutputError(f"the video {video} is the input itself; name another")
+        view = find_view_transform(settings.view_transform)
+        if view is not None and is_plain(source):
+            raise UsageError(
+                f"--view-transform is for EXR, and {source.pattern} is shown as it is; leave it out"
+            )
         return cls(
             frames,
             holes,
@@ -119,6 +139,8 @@ class OutputPlan:
             settings.skip_existing,
             settings.overwrite,
             settings.keep_bytes,
+            codec,
+            view,
         )
 
     def make_folders(self) -> None:
@@ -258,8 +280,18 @@ def video_fingerprint(
     look = video_look(source, keys)
     if look.pixel_aspect != 1 or look.primaries is not None:
         facts["look"] = [str(look.pixel_aspect), repr(look.primaries)]
+    if settings.video_codec != VIDEO_CODECS[0]:
+        facts["codec"] = settings.video_codec
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
-    return f"{BY_EXWARP} {digest}"
+    return video_note(settings, digest)
+
+
+def video_note(settings: UpsampleSettings, digest: str = "") -> str:
+    """Return what a video says of itself: who wrote it, the digest, and how colour is shown."""
+    note = f"{BY_EXWARP} {digest}".rstrip()
+    if settings.view_transform == SRGB_VIEW:
+        return note
+    return f"{note}, view transform {settings.view_transform}"
 
 
 def is_video_kept(targets: OutputPlan, settings: UpsampleSettings, note: str) -> bool:

@@ -40,7 +40,7 @@ from exwarp_cli.pipeline.messages import (
     skipped_rendered,
     skipped_scores,
 )
-from exwarp_cli.pipeline.output_plan import BY_EXWARP, is_video_kept, video_fingerprint, video_look
+from exwarp_cli.pipeline.output_plan import is_video_kept, video_fingerprint, video_look, video_note
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.scheduling import (
     Mode,
@@ -437,7 +437,7 @@ def make_writer(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> FrameW
         job.source.output_rate,
         keys.view,
         behind,
-        video_look(job.source, job.keys, note or BY_EXWARP),
+        video_look(job.source, job.keys, note or video_note(job.settings)),
         job.sums,
         job.settings.source.keep_going,
     )

@@ -417,4 +417,5 @@ REQUIRED_EQUAL: dict[str, Callable[[RunSummary], Any]] = {
     "search for cuts": lambda run: "no" if run.cuts is None else "yes",
     "choice of views": lambda run: run.views,
     "choice of layers": lambda run: run.layers,
+    "view transform": lambda run: run.view_transform,
 }

@@ -79,6 +79,7 @@ def run_document(run: RunSummary) -> dict[str, Any]:
         "files": [asdict(file) for file in run.files],
         "verified": run.verified,
         "nonfinite": [asdict(pixels) for pixels in run.nonfinite],
+        "view_transform": run.view_transform,
         "wall_s": run.wall_seconds,
     }
     plain: dict[str, Any] = replace_nonfinite(document)

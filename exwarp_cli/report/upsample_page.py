@@ -7,6 +7,7 @@ from typing import Any
 from exwarp_cli.domain.decision import CHOICES, FEATURES, HOLD, NODES
 from exwarp_cli.domain.metric import KEY_FRAMES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
+from exwarp_cli.domain.settings import SRGB_VIEW
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.metrics.display import PEAK
@@ -458,6 +459,8 @@ def _settings(document: dict[str, Any]) -> Table:
                 rows.append([f"{name} {key}", ", ".join(map(str, value)) or "none"])
             elif value is not None:
                 rows.append([f"{name} {key}", str(value)])
+    if document["view_transform"] != SRGB_VIEW:
+        rows.append(["pictures shown by", document["view_transform"]])
     if document["verified"] is not None:
         rows.append(["files read back, all as written", str(document["verified"])])
     rows.append(["ExWarp", document["version"]])

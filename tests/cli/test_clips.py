@@ -214,7 +214,7 @@ class TestAlpha:
     def test_is_said_to_be_lost_where_the_target_has_none(self, upsample, clear, tmp_path):
         plain = ("-m", "hold", "--progress", "plain")
         said = upsample(clear, tmp_path / "out.mp4", *plain).err
-        assert f"the alpha of {clear} is left out of the video, as H.264 has none" in said
+        assert f"the alpha of {clear} is left out of the video, which has none" in said
         said = upsample(clear, tmp_path / "a.####.jpg", *plain).err
         assert f"the alpha of {clear} is left out, as .jpg files have none" in said
         assert "alpha" not in upsample(clear, tmp_path / "a.####.png", *plain).err
