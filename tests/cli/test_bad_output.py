@@ -148,6 +148,10 @@ class TestOptions:
             (("--progress", "loud"), ("loud", "plain")),
             (("--video", "a.avi"), ("a.avi", ".mp4")),
             (("--exposure", "much"), ("much",)),
+            (("--video", "a.mov", "--video-codec", "av1"), ("av1", "h264", "hevc", "prores")),
+            (("--video", "a.mp4", "--video-codec", "prores"), ("ProRes", "a.mp4", ".mov")),
+            (("--view-transform", "filmic"), ("filmic", "srgb", "aces1", "aces2")),
+            (("--view-transform", "/no.ocio:a:b"), ("/no.ocio:a:b", "OpenImageIO says")),
             (("--no-such-option",), ("--no-such-option", "exwarp upsample --help")),
         ],
     )

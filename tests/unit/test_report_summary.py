@@ -65,6 +65,7 @@ CONTRACT: dict[str, Any] = {
     "files": None,
     "verified": None,
     "nonfinite": None,
+    "view_transform": None,
     "wall_s": None,
 }
 

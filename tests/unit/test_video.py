@@ -11,9 +11,23 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
-from exwarp_cli.errors import OutputError, UsageError
-from exwarp_cli.io.display_colour import VideoColour, brighten, from_display, to_display
-from exwarp_cli.io.video_writer import Soundtrack, Timecode, VideoLook, VideoWriter, read_video_note
+from exwarp_cli.errors import InstallationError, OutputError, UsageError
+from exwarp_cli.io.display_colour import (
+    VideoColour,
+    brighten,
+    from_display,
+    to_display,
+    to_display_16,
+)
+from exwarp_cli.io.video_writer import (
+    CODECS,
+    Soundtrack,
+    Timecode,
+    VideoLook,
+    VideoWriter,
+    find_codec,
+    read_video_note,
+)
 
 
 def ffmpeg(*arguments: str) -> subprocess.CompletedProcess[bytes]:
@@ -67,6 +81,19 @@ class TestToDisplay:
         pixels = np.full((2, 3, 4), np.nan, np.float32)
         assert to_display(pixels).shape == (2, 3, 3)
         assert np.isnan(pixels).all()
+
+
+class TestToDisplay16:
+    def test_it_has_the_curve_of_8_bits_at_257_times_the_codes(self):
+        linear = np.linspace(-0.1, 1.1, 4001, dtype=np.float32).reshape(1, -1, 1).repeat(3, axis=2)
+        exact = linear.astype(np.float64).clip(0, 1)
+        curved = np.where(exact <= 0.0031308, 12.92 * exact, 1.055 * exact ** (1 / 2.4) - 0.055)
+        distance = np.abs(to_display_16(linear) - 65535 * curved)
+        assert distance.max() < 0.6  # half a code, and what float32 rounds
+
+    def test_it_inverts_16_bits(self):
+        codes = np.arange(0, 65536, 7, dtype=np.uint16).reshape(1, -1, 1).repeat(3, axis=2)
+        assert np.array_equal(to_display_16(from_display(codes)), codes)
 
 
 class TestFromDisplay:
@@ -237,6 +264,88 @@ class TestLook:
         source = self.sound(tmp_path / "s.mkv", "aac")
         output = self.written(tmp_path / "a.mp4", VideoLook(sound=Soundtrack(source, ())))
         assert "Audio" not in output and "Night" not in output
+
+
+class TestCodecs:
+    """Each codec that --video-codec names, as ffmpeg reads it back."""
+
+    WIDTH, HEIGHT, FRAMES = 2048, 32, 6
+
+    def ramp(self, dtype: type[np.unsignedinteger]) -> np.ndarray:
+        """Grey from black to white, the whole width."""
+        codes = np.linspace(0, np.iinfo(dtype).max, self.WIDTH).round().astype(dtype)
+        return np.broadcast_to(codes[None, :, None], (self.HEIGHT, self.WIDTH, 3))
+
+    def written(self, path: Path, name: str, look: VideoLook | None = None) -> str:
+        codec = find_codec(name, path)
+        frame = self.ramp(np.uint16 if codec.is_deep else np.uint8)
+        with VideoWriter(path, self.WIDTH, self.HEIGHT, 120, look, codec) as video:
+            for _ in range(self.FRAMES):
+                video.write(frame)
+        return ffmpeg("-i", str(path)).stderr.decode()
+
+    def levels(self, path: Path) -> np.ndarray:
+        """The luma of each frame's middle row, float, 16 bits."""
+        grey = ("-f", "rawvideo", "-pix_fmt", "gray16le", "-")
+        raw = np.frombuffer(ffmpeg("-i", str(path), *grey).stdout, np.uint16)
+        return raw.reshape(-1, self.HEIGHT, self.WIDTH)[:, self.HEIGHT // 2]
+
+    @pytest.mark.parametrize(
+        ("name", "suffix", "stream"),
+        [
+            ("h264", ".mp4", r"h264 \(High\) \(avc1.*yuv420p"),
+            ("h264", ".mov", r"h264 \(High\) \(avc1.*yuv420p"),
+            ("hevc", ".mp4", r"hevc \(Main 10\) \(hvc1.*yuv420p10le"),
+            ("hevc", ".mov", r"hevc \(Main 10\) \(hvc1.*yuv420p10le"),
+            ("prores", ".mov", r"prores \(HQ\) \(apch.*yuv422p10le"),
+        ],
+    )
+    def test_what_players_are_told(self, tmp_path, name, suffix, stream):
+        path = tmp_path / f"a{suffix}"
+        output = self.written(path, name, VideoLook(pixel_aspect=Fraction(4, 3)))
+        assert re.search(stream + r"\(tv, bt709/bt709/iec61966-2-1", output)
+        assert "SAR 4:3" in output and "120 fps" in output
+        assert "Duration: 00:00:00.05" in output  # 6 of 120 a second
+        assert len(self.levels(path)) == self.FRAMES
+
+    @pytest.mark.parametrize("name", ["hevc", "prores"])
+    def test_ten_bits_arrive(self, tmp_path, name):
+        self.written(tmp_path / "a.mov", name)
+        for row in self.levels(tmp_path / "a.mov"):
+            assert len(np.unique(row)) > 3 * 256
+            assert np.abs(np.diff(row.astype(float))).max() < 65535 / 255
+
+    def test_eight_bits_have_no_more_than_256_levels(self, tmp_path):
+        self.written(tmp_path / "a.mov", "h264")
+        assert len(np.unique(self.levels(tmp_path / "a.mov")[0])) <= 256
+
+    def test_prores_of_a_video_of_full_range_has_the_usual_range(self, tmp_path):
+        look = VideoLook(VideoColour(full_range=True))
+        assert "(tv, bt709" in self.written(tmp_path / "a.mov", "prores", look)
+        assert "(pc, bt709" in self.written(tmp_path / "b.mov", "hevc", look)
+
+    def test_frames_of_eight_bits_are_no_input_of_ten(self, tmp_path):
+        codec = CODECS["hevc"]
+        writer = VideoWriter(tmp_path / "a.mp4", 32, 32, 24, codec=codec)
+        with pytest.raises(ValueError, match="expected uint16"), writer as video:
+            video.write(flat(32, 32, 0, 0, 0))
+
+    def test_prores_needs_mov(self, tmp_path):
+        with pytest.raises(UsageError, match=r"ProRes does not go into .*a\.mp4; name the video"):
+            find_codec("prores", tmp_path / "a.mp4")
+
+    def test_an_unknown_name(self, tmp_path):
+        with pytest.raises(UsageError, match="av1 is not one of h264, hevc, prores"):
+            find_codec("av1", tmp_path / "a.mp4")
+
+    def test_an_encoder_that_ffmpeg_lacks(self, tmp_path, monkeypatch):
+        fake = tmp_path / "ffmpeg"
+        fake.write_text("#!/bin/sh\necho \"Unknown encoder 'libx265'\" >&2\nexit 1\n")
+        fake.chmod(0o755)
+        monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(fake))
+        with pytest.raises(InstallationError, match="cannot encode HEVC by libx265: ffmpeg says"):
+            find_codec("hevc", tmp_path / "a.mp4")
+        assert find_codec("h264", tmp_path / "a.mp4") is CODECS["h264"]
 
 
 class TestVideoWriter:
