@@ -70,7 +70,10 @@ CODECS: Mapping[str, Codec] = {
     _H264: Codec("H.264", "libx264", _CRF, "yuv420p"),
     _HEVC: Codec("HEVC", "libx265", _X265, "yuv420p10le", is_deep=True),
     _PRORES_422: Codec(
-        *("ProRes", "prores_ks", _PRORES, "yuv422p10le"),
+        "ProRes",
+        "prores_ks",
+        _PRORES,
+        "yuv422p10le",
         is_deep=True,
         containers=frozenset({"mov"}),
         has_full_range=False,
