@@ -6,6 +6,7 @@ album.json and the viewer in a page hold one JSON object an album::
      "before": "output", "after": "ground truth", which two are shown first
      "start": 12 or null,                          number of the frame that is shown first
      "heat": [[r, g, b], …],                      in pages: colours of the error map, from 0 on
+     "fps": 120.0 or null,                        in pages: frames a second, in real time
      "images": [{"url", "width", "height", "peak"}, …],
      "frames": [{"number": 12, "label": "frame 12", "kind": "generated",
                  "facts": {"PSNR": "34.21 dB", …},     text beside the picture
@@ -38,13 +39,21 @@ from exwarp_cli.report.pictures import (
     shrink,
 )
 
-MAX_FRAMES = 96  # of a page: 24 key intervals
+MAX_FRAMES = 240  # of a page: 60 key intervals, two seconds at 120 fps
+
+# Share of a page's frames that are spread over the run, if it has more; the others are in a row in
+# its middle, to be played.
+SPREAD_SHARE = 0.4
 
 # Bytes of all pictures of a page at most; a third more as text.
-BUDGET = 8_500_000
+BUDGET = 12_000_000
 
 # Bytes of one picture at most, where there are few.
 PICTURE_BYTES = 250_000
+
+# Frames of a page from which its pictures are smaller, pixels: so that one quality suits all of
+# them. Neighbours of different quality would flicker.
+MANY_FRAMES, LONGEST_OF_MANY = 96, 480
 
 # Names of the sources of an upsampled sequence.
 OUTPUT, TRUTH, KEY = "output", "ground truth", "key frame before"
@@ -74,6 +83,7 @@ class Album:
     room: int = PICTURE_BYTES  # bytes that one picture may take
     longest: int = LONGEST  # longest side of a picture, pixels
     start: int | None = None  # number of the frame shown first; None: the first but key frames
+    fps: float | None = None  # frames a second, in real time; None if not known
     frames: dict[int, Shown] = field(default_factory=dict)  # by number
 
     def add(
@@ -111,7 +121,7 @@ class Album:
             shown.kind, shown.facts, shown.risk = kind, dict(facts), risk
 
     def to_plain(self) -> dict[str, Any]:
-        """Return the object of the module's text, without `heat`; equal pictures appear once."""
+        """Return the object of the module's text but what pages add; equal pictures appear once."""
         indices: dict[int, int] = {}
         pictures: list[Picture] = []
 
@@ -156,7 +166,7 @@ class Album:
 class Gallery:
     """Keeps some frames of a run for its page; a `pipeline.progress.FrameListener`.
 
-    Whole groups (key intervals) evenly over the run, and the frame that is worst by the first
+    Whole groups (key intervals), see `choose_groups`, and the frame that is worst by the first
     metric that is known while frames are in memory (all but VMAF and flicker), which the viewer
     starts with. Without ground truth it is the frame with the largest predicted error.
 
@@ -179,7 +189,7 @@ class Gallery:
         """Return an empty gallery for a part of the run, with the plan of the whole."""
         part = Gallery(self._has_truth, self._output, self._truth)
         part._chosen, part._key_of = self._chosen, self._key_of
-        part.album.room = self.album.room
+        part.album.room, part.album.longest = self.album.room, self.album.longest
         part._shared = True
         return part
 
@@ -197,15 +207,16 @@ class Gallery:
         self._worst, self.album.start = worst, worst[1]
 
     def plan(self, groups: Sequence[Sequence[int]]) -> None:
-        """Choose whole groups, evenly, the first and the last among them."""
+        """Choose whole groups, the first and the last among them."""
         if self._shared:  # a part's own plan does not count
             return
-        for i in evenly_spaced_groups(groups):
+        for i in choose_groups(groups):
             self._chosen.update(groups[i])
         self._key_of = {
             number: group[0] for group in groups for number in group if number in self._chosen
         }
         self.album.room = bytes_per_picture(len(self._chosen) + 1)
+        self.album.longest = longest_side(len(self._chosen))
 
     def wants(self, number: int, score: Score | None, risk: Risk | None = None) -> bool:
         """Return whether to keep a frame: chosen, or the worst so far, which replaces the last."""
@@ -254,7 +265,7 @@ def merge_albums(
     numbers
         The frames that each report is asked for.
     run
-        What the reports were joined into; its key intervals are chosen evenly.
+        What the reports were joined into; its key intervals are chosen as for one gallery.
 
     Returns
     -------
@@ -274,18 +285,18 @@ def merge_albums(
             file_of |= dict.fromkeys((number for number in there if number in asked), file)
 
     chosen = _choose_frames(run, file_of)
-    room = bytes_per_picture(len(chosen) + 1)
+    room, longest = bytes_per_picture(len(chosen) + 1), longest_side(len(chosen))
     frames: dict[int, Shown] = {}
     for file in dict.fromkeys(file_of[number] for number in sorted(chosen)):
         plain = _read_album(file)
         try:
             wanted = {number for number in chosen if file_of[number] == file}
-            frames |= {shown.number: shown for shown in _read_frames(plain, wanted, room)}
+            frames |= {shown.number: shown for shown in _read_frames(plain, wanted, room, longest)}
         except _NOT_AN_ALBUM:
             unreadable.append(file)
     has_truth = any(TRUTH in frame.pictures for frame in frames.values())
     before, after = (OUTPUT, TRUTH) if has_truth else (KEY, OUTPUT)
-    return Album((OUTPUT, TRUTH, KEY), before, after, room, frames=frames), unreadable
+    return Album((OUTPUT, TRUTH, KEY), before, after, room, longest, frames=frames), unreadable
 
 
 _NOT_AN_ALBUM = (
@@ -299,13 +310,18 @@ def _read_album(file: Path) -> dict[str, Any]:
     return album
 
 
-def _read_frames(plain: Mapping[str, Any], numbers: Collection[int], room: int) -> list[Shown]:
-    """Read frames of an album, each picture once, in at most about `room` bytes."""
+def _read_frames(
+    plain: Mapping[str, Any], numbers: Collection[int], room: int, longest: int
+) -> list[Shown]:
+    """Read frames of an album, each picture once, of at most about `room` bytes, `longest` pixels.
+
+    Masks keep their size.
+    """
     pictures: dict[tuple[int, int], Picture] = {}
 
     def picture(index: int, room: int) -> Picture:
         if (index, room) not in pictures:
-            pictures[index, room] = Picture.from_plain(plain["images"][index]).within(room)
+            pictures[index, room] = Picture.from_plain(plain["images"][index]).within(room, longest)
         return pictures[index, room]
 
     return [
@@ -324,7 +340,7 @@ def _read_frames(plain: Mapping[str, Any], numbers: Collection[int], room: int) 
 
 
 def _choose_frames(run: RunSummary, available: Collection[int]) -> set[int]:
-    """Choose whole key intervals evenly, as a gallery does, and the worst frame."""
+    """Choose whole key intervals, as a gallery does, and the worst frame."""
     intervals: dict[int, list[int]] = {}
     for frame in run.frames:
         intervals.setdefault(frame.key, []).append(frame.number)
@@ -333,7 +349,7 @@ def _choose_frames(run: RunSummary, available: Collection[int]) -> set[int]:
     chosen = set() if worst is None else {worst}
     complete = [i for i, group in enumerate(groups) if all(n in available for n in group)]
     if complete:
-        for wanted in evenly_spaced_groups(groups):
+        for wanted in choose_groups(groups):
             # Albums of long chunks lack intervals, so that the nearest one has to do.
             chosen.update(groups[min(complete, key=lambda i: abs(i - wanted))])
     return chosen
@@ -353,10 +369,24 @@ def worst_frame(frames: Iterable[FrameRecord]) -> int | None:
     return -max(ranked)[1] if ranked else None
 
 
-def evenly_spaced_groups(groups: Sequence[Sequence[int]]) -> list[int]:
-    """Return the indices of as many groups of frames as a page has room for, evenly spaced."""
+def choose_groups(groups: Sequence[Sequence[int]]) -> list[int]:
+    """Return the indices of as many groups of frames as a page has room for: all, or some.
+
+    Some are evenly spaced, the first and the last among them, and the others are in a row in the
+    middle.
+    """
     size = max((len(group) for group in groups), default=0) or 1  # groups may be empty
-    return evenly_spaced(len(groups), max(MAX_FRAMES // size, 1))
+    count, limit = len(groups), max(MAX_FRAMES // size, 1)
+    if count <= limit:
+        return list(range(count))
+    spread = min(max(round(SPREAD_SHARE * limit), 2), limit)
+    first = (count - (limit - spread)) // 2
+    return sorted({*evenly_spaced(count, spread), *range(first, first + limit - spread)})
+
+
+def longest_side(frames: int) -> int:
+    """Return the longest side of the pictures of so many frames, pixels."""
+    return LONGEST_OF_MANY if frames > MANY_FRAMES else LONGEST
 
 
 def bytes_per_picture(frames: int) -> int:

@@ -154,7 +154,7 @@ def script_json(value: Any) -> Markup:
 
 def viewer_data(album: Album) -> Markup:
     """Return what the viewer's script reads; see `exwarp_cli.report.gallery`."""
-    return script_json(album.to_plain() | {"heat": heat_colours()})
+    return script_json(album.to_plain() | {"heat": heat_colours(), "fps": album.fps})
 
 
 @cache

@@ -62,14 +62,20 @@ class Picture:
         data = base64.b64decode(text, validate=True)
         return cls(media, data, int(plain["width"]), int(plain["height"]), int(plain["peak"]))
 
-    def within(self, room: int) -> Picture:
-        """Return the same in at most about `room` bytes; what is larger is encoded once more."""
-        if self.media != WEBP or len(self.data) <= room:
+    def within(self, room: int, longest: int = LONGEST) -> Picture:
+        """Return the same in at most about `room` bytes and `longest` pixels on its longest side.
+
+        What is larger is encoded once more; masks are left as they are.
+        """
+        is_small = len(self.data) <= room and max(self.width, self.height) <= longest
+        if self.media != WEBP or is_small:
             return self
         from PIL import Image
 
         with Image.open(io.BytesIO(self.data)) as image:
-            return _encode_webp(np.asarray(image.convert("RGB")), room, self.peak)
+            small = image.convert("RGB")
+            small.thumbnail((longest, longest), Image.Resampling.BOX)
+            return _encode_webp(np.asarray(small), room, self.peak)
 
 
 def shrink(pixels: Float32, longest: int = LONGEST) -> Float32:

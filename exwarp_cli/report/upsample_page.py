@@ -92,6 +92,7 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None
         # VMAF and flicker are known only now.
         if (worst := worst_frame(run.frames)) in album.frames:
             album.start = worst
+        album.fps = document["fps"]["output"]
     source = document["input"]
     return Page(
         file_name(source["pattern"]),

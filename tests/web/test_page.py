@@ -16,7 +16,15 @@ import pytest
 from exwarp_cli import cli
 from exwarp_cli.domain.results import RunSummary, Score
 from exwarp_cli.report.folder import PAGE_FILE, write_report
-from exwarp_cli.report.gallery import BUDGET, KEY, MAX_FRAMES, OUTPUT, TRUTH, Gallery
+from exwarp_cli.report.gallery import (
+    BUDGET,
+    KEY,
+    LONGEST_OF_MANY,
+    MAX_FRAMES,
+    OUTPUT,
+    TRUTH,
+    Gallery,
+)
 from exwarp_cli.report.html import Link, Page, Section, Table, Text, is_number, render, script_json
 from exwarp_cli.report.schema import run_document as document_of
 from exwarp_cli.report.upsample_page import frame_maker, headline, upsample_page
@@ -241,7 +249,7 @@ def test_long_runs_stay_small() -> None:
     check(text)
 
 
-def test_a_gallery_keeps_whole_intervals_evenly_and_the_worst() -> None:
+def test_a_gallery_keeps_intervals_evenly_and_in_a_row_and_the_worst() -> None:
     gallery = Gallery(has_truth=True)
     groups = [range(4 * k, 4 * k + 4) for k in range(1250)]
     gallery.plan(groups)
@@ -261,7 +269,12 @@ def test_a_gallery_keeps_whole_intervals_evenly_and_the_worst() -> None:
         and starts[-1] == 4996
         and all({s, s + 1, s + 2, s + 3} <= kept for s in starts)
     )
-    assert np.ptp(np.diff(starts)) <= 4, "evenly"
+    in_a_row = np.flatnonzero(np.diff(starts) == 4)
+    assert len(in_a_row) == 35 and np.ptp(in_a_row) == 34, "to be played"
+    assert starts[in_a_row[0]] == 2428 and starts[in_a_row[-1] + 1] == 2568, "in the middle"
+    spread = [start for start in starts if not 2428 < start < 2568]
+    assert max(np.diff(spread)) <= 220, "the others evenly"
+    assert gallery.album.longest == LONGEST_OF_MANY
     # Output and truth each may take all of their room, the error half of it.
     assert gallery.album.room * 2.5 * len(kept) <= BUDGET
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from exwarp_cli.io.display_colour import brighten, to_display
 from exwarp_cli.io.frames import read_image
-from exwarp_cli.report.gallery import TRUTH
+from exwarp_cli.report.gallery import KEY, TRUTH
 from tests.web.conftest import NAME, STREET
 
 SIZE = (STREET.height, STREET.width)
@@ -140,11 +141,77 @@ def test_holes_are_laid_over(visit):
 
 def test_it_plays_and_stops(visit):
     seen = visit(fragment="#viewer:1")
+    seen.part("speed").select_option("6")
+    seen.part("stage").focus()
     seen.page.keyboard.press("Space")
     seen.page.wait_for_function("() => document.querySelector('.viewer').dataset.frame === '3'")
     assert seen.part("play").get_attribute("aria-pressed") == "true"
     seen.page.keyboard.press("Space")
     assert seen.part("play").get_attribute("aria-pressed") == "false"
+    number = seen.frame
+    assert seen.page.url.endswith(f"#viewer:{number}")
+    seen.page.wait_for_timeout(600)
+    assert seen.frame == number
+    seen.page.keyboard.press("Space")
+    seen.act("Home")
+    assert seen.part("play").inner_text() == "Play" and seen.frame == 1, "a step stops it"
+
+
+@pytest.mark.parametrize("width", [390, 820, 1400])
+def test_playing_keeps_step_with_the_clock(visit, artefacts, width):
+    """Frames are left out where the screen is slower than 120 fps; the page says at what rate."""
+    seen = visit(width=width, fragment="#viewer:4")
+    speed = seen.part("speed")
+    assert speed.locator("option").first.inner_text() == "120 fps, real time"
+    assert speed.input_value() == "120"
+    assert seen.part("rate").inner_text() == "Plays frames 1 to 9.", "those with ground truth"
+    height = seen.page.evaluate("document.documentElement.scrollHeight")
+    seen.page.evaluate(WATCH)
+    seen.part("play").click()
+    seen.page.wait_for_function(RATE)
+    seen.page.screenshot(path=artefacts / f"playing-{width}.png")
+    assert seen.page.evaluate("document.documentElement.scrollHeight") == height
+    shown = seen.page.evaluate("window.shown")
+    assert {number for _, number in shown} <= set(range(1, 10)) and len(shown) > 10
+    seen.part("play").click()
+    speed.select_option("12")
+    seen.page.evaluate(WATCH)
+    seen.part("play").click()
+    seen.page.wait_for_function("() => window.shown.length > 12")
+    shown = seen.page.evaluate("window.shown")
+    passed = sum((b - a) % 9 for (_, a), (_, b) in pairwise(shown))
+    seconds = (shown[-1][0] - shown[0][0]) / 1000
+    assert 8 < passed / seconds < 16
+    seen.part("play").click()
+    assert seen.part("facts").is_visible()
+
+
+# Notes when each frame was drawn.
+WATCH = """() => {
+  const viewer = document.querySelector('.viewer');
+  window.shown = [];
+  window.watching?.disconnect();
+  window.watching = new MutationObserver(() =>
+    window.shown.push([performance.now(), Number(viewer.dataset.frame)]));
+  window.watching.observe(viewer, { attributeFilter: ['data-drawn'] });
+}"""
+
+RATE = """() => /^Plays frames 1 to 9, \\d+( of 120| )? ?fps\\.$/.test(
+  document.querySelector('[data-part=rate]').textContent)"""
+
+
+def test_reduced_motion_starts_slowly(visit):
+    assert visit(reduced_motion="reduce").part("speed").input_value() == "2"
+
+
+def test_without_truth_in_view_all_frames_play(visit):
+    seen = visit(fragment="#viewer:4")
+    seen.part("after").select_option(KEY)
+    seen.act("2")
+    assert seen.part("rate").inner_text() == "Plays frames 1 to 12."
+    seen.act("4", "c")
+    assert seen.part("left-tag").inner_text() == TRUTH
+    assert seen.part("rate").inner_text() == "Plays frames 1 to 9."
 
 
 def test_controls_keep_their_own_keys(visit):

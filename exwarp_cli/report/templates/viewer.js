@@ -1,7 +1,10 @@
 // The frame viewer: one canvas, two sources, drawn from pictures that keep highlights.
 (() => {
   const SLOPE = 1.055 / 2.4;
-  const CACHED = 24;
+  const CACHED = 96;
+  // Frames decoded ahead while playing, and frames in a row below which Play takes a longer stretch.
+  const AHEAD = 6;
+  const SHORT = 8;
   // Predicted error of a tile, of 255 levels, that has the map's last colour.
   const FORECAST = 64;
   // Of holes: a colour that neither renders nor, in error maps, the map has much of.
@@ -41,7 +44,7 @@
       this.index = 0;
       this.split = 50;
       this.asked = 0;
-      this.timer = 0;
+      this.playing = null;
     }
 
     start() {
@@ -62,7 +65,10 @@
       parts.back.addEventListener("click", () => this.step(-1));
       parts.forth.addEventListener("click", () => this.step(1));
       parts.play.addEventListener("click", () => this.play());
-      parts.speed.addEventListener("change", () => { if (this.timer) { this.play(); this.play(); } });
+      parts.speed.addEventListener("change", () => { if (this.playing) { this.pause(); this.play(); } });
+      if (data.fps) parts.speed.prepend(new Option(`${Number(data.fps.toFixed(2))} fps, real time`, data.fps));
+      const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+      if (data.fps || still) parts.speed.selectedIndex = still ? parts.speed.options.length - 1 : 0;
       parts.help.addEventListener("click", () => this.help());
       this.watchDivider();
       root.hidden = false;
@@ -89,23 +95,105 @@
 
     show(index, keep = true) {
       this.index = Math.max(0, Math.min(index, this.data.frames.length - 1));
-      if (keep) {
-        // Some browsers refuse this for files; the frame is shown all the same.
-        try { history.replaceState(null, "", `#${this.root.id}:${this.frame.number}`); } catch {}
+      if (this.playing) this.pause();
+      else {
+        if (keep) this.keep();
+        this.draw();
       }
-      this.draw();
+    }
+
+    keep() {
+      // Some browsers refuse this for files; the frame is shown all the same.
+      try { history.replaceState(null, "", `#${this.root.id}:${this.frame.number}`); } catch {}
     }
 
     step(by) { this.show(this.index + by); }
 
-    play() {
-      if (this.timer) { clearInterval(this.timer); this.timer = 0; }
-      else {
-        const wait = 1000 / Number(this.parts.speed.value);
-        this.timer = setInterval(() => this.show((this.index + 1) % this.data.frames.length), wait);
+    // What is on the canvas by name, left and right.
+    get sources() {
+      const { before, after } = this.parts;
+      return this.mode === "slider" || this.mode === "side" ? [before.value, after.value] : [before.value];
+    }
+
+    // The frames in a row around one that have all that is shown, first and last.
+    stretch(index) {
+      const { frames } = this.data;
+      const has = (i) => this.sources.every((name) => name in frames[i].pictures);
+      const joined = (i) => frames[i]?.number - frames[i - 1]?.number === 1 && has(i - 1) && has(i);
+      let [first, last] = [index, index];
+      while (joined(first)) first--;
+      while (joined(last + 1)) last++;
+      return [first, last];
+    }
+
+    // What Play takes: the stretch around the frame, or the longest one if that is short.
+    playable() {
+      let best = this.stretch(this.index);
+      if (best[1] - best[0] + 1 >= SHORT) return best;
+      for (let i = 0; i < this.data.frames.length; i = this.stretch(i)[1] + 1) {
+        const [first, last] = this.stretch(i);
+        if (last - first > best[1] - best[0]) best = [first, last];
       }
-      this.parts.play.textContent = this.timer ? "Pause" : "Play";
-      this.parts.play.setAttribute("aria-pressed", String(Boolean(this.timer)));
+      return best;
+    }
+
+    // In step with the clock: frames are left out where the screen or the browser is slower.
+    play() {
+      if (this.playing) { this.pause(); return; }
+      const [first, last] = this.playable();
+      if (first === last) return;
+      if (this.index < first || this.index >= last) this.index = first;
+      const now = performance.now();
+      const fps = Number(this.parts.speed.value);
+      this.playing = { first, last, fps, start: now, from: this.index, passed: 0, since: now, drawn: 0 };
+      this.tell(first, last);
+      this.mark();
+      this.tick(now, this.playing);
+    }
+
+    pause() {
+      this.playing = null;
+      this.mark();
+      this.keep();
+      this.draw();
+    }
+
+    mark() {
+      const { play, facts } = this.parts;
+      play.textContent = this.playing ? "Pause" : "Play";
+      play.setAttribute("aria-pressed", String(this.playing !== null));
+      // Facts would flicker and change the page's height.
+      facts.style.visibility = this.playing ? "hidden" : "";
+    }
+
+    tell(first, last, rate = "") {
+      const [a, b] = [first, last].map((i) => this.data.frames[i].number);
+      this.parts.rate.textContent = first === last ? "No frames in a row to play." : `Plays frames ${a} to ${b}${rate}.`;
+    }
+
+    async tick(now, run) {
+      if (run !== this.playing) return;
+      const count = run.last - run.first + 1;
+      const at = (passed) => run.first + ((run.from - run.first + passed) % count);
+      const passed = Math.max(0, Math.floor(((now - run.start) * run.fps) / 1000));
+      const by = passed - run.passed;
+      if (by > 0) {
+        run.passed = passed;
+        run.drawn++;
+        this.index = at(passed);
+        for (let i = 1; i <= AHEAD; i++) {
+          const { pictures } = this.data.frames[at(passed + i * by)];
+          for (const name of this.sources) if (name in pictures) this.pixels(pictures[name]);
+        }
+        await this.draw();
+      }
+      if (now - run.since >= 1000 && run === this.playing) {
+        const rate = (1000 * run.drawn) / (now - run.since);
+        const slow = rate < 0.95 * run.fps ? ` of ${Number(run.fps.toFixed(2))}` : "";
+        this.tell(run.first, run.last, `, ${Math.round(slow ? rate : run.fps)}${slow} fps`);
+        Object.assign(run, { since: now, drawn: 0 });
+      }
+      requestAnimationFrame((then) => this.tick(then, run));
     }
 
     help() {
@@ -139,6 +227,12 @@
     swap() {
       const { before, after } = this.parts;
       [before.value, after.value] = [after.value, before.value];
+      this.draw();
+    }
+
+    next() {
+      const { before } = this.parts;
+      before.selectedIndex = (before.selectedIndex + 1) % before.options.length;
       this.draw();
     }
 
@@ -221,10 +315,12 @@
     async tint(image) {
       if (!image || !this.parts.holes.checked || this.frame.holes === null) return image;
       const mask = await this.pixels(this.frame.holes);
-      if (mask.data.length !== image.data.length) return image;
       const tint = this.mode === "error" ? ERROR_TINT : TINT;
+      const { width, height } = image;
       for (let i = 0; i < image.data.length; i += 4) {
-        if (mask.data[i] < 128) continue;
+        const x = Math.floor((((i / 4) % width) * mask.width) / width);
+        const y = Math.floor((Math.floor(i / 4 / width) * mask.height) / height);
+        if (mask.data[4 * (y * mask.width + x)] < 128) continue;
         for (let c = 0; c < 3; c++) image.data[i + c] = (image.data[i + c] + 2 * tint[c]) / 3;
       }
       return image;
@@ -235,7 +331,7 @@
       const { parts, mode } = this;
       const names = [parts.before.value, parts.after.value];
       const stops = Number(parts.exposure.value);
-      let pair = await Promise.all(names.map((name) => this.shown(name, stops)));
+      let pair = await Promise.all((mode === "single" ? [names[0]] : names).map((name) => this.shown(name, stops)));
       let tags = names;
       if (mode === "error") {
         const [image, text] = await this.error(names, pair);
@@ -290,6 +386,7 @@
       parts["right-tag"].hidden = parts["right-tag"].textContent === "";
       parts.divider.hidden = mode !== "slider";
       parts.legend.hidden = mode !== "error" && mode !== "forecast";
+      if (!this.playing) this.tell(...this.playable());
       parts.stops.textContent = (stops > 0 ? "+" : "") + stops;
       parts.seek.value = this.index;
       parts.seek.setAttribute("aria-valuetext", frame.label);
@@ -351,7 +448,7 @@
         ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1),
         j: () => this.step(-1), k: () => this.step(1),
         Home: () => this.show(0), End: () => this.show(this.data.frames.length - 1),
-        " ": () => this.play(), "?": () => this.help(), x: () => this.swap(),
+        " ": () => this.play(), "?": () => this.help(), x: () => this.swap(), c: () => this.next(),
         h: () => { this.parts.holes.checked = !this.parts.holes.checked; this.draw(); },
         e: () => this.expose(-0.5), E: () => this.expose(0.5),
         z: () => this.zoomBy(1), Z: () => this.zoomBy(-1),
