@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from exwarp_cli.domain.decision import CHOICES, FEATURES, HOLD, NODES
@@ -75,6 +77,18 @@ PULSE_NOTE = (
     "How much softer (below 0) or sharper new frames are than the key frames around, weighted "
     "by time. Softer frames make textures shimmer."
 )
+
+# By metric, what a good plot of it by slot looks like.
+SLOT_NOTES = {
+    "pulse": (
+        "Good: a flat line near 0, new frames are as sharp as key frames. Not good: a dip between "
+        "the key frames, textures go soft and sharp again at the key rate."
+    ),
+    "flicker": (
+        "Good: low and flat, new frames change in time as the true ones do; 0 is best. Not good: "
+        "one slot far above the others, something jumps there in each key interval."
+    ),
+}
 
 MAX_PLACES = 20  # of the list on the page; review.csv has more
 MAX_ROWS = 200  # of a table on the page; report.json has them all
@@ -258,6 +272,7 @@ def _quality(run: RunSummary, document: dict[str, Any], album: Album | None) -> 
         blocks.append(quality_table("Against ground truth", all_parts, note))
         blocks += metric_plots(numbers, scores, skip=("psnr_db",), cuts=cuts)
         blocks += worst_tables(numbers, scores, album, makers)
+    blocks += _slot_plots(scored or run.frames)
 
     pulse, metric = document["pulse"], BY_FIELD["pulse"]
     if pulse is not None and pulse["against"] == KEY_FRAMES:
@@ -274,6 +289,36 @@ def _quality(run: RunSummary, document: dict[str, Any], album: Album | None) -> 
         ]
         blocks.append(Table("Sharpness", ("", metric.title), rows, PULSE_NOTE))
     return blocks
+
+
+def _slot_plots(frames: Sequence[FrameRecord]) -> list[Figure]:
+    """Draw sharpness and flicker by slot: the mean, lowest and highest of the key intervals."""
+    figures = []
+    for field, note in SLOT_NOTES.items():
+        metric = BY_FIELD[field]
+        values: dict[int, list[float]] = {}
+        for frame in frames:
+            flicker = None if frame.score is None else frame.score.flicker
+            value = frame.pulse if field == "pulse" else flicker
+            if frame.slot and value is not None:
+                values.setdefault(frame.slot, []).append(value)
+        if len(values) < 2:
+            continue
+        slots = sorted(values)
+        series: dict[str, list[float | None]] = {
+            "mean": [mean(values[slot]) for slot in slots],
+            "lowest": [min(values[slot]) for slot in slots],
+            "highest": [max(values[slot]) for slot in slots],
+        }
+        x_label = "slot"
+        if metric.signed:  # key frames are as sharp as themselves
+            slots = [0, *slots, slots[-1] + 1]
+            series = {name: [0.0, *row, 0.0] for name, row in series.items()}
+            x_label = f"slot, with the key frames at 0 and {slots[-1]}"
+        title = "Sharpness by slot" if field == "pulse" else "Flicker by slot"
+        labels = Labels(title, x_label, metric.title, f"{metric.title} by slot. {note}")
+        figures.append(replace(draw_lines(labels, slots, series), note=note))
+    return figures
 
 
 def _decisions(run: RunSummary, decisions: dict[str, Any]) -> list[Block]:

@@ -318,6 +318,24 @@ def test_a_single_frame_has_no_plots_over_frames() -> None:
     assert "PSNR per frame" not in check(page_of(run([*frames[:2]]))).text
 
 
+@pytest.mark.parametrize("has_truth", [True, False])
+def test_sharpness_and_flicker_are_drawn_by_slot(has_truth: bool) -> None:
+    """Three lines with a point a slot; key frames are points of sharpness, too."""
+    frames = [
+        replace(f, score=Score(pulse=-3.0, flicker=2.0 + f.slot)) if has_truth and f.slot
+        else replace(f, key_pulse=-2.0 * f.slot if f.slot else None)
+        for f in path_run("S5", 4).frames
+    ]  # fmt: skip
+    text = page_of(run(frames))
+    figures = dict(re.findall(r"<figcaption>(\w+) by slot</figcaption>(.*?)</figure>", text, re.S))
+    assert set(figures) == ({"Sharpness", "Flicker"} if has_truth else {"Sharpness"})
+    points = {"Sharpness": 3 * 5, "Flicker": 3 * 3}
+    for name, figure in figures.items():
+        drawn = re.findall(r"<use [^>]*fill: var\(--c[0-2]\)", figure)
+        assert len(drawn) == points[name] + 3, "three in the legend"
+        assert '<p class="note">Good: ' in figure
+
+
 def test_what_was_saved_comes_first() -> None:
     document = document_of(path_run("S6", 2))
     assert headline(document)[0].label == "Frames"
