@@ -153,19 +153,21 @@ class ComparisonResult:
     """Scores of a sequence against another."""
 
     comparison: Comparison
+    baseline: Comparison | None = None  # of A against the ground truth, if that is a third sequence
 
     @property
     def document(self) -> dict[str, Any]:
         """The document of ``exwarp compare --json``."""
         from exwarp_cli.report.comparison import comparison_document
 
-        return comparison_document(self.comparison)
+        return comparison_document(self.comparison, self.baseline)
 
 
 def compare(
     reference: str | Path,
     test: str | Path,
     *,
+    ground_truth: str | Path | None = None,
     frames: str | None = None,
     holes: str | None = None,
     report: str | Path | None = None,
@@ -178,8 +180,11 @@ def compare(
     ----------
     reference, test
         Folders, patterns or any one frame; `reference` is the ground truth.
+    ground_truth
+        A third sequence that is the ground truth instead: `reference` is then the baseline, which
+        `test` is compared with.
     frames
-        Range of frame numbers; None for all.
+        Range of the ground truth's frame numbers; None for all.
     holes
         Masks of `write_holes`; None for no scores in holes.
     report
@@ -196,7 +201,7 @@ def compare(
     """
     from exwarp_cli.pipeline.evaluation import evaluate
     from exwarp_cli.pipeline.progress import Progress
-    from exwarp_cli.report.comparison import REFERENCE, TEST
+    from exwarp_cli.report.comparison import REFERENCE, TEST, add_baseline
     from exwarp_cli.report.folder import prepare_comparison, write_comparison
     from exwarp_cli.report.gallery import Gallery
 
@@ -204,9 +209,16 @@ def compare(
     gallery = None
     if report is not None:
         prepare_comparison(Path(report))
-        gallery = Gallery(True, TEST, REFERENCE)
+        gallery = Gallery(True, TEST, REFERENCE, 2 if ground_truth is None else 3)
     measured = MeasureSettings() if measuring is None else measuring
-    result = evaluate(str(reference), str(test), frames, holes, reporter, measured, gallery)
+    truth = str(reference if ground_truth is None else ground_truth)
+    result = evaluate(truth, str(test), frames, holes, reporter, measured, gallery)
+    baseline = None
+    if ground_truth is not None:  # limits are on the test alone
+        same = replace(measured, metrics=measured.measured, thresholds=())
+        baseline = evaluate(truth, str(reference), frames, None, reporter, same)
     if report is not None and gallery is not None:
-        write_comparison(Path(report), result, gallery.album)
-    return ComparisonResult(result)
+        if baseline is not None:
+            add_baseline(gallery.album, result, baseline)
+        write_comparison(Path(report), result, gallery.album, baseline)
+    return ComparisonResult(result, baseline)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -36,7 +36,16 @@ def _parse_limits(
 @click.argument("reference", metavar="A")
 @click.argument("test", metavar="B")
 @click.option("--view", default="", metavar="NAME", help="Compare this view of stereo frames.")
-@click.option("--frames", metavar="RANGE", help="Compare these frames only, by A's numbers.")
+@click.option(
+    "--ground-truth",
+    metavar="SEQ",
+    help="Score both A and B against this sequence: A is the baseline, and limits are on B.",
+)
+@click.option(
+    "--frames",
+    metavar="RANGE",
+    help="Compare these frames only, by A's numbers or those of --ground-truth.",
+)
 @max_pixels_option
 @scan_option
 @click.option(
@@ -79,6 +88,7 @@ def command(
     reference: str,
     test: str,
     view: str,
+    ground_truth: str | None,
     frames: str | None,
     max_pixels: int,
     scan: str,
@@ -91,7 +101,7 @@ def command(
     as_json: bool,
     progress: str | None,
 ) -> None:
-    """Score sequence B against A, the ground truth.
+    """Score sequence B against A, the ground truth; or both against --ground-truth.
 
     A and B are folders, patterns such as shot.####.exr, any one frame of a sequence, or videos, of
     EXR or other stills. Frames are matched by number where one sequence has all numbers of the
@@ -111,6 +121,7 @@ def command(
         result = compare(
             reference,
             test,
+            ground_truth=ground_truth,
             frames=frames,
             holes=holes,
             report=folder,
@@ -120,27 +131,28 @@ def command(
         if as_json:
             print_json(result.document)
         else:
-            _print_scores(result.comparison)
+            _print_scores(result.comparison, result.document)
         require_quality(result.comparison)
 
 
-def _print_scores(result: Comparison) -> None:
+def _print_scores(result: Comparison, document: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from exwarp_cli.report.comparison import comparison_document, quality_rows
+    from exwarp_cli.report.comparison import BASELINE, add_baseline_rows, quality_rows
 
-    document = comparison_document(result)
     metrics = [metric for metric in METRICS if metric.field in result.measuring.measured]
     table = Table("", *(metric.title for metric in metrics), "frames")
     worst = document["worst"]
-    rows = quality_rows(document["quality"])
+    rows = add_baseline_rows(document, quality_rows(document["quality"]))
     rows[f"worst: {worst['frame']}"] = worst | {"frames": 1}
     for name, values in rows.items():
         scores = ((metric, values[metric.field]) for metric in metrics)
         cells = ("-" if value is None else metric.text(value) for metric, value in scores)
         table.add_row(name, *cells, str(values["frames"]))
     show(f"reference {result.reference.pattern}")
+    if BASELINE in document:
+        show(f"baseline  {document[BASELINE]['pattern']}")
     show(f"test      {result.test.pattern}")
     click.echo(f"{pluralise(len(result.frames), 'frame')}, matched by {result.matched_by}")
     for note in result.notes:

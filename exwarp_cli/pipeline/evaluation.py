@@ -15,8 +15,16 @@ from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.domain.timeline import parse_frames, ranges
 from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
-from exwarp_cli.io.footage import close_sequences, find_frames, read_sequence_picture
+from exwarp_cli.io.exr.reader import read_headers
+from exwarp_cli.io.footage import (
+    clip_rate,
+    close_sequences,
+    find_frames,
+    is_plain,
+    read_sequence_picture,
+)
 from exwarp_cli.io.frames import read_plane
+from exwarp_cli.io.generated_frames import frame_rate
 from exwarp_cli.io.sequences import Sequence, find_sequence
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.ground_truth import truth_rate
@@ -70,6 +78,7 @@ class Comparison:
     frames: tuple[ComparedFrame, ...]  # at least one, in the reference's order
     measuring: MeasureSettings = field(default_factory=MeasureSettings)  # what was measured
     notes: tuple[str, ...] = ()  # what a reader of the numbers should know, a sentence each
+    fps: float | None = None  # frame rate of the test; None if no file states it
 
     @property
     def worst(self) -> ComparedFrame:
@@ -141,6 +150,7 @@ def evaluate(
         *(truth, judged, masks, matched_by, shape[1], shape[0], compared),
         measuring=measuring,
         notes=(*pairing_notes, *notes, *scorer.notes),
+        fps=_stated_rate(judged),
     )
     if all(frame.score == Score() for frame in compared):
         why = "; ".join(result.notes) or "nothing was chosen"
@@ -167,8 +177,8 @@ class _Files:
     def read(self) -> Pair:
         """Read the pair and its mask, all of one size."""
         reference = self.reference.files[self.a]
-        truth = _read_display(self.reference, self.a, self.view)
-        test = _read_display(self.test, self.b, self.view)
+        truth = read_display(self.reference, self.a, self.view)
+        test = read_display(self.test, self.b, self.view)
         shape = truth.shape[:2]
         _require_shape(test.shape[:2], self.test.files[self.b], shape, reference)
         mask = None
@@ -179,7 +189,16 @@ class _Files:
         return Pair(self.a, truth, test, mask)
 
 
-def _read_display(sequence: Sequence, number: int, view: str) -> Float32:
+def _stated_rate(sequence: Sequence) -> float | None:
+    rate = clip_rate(sequence)
+    if rate is None and not is_plain(sequence):
+        header = read_headers(sequence.files[min(sequence.files)])[0]
+        rate = frame_rate(header)
+    return None if rate is None else float(rate)
+
+
+def read_display(sequence: Sequence, number: int, view: str) -> Float32:
+    """Read the display window of a frame, float32 [H, W, C], scene-linear."""
     image = read_sequence_picture(sequence, number, view)
     return image.on(image.display_window).pixels
 

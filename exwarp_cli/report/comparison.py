@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.decision import CHOICES
 from exwarp_cli.domain.metric import GENERATED, Threshold
+from exwarp_cli.domain.results import Score
 from exwarp_cli.errors import QualityError, UsageError
+from exwarp_cli.io.footage import close_sequences
 from exwarp_cli.io.sequences import Sequence
-from exwarp_cli.pipeline.evaluation import Comparison
+from exwarp_cli.pipeline.evaluation import ComparedFrame, Comparison, read_display
 from exwarp_cli.report.csv_tables import (
     FIRST_SCORES,
     LATER_COLUMNS,
@@ -47,6 +50,9 @@ SCHEMA = "exwarp.compare/1"
 # Names of the two sources in the viewer.
 REFERENCE, TEST = "reference", "test"
 
+# Of a further sequence, whose scores stand beside those of the test.
+BASELINE = "baseline"
+
 # Of frames.csv; `frame` is the test's number, `kind` and `made_by` are from its header.
 COLUMNS = (
     *("frame", "reference_frame", "file", "hole_fraction", *FIRST_SCORES),
@@ -56,8 +62,11 @@ COLUMNS = (
 )
 
 
-def comparison_document(result: Comparison) -> dict[str, Any]:
-    """Turn a comparison into the dictionary of report.json; None is what was not measured."""
+def comparison_document(result: Comparison, baseline: Comparison | None = None) -> dict[str, Any]:
+    """Turn a comparison into the dictionary of report.json; None is what was not measured.
+
+    ``baseline`` is there only if there is one, compared with the same reference.
+    """
     worst, frames = result.worst, result.frames
     document: dict[str, Any] = replace_nonfinite(
         {
@@ -70,16 +79,7 @@ def comparison_document(result: Comparison) -> dict[str, Any]:
             "width": result.width,
             "height": result.height,
             "frames": len(frames),
-            "quality": {
-                "all": mean_scores(frame.score for frame in frames),
-                "generated": mean_scores(f.score for f in frames if f.origin.generated),
-                "dropped": mean_scores(f.score for f in frames if f.origin.dropped),
-                "by_decision": {
-                    choice: mean_scores(f.score for f in frames if f.origin.choice == choice)
-                    for choice in CHOICES
-                },
-                "holes": mean_scores(frame.hole_score for frame in frames),
-            },
+            "quality": _summarise_quality(frames),
             "worst": {
                 "frame": worst.test,
                 "reference_frame": worst.reference,
@@ -92,7 +92,23 @@ def comparison_document(result: Comparison) -> dict[str, Any]:
             "notes": list(result.notes),
         }
     )
+    if baseline is not None:
+        quality = replace_nonfinite(_summarise_quality(baseline.frames))
+        document[BASELINE] = _describe_sequence(baseline.test) | {"quality": quality}
     return document
+
+
+def _summarise_quality(frames: tuple[ComparedFrame, ...]) -> dict[str, Any]:
+    return {
+        "all": mean_scores(frame.score for frame in frames),
+        "generated": mean_scores(f.score for f in frames if f.origin.generated),
+        "dropped": mean_scores(f.score for f in frames if f.origin.dropped),
+        "by_decision": {
+            choice: mean_scores(f.score for f in frames if f.origin.choice == choice)
+            for choice in CHOICES
+        },
+        "holes": mean_scores(frame.hole_score for frame in frames),
+    }
 
 
 def _describe_sequence(sequence: Sequence) -> dict[str, Any]:
@@ -125,6 +141,19 @@ def quality_rows(quality: dict[str, Any]) -> dict[str, dict[str, Any]]:
     parts |= {f"made by {name}": block for name, block in quality["by_decision"].items()}
     parts = {name: block for name, block in parts.items() if block["frames"]}
     return {"all pixels": quality["all"], **parts, "holes": quality["holes"]}
+
+
+def add_baseline_rows(
+    document: dict[str, Any], rows: dict[str, dict[str, Any]]
+) -> dict[str, dict[str, Any]]:
+    """Put the baseline's rows before the test's, with the names of both; none without one."""
+    if BASELINE not in document:
+        return rows
+    quality = document[BASELINE]["quality"]
+    added = {"all pixels": quality["all"], "generated": quality["generated"]}
+    return {f"{BASELINE}, {name}": block for name, block in added.items() if block["frames"]} | {
+        f"{TEST}, {name}": block for name, block in rows.items()
+    }
 
 
 def _judge_limits(result: Comparison) -> list[dict[str, Any]]:
@@ -187,15 +216,40 @@ def require_quality(result: Comparison) -> None:
         )
 
 
-def compare_page(result: Comparison, document: dict[str, Any], album: Album | None = None) -> Page:
+def add_baseline(album: Album, result: Comparison, baseline: Comparison) -> None:
+    """Show the baseline's frames in the album of a comparison, left of the test's."""
+    view = result.measuring.view
+    frame_of = {frame.reference: frame for frame in baseline.frames}
+    album.names, album.before, album.after = (BASELINE, TEST, REFERENCE), BASELINE, TEST
+    try:
+        for frame in result.frames:
+            same = frame_of.get(frame.reference)
+            if same is not None and frame.test in album.frames:
+                truth = read_display(baseline.reference, same.reference, view)
+                pixels = read_display(baseline.test, same.test, view)
+                album.add_source(frame.test, BASELINE, pixels, truth)
+    finally:
+        close_sequences(baseline.reference, baseline.test)
+
+
+def compare_page(
+    result: Comparison,
+    document: dict[str, Any],
+    album: Album | None = None,
+    baseline: Comparison | None = None,
+) -> Page:
     """Build the page of a comparison.
 
     `document` is what `comparison_document` returned: tables and headline. `album` has pictures of
-    its frames, and gets facts.
+    its frames, and gets facts and the frame rate.
     """
+    base_scores = {f.reference: f.score for f in baseline.frames} if baseline else {}
     if album is not None:
+        album.fps = result.fps
         for frame in result.frames:
             facts = score_facts(frame.score, frame.hole_score)
+            base = score_facts(base_scores.get(frame.reference), None)
+            facts |= {f"{name} of the {BASELINE}": text for name, text in base.items()}
             if frame.reference != frame.test:
                 facts["reference frame"] = str(frame.reference)
             if frame.hole_fraction is not None:
@@ -220,25 +274,35 @@ def compare_page(result: Comparison, document: dict[str, Any], album: Album | No
             for i, metric in enumerate(measured_metrics(generated))
             if i == 0 or metric.signed
         ]
+    subtitle = f"{test} against {reference}"
+    if baseline is not None:
+        subtitle += f", with {baseline.test.pattern} as the {BASELINE}"
     return Page(
         f"{file_name(test)} against {file_name(reference)}",
-        f"{test} against {reference}",
+        subtitle,
         numbers,
         (
             frames_section(album),
-            Section("quality", "Quality", _quality(result, document, album)),
+            Section("quality", "Quality", _quality(result, document, album, base_scores)),
             Section("input", "Input", [_input(document)]),
         ),
     )
 
 
-def _quality(result: Comparison, document: dict[str, Any], album: Album | None) -> list[Block]:
+def _quality(
+    result: Comparison,
+    document: dict[str, Any],
+    album: Album | None,
+    base_scores: Mapping[int, Score],
+) -> list[Block]:
+    """Write tables and plots; `base_scores` are the baseline's by the reference's number."""
     numbers = [frame.test for frame in result.frames]
     scores = [frame.score for frame in result.frames]
     parts = quality_rows(document["quality"])
     holes_only = parts.pop("holes")
     if holes_only["frames"]:
         parts["holes only"] = holes_only
+    parts = add_baseline_rows(document, parts)
     blocks: list[Block] = [quality_table("Means over the frames", parts)]
     rows: list[list[Cell]] = []
     for limit in document["thresholds"]:
@@ -249,7 +313,8 @@ def _quality(result: Comparison, document: dict[str, Any], album: Album | None) 
     if rows:
         blocks.append(Table("Limits", ("", "value", "limit", ""), rows))
     blocks += worst_tables(numbers, scores, album)
-    blocks += metric_plots(numbers, scores)
+    beside = [base_scores.get(frame.reference) for frame in result.frames] if base_scores else []
+    blocks += metric_plots(numbers, scores, names=(TEST, BASELINE), beside=beside)
     blocks += [Text(note) for note in document["notes"]]
     holes = [None if f.hole_fraction is None else 100 * f.hole_fraction for f in result.frames]
     if len(holes) > 1 and any(share is not None for share in holes):
@@ -262,8 +327,8 @@ def _quality(result: Comparison, document: dict[str, Any], album: Album | None) 
 
 def _input(document: dict[str, Any]) -> Table:
     rows: list[list[Cell]] = []
-    for name in ("reference", "test", "masks"):
-        sequence = document[name]
+    for name in ("reference", BASELINE, "test", "masks"):
+        sequence = document.get(name)
         if sequence is not None:
             rows.append([name, sequence["pattern"], f"{sequence['first']}-{sequence['last']}"])
     rows.append(["size", f"{document['width']}x{document['height']}", ""])

@@ -138,10 +138,15 @@ def write_report(folder: Path, run: RunSummary, album: Album | None = None) -> N
     _write_files(folder, texts)
 
 
-def write_comparison(folder: Path, result: Comparison, album: Album | None = None) -> None:
+def write_comparison(
+    folder: Path,
+    result: Comparison,
+    album: Album | None = None,
+    baseline: Comparison | None = None,
+) -> None:
     """Write the files of a comparison; as `write_report` does."""
-    document = comparison_document(result)
-    page = render(compare_page(result, document, album))
+    document = comparison_document(result, baseline)
+    page = render(compare_page(result, document, album, baseline))
     table = format_comparison_csv(result)
     _write_files(folder, {FRAMES_FILE: table, PAGE_FILE: page, REPORT_FILE: to_json(document)})
 

@@ -112,6 +112,12 @@ class Album:
         self.frames[number] = shown
         return shown
 
+    def add_source(self, number: int, name: str, pixels: Float32, reference: Float32) -> None:
+        """Encode a further source of a frame that the album has, and its error, as `add` does."""
+        shown, small = self.frames[number], shrink(pixels, self.longest)
+        shown.pictures[name] = encode_colour(small, find_peak(small), self.room)
+        shown.errors[name] = encode_error(reference, pixels, self.room // 2, self.longest)
+
     def set_facts(
         self, number: int, kind: str, facts: Mapping[str, str], risk: Risk | None = None
     ) -> None:
@@ -172,10 +178,15 @@ class Gallery:
 
     Where several processes do parts of a run, one gallery gets the plan. Each part has what `share`
     returns, which can be pickled, and `adopt` takes over the frames that it kept.
+
+    `sources` counts those that a frame has at last; others are added to the album.
     """
 
-    def __init__(self, has_truth: bool, output: str = OUTPUT, truth: str = TRUTH) -> None:
+    def __init__(
+        self, has_truth: bool, output: str = OUTPUT, truth: str = TRUTH, sources: int = 2
+    ) -> None:
         self._output, self._truth, self._has_truth = output, truth, has_truth
+        self._sources = sources
         after = truth if has_truth else output
         before = output if has_truth else KEY
         self.album = Album((output, truth, KEY), before, after)
@@ -187,7 +198,7 @@ class Gallery:
 
     def share(self) -> Gallery:
         """Return an empty gallery for a part of the run, with the plan of the whole."""
-        part = Gallery(self._has_truth, self._output, self._truth)
+        part = Gallery(self._has_truth, self._output, self._truth, self._sources)
         part._chosen, part._key_of = self._chosen, self._key_of
         part.album.room, part.album.longest = self.album.room, self.album.longest
         part._shared = True
@@ -215,7 +226,7 @@ class Gallery:
         self._key_of = {
             number: group[0] for group in groups for number in group if number in self._chosen
         }
-        self.album.room = bytes_per_picture(len(self._chosen) + 1)
+        self.album.room = bytes_per_picture(len(self._chosen) + 1, self._sources)
         self.album.longest = longest_side(len(self._chosen))
 
     def wants(self, number: int, score: Score | None, risk: Risk | None = None) -> bool:
@@ -389,9 +400,9 @@ def longest_side(frames: int) -> int:
     return LONGEST_OF_MANY if frames > MANY_FRAMES else LONGEST
 
 
-def bytes_per_picture(frames: int) -> int:
-    """Return the bytes that a picture may take: a frame has output, truth and half of an error."""
-    return min(PICTURE_BYTES, int(BUDGET / (2.5 * max(frames, 1))))
+def bytes_per_picture(frames: int, sources: int = 2) -> int:
+    """Return the bytes that a picture may take: errors of all sources but the truth take half."""
+    return min(PICTURE_BYTES, int(BUDGET / ((1.5 * sources - 0.5) * max(frames, 1))))
 
 
 def evenly_spaced(count: int, limit: int) -> list[int]:

@@ -249,11 +249,16 @@ def metric_plots(
     scores: Sequence[Score | None],
     skip: Iterable[str] = (),
     cuts: Sequence[int] = (),
+    names: tuple[str, str] = ("", ""),
+    beside: Sequence[Score | None] = (),
 ) -> list[Figure]:
-    """Draw each measured metric over the frames, its worst frame ringed; nothing for one frame."""
+    """Draw each measured metric over the frames, its worst frame ringed; nothing for one frame.
+
+    `beside` are further scores of the same frames, or none; `names` are those of both.
+    """
     if len(numbers) < 2:
         return []
-    figures = []
+    figures, others = [], _series_by_metric(beside)
     for metric, values in _series_by_metric(scores).items():
         if metric.field in skip:
             continue
@@ -265,7 +270,10 @@ def metric_plots(
             f"{metric.title} of every scored frame; {better(metric)}. Worst at frame "
             f"{numbers[worst]}.",
         )
-        figures.append(draw_lines(labels, numbers, {metric.title: values}, (worst,), cuts))
+        series = {names[0] or metric.title: values}
+        if metric in others:
+            series[names[1]] = others[metric]
+        figures.append(draw_lines(labels, numbers, series, (worst,), cuts))
     return figures
 
 

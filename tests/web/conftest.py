@@ -61,6 +61,17 @@ def report(tmp_path_factory) -> Report:
     return made
 
 
+@pytest.fixture(scope="session")
+def two_methods(report, tmp_path_factory) -> Path:
+    """Folder of the comparison of a blended shot, the baseline, with the warped one."""
+    root = tmp_path_factory.mktemp("methods")
+    blend = ("upsample", str(report.keys), "-o", str(root / "blend"), "-m", "blend")
+    assert cli.run([*blend, "--progress", "none"]) == 0
+    both = ("compare", str(root / "blend"), str(report.frames), "--report", str(root / "report"))
+    assert cli.run([*both, "--ground-truth", str(report.truth), "--progress", "none"]) == 0
+    return root / "report"
+
+
 def chromium() -> str | None:
     """Find a browser: named by EXWARP_CHROMIUM, else on the path."""
     names = ("chromium", "chromium-browser", "google-chrome")

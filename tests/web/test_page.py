@@ -201,6 +201,24 @@ def test_the_page_of_a_comparison(report, tmp_path):
     assert "Limits" in text.partition("</dl>")[0] and "holes only" not in checker.text
 
 
+def test_two_methods_are_compared_with_the_truth(two_methods, report):
+    text = (two_methods / PAGE_FILE).read_text(encoding="utf-8")
+    data, checker = data_of(text), check(text)
+    assert data["names"] == ["baseline", "test", "reference"] and data["fps"] == 120
+    assert (data["before"], data["after"]) == ("baseline", "test")
+    frame = data["frames"][1]
+    assert len({*frame["pictures"].values(), *frame["errors"].values()}) == 5
+    assert {"PSNR", "PSNR of the baseline"} <= set(frame["facts"])
+    for words in ("as the baseline", "baseline, generated", "test, generated"):
+        assert words in checker.text
+    document = json.loads((two_methods / "report.json").read_text())
+    own = json.loads((report.folder / "report.json").read_text())
+    generated = document["quality"]["generated"]["psnr_db"]
+    assert generated == pytest.approx(own["quality"]["all"]["psnr_db"], abs=0.05)
+    assert document["baseline"]["pattern"].endswith(".exr")
+    assert document["baseline"]["quality"]["generated"]["psnr_db"] < generated
+
+
 def test_a_comparison_of_one_frame_says_first_what_fails(report, tmp_path):
     arguments = ("compare", str(report.truth), str(report.frames), "--frames", "2")
     limits = ("--fail-below", "psnr=99", "--fail-above", "flip=1")

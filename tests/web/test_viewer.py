@@ -200,6 +200,29 @@ RATE = """() => /^Plays frames 1 to 9, \\d+( of 120| )? ?fps\\.$/.test(
   document.querySelector('[data-part=rate]').textContent)"""
 
 
+@pytest.mark.parametrize("width", [390, 820, 1400])
+def test_two_methods_are_exchanged_in_place(visit, two_methods, artefacts, width):
+    """In the view Single, x shows the same frame of the other one, and c each source in turn."""
+    seen = visit(width=width, fragment="#viewer:3", page=two_methods / "report.html")
+    assert seen.part("rate").inner_text() == "Plays frames 1 to 9."
+    seen.act("4")
+    shown = {seen.part("left-tag").inner_text(): seen.canvas()}
+    seen.act("x")
+    shown[seen.part("left-tag").inner_text()] = seen.canvas()
+    assert set(shown) == {"baseline", "test"} and len(set(shown.values())) == 2
+    seen.act("x")
+    assert seen.canvas() == shown["baseline"] and seen.frame == 3
+    for name in ("test", "reference", "baseline"):
+        seen.act("c")
+        assert seen.part("left-tag").inner_text() == name
+        assert seen.canvas() == shown.setdefault(name, seen.canvas())
+    assert len(set(shown.values())) == 3
+    seen.act("1")
+    assert seen.part("right-tag").inner_text() == "test", "the divider wipes between the two"
+    assert seen.page.evaluate("document.documentElement.scrollWidth") == width
+    seen.page.screenshot(path=artefacts / f"two-methods-{width}.png", full_page=True)
+
+
 def test_reduced_motion_starts_slowly(visit):
     assert visit(reduced_motion="reduce").part("speed").input_value() == "2"
 

@@ -1,7 +1,8 @@
 // The frame viewer: one canvas, two sources, drawn from pictures that keep highlights.
 (() => {
   const SLOPE = 1.055 / 2.4;
-  const CACHED = 96;
+  // Bytes of decoded pictures that are kept: two sources of 144 frames of 480x270.
+  const CACHED = 160e6;
   // Frames decoded ahead while playing, and frames in a row below which Play takes a longer stretch.
   const AHEAD = 6;
   const SHORT = 8;
@@ -41,6 +42,8 @@
       this.heat = heatTable(this.data.heat);
       this.context = this.parts.canvas.getContext("2d", { willReadFrequently: true });
       this.decoded = new Map();
+      this.held = 0;
+      this.scratch = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
       this.index = 0;
       this.split = 50;
       this.asked = 0;
@@ -66,7 +69,10 @@
       parts.forth.addEventListener("click", () => this.step(1));
       parts.play.addEventListener("click", () => this.play());
       parts.speed.addEventListener("change", () => { if (this.playing) { this.pause(); this.play(); } });
-      if (data.fps) parts.speed.prepend(new Option(`${Number(data.fps.toFixed(2))} fps, real time`, data.fps));
+      if (data.fps) {
+        parts.speed.querySelector(`[value="${data.fps}"]`)?.remove();
+        parts.speed.prepend(new Option(`${Number(data.fps.toFixed(2))} fps, real time`, data.fps));
+      }
       const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
       if (data.fps || still) parts.speed.selectedIndex = still ? parts.speed.options.length - 1 : 0;
       parts.help.addEventListener("click", () => this.help());
@@ -162,7 +168,7 @@
       const { play, facts } = this.parts;
       play.textContent = this.playing ? "Pause" : "Play";
       play.setAttribute("aria-pressed", String(this.playing !== null));
-      // Facts would flicker and change the page's height.
+      // They would flicker and change the page's height.
       facts.style.visibility = this.playing ? "hidden" : "";
     }
 
@@ -236,21 +242,26 @@
       this.draw();
     }
 
-    // The bytes of a stored picture; a few stay decoded.
+    // The bytes of a stored picture; some stay decoded.
     async pixels(index) {
       if (!this.decoded.has(index)) {
         const image = new Image();
         image.src = this.data.images[index].url;
         const made = image.decode().then(() => {
-          const canvas = document.createElement("canvas");
+          const { canvas } = this.scratch;
           canvas.width = image.naturalWidth;
           canvas.height = image.naturalHeight;
-          const context = canvas.getContext("2d", { willReadFrequently: true });
-          context.drawImage(image, 0, 0);
-          return context.getImageData(0, 0, canvas.width, canvas.height);
+          this.scratch.drawImage(image, 0, 0);
+          return this.scratch.getImageData(0, 0, canvas.width, canvas.height);
         });
+        const bytes = (i) => 4 * this.data.images[i].width * this.data.images[i].height;
         this.decoded.set(index, made);
-        if (this.decoded.size > CACHED) this.decoded.delete(this.decoded.keys().next().value);
+        this.held += bytes(index);
+        for (const oldest of this.decoded.keys()) {
+          if (this.held <= CACHED) break;
+          this.decoded.delete(oldest);
+          this.held -= bytes(oldest);
+        }
       }
       return this.decoded.get(index);
     }
@@ -386,7 +397,6 @@
       parts["right-tag"].hidden = parts["right-tag"].textContent === "";
       parts.divider.hidden = mode !== "slider";
       parts.legend.hidden = mode !== "error" && mode !== "forecast";
-      if (!this.playing) this.tell(...this.playable());
       parts.stops.textContent = (stops > 0 ? "+" : "") + stops;
       parts.seek.value = this.index;
       parts.seek.setAttribute("aria-valuetext", frame.label);
@@ -396,6 +406,9 @@
       const forecast = this.modes.find((input) => input.value === "forecast");
       forecast.disabled = !this.data.frames.some((one) => one.risk !== null);
       parts.holes.disabled = !this.data.frames.some((one) => one.holes !== null);
+      Object.assign(root.dataset, { frame: frame.number, mode, drawn: this.asked });
+      if (this.playing) return;
+      this.tell(...this.playable());
       const facts = Object.entries({ [frame.label]: frame.kind, ...frame.facts });
       parts.facts.replaceChildren(...facts.map(([term, text]) => {
         const pairOf = document.createElement("div");
@@ -404,7 +417,6 @@
         pairOf.lastChild.textContent = text;
         return pairOf;
       }));
-      Object.assign(root.dataset, { frame: frame.number, mode, drawn: this.asked });
     }
 
     divide(percent) {
