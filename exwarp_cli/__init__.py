@@ -2,7 +2,7 @@
 
 import os
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # onnxruntime 1.29 and later writes a device id and a database under the home folder as soon as it
 # is imported, and looks up a telemetry host 20 s later. It reads this variable once, at its import.
