@@ -4,6 +4,7 @@
 #               (2 to 4 minutes); OPTIONS='--pixels' or '--threads 5'; see tests/golden/golden.py
 # make faults   kill runs, fill disks and spoil inputs, thousands of times (about 80 minutes; the
 #               spoilt inputs go on where they stopped); OPTIONS='--hypothesis 1000' for fewer
+# make planted  plant 20 defects one by one; fails where the tests miss one; DEFECTS='rounding'
 # make bench    quality beside other interpolators, and run times beside OpenCV, the codecs and
 #               others, with their goals; BENCHES='kernels policy' for some
 # make bench-check  the same run times; fails where one misses its goal by more than a fifth
@@ -40,12 +41,13 @@ SCENES ?= slum town lab tropical village arena courtyard variety
 OPTIONS ?=
 STAGES ?=
 BENCHES ?=
+DEFECTS ?=
 DATA ?= $(HOME)/.cache/exwarp/scenes
 TRAINING ?= $(HOME)/.cache/exwarp/training
 POLICY ?= build/policy
 MODEL ?= models/extrapolator.onnx
 
-.PHONY: test check golden faults hardware bench bench-check profile demo scenes things blender train policy judge paper docs clean
+.PHONY: test check golden faults planted hardware bench bench-check profile demo scenes things blender train policy judge paper docs clean
 
 test: check
 	$(BIN)/pytest --numprocesses auto --dist worksteal
@@ -63,6 +65,9 @@ faults: $(STAMP)
 	$(BIN)/pip install --group faults
 	EXWARP_FAULTS=full $(BIN)/pytest --numprocesses auto --dist worksteal tests/faults
 	$(BIN)/python -m tests.faults.fuzz $(OPTIONS)
+
+planted: $(STAMP)
+	$(BIN)/python -m tests.faults.planted $(DEFECTS)
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.bench.quality

@@ -286,6 +286,7 @@ class TestRuns:
         assert shots.contents(out) == shots.contents(made("s6"))
         assert run("Depth") == every
         assert run("*.Depth") == set()
+        assert run("Normal") == every  # as many layers, but others
 
     def test_layers_go_on_from_the_key_frame_before(self, keys, made, upsample, tmp_path):
         """A changed frame before makes those after it anew: positions and warped light."""

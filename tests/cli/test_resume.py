@@ -11,6 +11,7 @@ import pytest
 
 from exwarp_cli.io.files import TEMPORARY_SUFFIX, host_name
 from exwarp_cli.pipeline import frame_writer
+from tests.blender_layers import layer
 from tests.cli import shots
 from tests.cli.street import Street
 
@@ -118,6 +119,26 @@ class TestSkipExisting:
     )
     def test_other_settings_count(self, plain_shot, upsample, done, other, replaced):
         assert len(self.resume(upsample, plain_shot, done, *self.OPTIONS, *other)) == replaced
+
+    def test_another_channel_map_counts(self, upsample, tmp_path):
+        def lit(path: Path, street: Street, time: float) -> None:
+            light = street.colour(time)[..., :3]
+            planes = shots.plain_planes(street, time)
+            planes |= layer("warm", "RGB", light) | layer("cold", "RGB", light / 2)
+            shots.write(path, {"": planes})
+
+        keys = shots.sequence(tmp_path / "keys", lit, (1, 2), SMALL)
+        out, channel_map = tmp_path / "out", tmp_path / "map.toml"
+        options = ("-m", "s6", *FORWARD, "--channel-map", channel_map)
+        for name, made in (("warm", set()), ("cold", {2, 3, 4, 6, 7, 8}), ("cold", set())):
+            channels = ", ".join(f'"{name}.{c}"' for c in "RGB")
+            channel_map.write_text(
+                f'schema = "exwarp.channel-map/1"\n[channels]\ncolour = [{channels}]\n'
+            )
+            if not out.exists():
+                upsample(keys, out, *options)
+            renewed = self.resume(upsample, keys, out, *options)
+            assert renewed == {f"shot.{n:04d}.exr" for n in made}
 
     def test_a_changed_source_counts_for_its_frames_alone(
         self, plain_shot, upsample, done, tmp_path

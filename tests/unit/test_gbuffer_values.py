@@ -180,3 +180,20 @@ def test_what_the_renderer_wrote_counts_and_not_what_was_expected(kind):
 
     found = trace_points(moving(3.0), [moving(2.0), moving(2.0)], -1)
     np.testing.assert_allclose(found[:, 8:-8], np.full_like(found, (7, 0))[:, 8:-8], atol=1e-5)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_the_nearest_instant_is_followed_first(way):
+    """The first instant's vectors count at the place that the point's own lead to."""
+    depth = np.full((HEIGHT, WIDTH), 5, np.float32)
+
+    def moving(speed: np.ndarray) -> GBuffer:
+        vectors = np.zeros((HEIGHT, WIDTH, 2), np.float32)
+        vectors[..., 0] = speed
+        return GBuffer(WINDOW, depth, **{"to_next" if way > 0 else "to_previous": vectors})
+
+    first = np.where(np.arange(WIDTH) < 80, 2, 4)
+    start, last = np.full(WIDTH, 3), np.full(WIDTH, 2)
+    found = trace_points(moving(start), [moving(first), moving(last)], way)
+    expected = start + np.roll(first, -3) + last
+    np.testing.assert_allclose(found[:, :-8, 0], np.tile(expected, (HEIGHT, 1))[:, :-8], atol=1e-5)

@@ -110,3 +110,10 @@ def test_the_curve_is_that_of_displays_and_leaves_alpha():
     np.testing.assert_allclose(codes[..., :3], SRGB.to_code(pixels[..., :3]), rtol=0, atol=1e-6)
     np.testing.assert_array_equal(codes[..., 3], pixels[..., 3])
     np.testing.assert_allclose(as_light(codes)[0], pixels, rtol=3e-6, atol=1e-6)
+
+
+def test_the_curve_s_straight_part_ends_where_the_standard_has_it():
+    codes = np.linspace(-0.06, 0.06, 9 * 12 * 3).astype(np.float32).reshape(9, 12, 3)
+    size = np.abs(codes.astype(np.float64))
+    linear = np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
+    np.testing.assert_allclose(as_light(codes)[0], np.copysign(linear, codes), rtol=3e-6)

@@ -31,7 +31,9 @@ class TestNumbering:
         assert [timeline.number(Slot(k, 0)) for k in range(3)] == [10, 14, 18]
 
     def test_the_start_can_be_set(self):
-        assert written(Timeline.of([7, 8], start=-2), (0, 1)) == list(range(-2, 6))
+        for start in (-2, 0):
+            timeline = Timeline.of([7, 8], start=start)
+            assert written(timeline, (0, 1)) == list(range(start, start + 8))
 
     def test_no_tail_stops_at_the_last_key_frame(self):
         timeline = Timeline.of([1, 2, 3], tail=False)
