@@ -4,7 +4,8 @@
 #               (2 to 4 minutes); OPTIONS='--pixels' or '--threads 5'; see tests/golden/golden.py
 # make faults   kill runs, fill disks and spoil inputs, thousands of times (about 80 minutes; the
 #               spoilt inputs go on where they stopped); OPTIONS='--hypothesis 1000' for fewer
-# make planted  plant 20 defects one by one; fails where the tests miss one; DEFECTS='rounding'
+# make planted  plant 20 defects one by one; fails where the tests miss one (10 to 20 minutes);
+#               DEFECTS='rounding' for some
 # make bench    quality beside other interpolators, and run times beside OpenCV, the codecs and
 #               others, with their goals; BENCHES='kernels policy' for some
 # make bench-check  the same run times; fails where one misses its goal by more than a fifth

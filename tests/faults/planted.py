@@ -169,7 +169,7 @@ DEFECTS = (
         "cli/test_merge_reports.py",
     ),
     Defect(
-        "video-rate",  # 24000/1001 becomes 23.976
+        "video-rate",  # 24000/1001 becomes another fraction
         "io/video_writer.py",
         "limit_denominator(100_000)",
         "limit_denominator(1000)",
