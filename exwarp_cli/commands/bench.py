@@ -103,11 +103,8 @@ def command(
             fps=fps,
             **options,  # type: ignore[arg-type]
         )
-        try:
-            benchmark = run_benchmark(settings, reporter)
+        with run_benchmark(settings, reporter) as benchmark:
             written = write_benchmark(settings.output, benchmark, hertz, reporter)
-        finally:
-            reporter.finish()
     if as_json:
         print_json(written)
         return

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import closing
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -89,8 +89,11 @@ Task = tuple[BenchSettings, Subject, tuple[int, ...], int]
 Parts = list[tuple[int, dict[str, Any]]]
 
 
-def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> Benchmark:
+@contextmanager
+def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> Iterator[Benchmark]:
     """Measure what is not measured yet, and keep it in the folder `PARTS` of the output folder.
+
+    Yields the benchmark; the progress ends with the block, in which its files may be written.
 
     Raises
     ------
@@ -107,43 +110,46 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
     counts = {_kind(subject): len(chosen) for subject, chosen in keys.items()}
     counts |= {_timing_kind(subject): len(timed_keys(entry)) for subject, entry in opened.items()}
     progress.start(sum(counts.values()), counts, jobs)
-    timings = {subject: _measure_times(entry, progress) for subject, entry in opened.items()}
-    about = {subject: describe_subject(entry) for subject, entry in opened.items()}
-    del opened
-    notes = [facts["policy"]["note"] for facts in about.values()]
-    for note in dict.fromkeys(note for note in notes if note is not None):
-        progress.message(note)
+    try:
+        timings = {subject: _measure_times(entry, progress) for subject, entry in opened.items()}
+        about = {subject: describe_subject(entry) for subject, entry in opened.items()}
+        del opened
+        notes = [facts["policy"]["note"] for facts in about.values()]
+        for note in dict.fromkeys(note for note in notes if note is not None):
+            progress.message(note)
 
-    # Short sequences are shared out as well.
-    size = min(INTERVALS_PER_TASK, -(-sum(map(len, keys.values())) // jobs))
-    tasks: list[Task] = [
-        (settings, subject, chosen[i : i + size], 1)
-        for subject, chosen in keys.items()
-        for i in range(0, len(chosen), size)
-    ]
+        # Short sequences are shared out as well.
+        size = min(INTERVALS_PER_TASK, -(-sum(map(len, keys.values())) // jobs))
+        tasks: list[Task] = [
+            (settings, subject, chosen[i : i + size], 1)
+            for subject, chosen in keys.items()
+            for i in range(0, len(chosen), size)
+        ]
 
-    def report(step: Step) -> None:
-        note = f"{step.subject.name}, {step.subject.setting}"
-        progress.advance(step.number, note, _kind(step.subject), step.is_new)
+        def report(step: Step) -> None:
+            note = f"{step.subject.name}, {step.subject.setting}"
+            progress.advance(step.number, note, _kind(step.subject), step.is_new)
 
-    parts: dict[tuple[Subject, int], dict[str, Any]] = {}
-    with closing(_run_tasks(tasks, min(jobs, len(tasks)), report)) as results:
-        for subject, measured in results:
-            parts |= {(subject, key): part for key, part in measured}
-    return Benchmark(
-        settings,
-        networks.checksums,
-        (*settings.systems, *networks.systems),
-        tuple(
-            Measured(
-                subject,
-                about[subject],
-                timings[subject],
-                tuple(parts[subject, key] for key in keys[subject]),
-            )
-            for subject in subjects
-        ),
-    )
+        parts: dict[tuple[Subject, int], dict[str, Any]] = {}
+        with closing(_run_tasks(tasks, min(jobs, len(tasks)), report)) as results:
+            for subject, measured in results:
+                parts |= {(subject, key): part for key, part in measured}
+        yield Benchmark(
+            settings,
+            networks.checksums,
+            (*settings.systems, *networks.systems),
+            tuple(
+                Measured(
+                    subject,
+                    about[subject],
+                    timings[subject],
+                    tuple(parts[subject, key] for key in keys[subject]),
+                )
+                for subject in subjects
+            ),
+        )
+    finally:
+        progress.finish()
 
 
 def _kind(subject: Subject) -> str:

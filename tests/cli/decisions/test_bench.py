@@ -226,6 +226,12 @@ def test_each_key_interval_moves_the_bar(exwarp, uneven, truth, tmp_path, monkey
     assert kept[-1] == 0 and len(kept) == 7
 
 
+def test_what_fails_before_the_work_begins_has_no_progress(exwarp, tmp_path):
+    line = ("bench", tmp_path / "nothing", "-o", tmp_path / "bench", "--progress", "json")
+    events = [json.loads(text) for text in exwarp(*line).err.splitlines() if text[0] == "{"]
+    assert [one["event"] for one in events] == ["fail"]
+
+
 def test_chunks_and_workers_find_what_one_process_finds(bench, monkeypatch):
     alone, _ = bench(*FEW, name="alone")
     bench("--jobs", 2, *FEW[2:], "--frames", "1-3", name="chunks")
