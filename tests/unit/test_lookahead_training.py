@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torch.utils.data import DataLoader
 
 from exwarp_cli.domain.network_api import CANDIDATES, LOOKAHEAD_INTERFACE, NetworkPictures
 from exwarp_cli.errors import LayoutError, UsageError
@@ -32,7 +33,7 @@ from exwarp_cli.research.training.lookahead_training import (
     loss_of,
     mix,
 )
-from exwarp_cli.research.training.resumable_training import CHECKPOINT, CURVE
+from exwarp_cli.research.training.resumable_training import CHECKPOINT, CURVE, DrawnBatches
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.research.training.training_settings import LookAheadSettings
 from tests.unit.analytic_scene import write_scene
@@ -105,6 +106,13 @@ class TestSamples:
         assert torch.equal(one.inputs["colour"], again.inputs["colour"])
         assert not torch.equal(one.inputs["colour"], other.inputs["colour"])
         assert ((one.time > 0) & (one.time < 1)).all()
+
+    def test_processes_draw_the_same_batches_in_the_same_order(self, samples):
+        drawn = DrawnBatches(samples, TINY)
+        loader = DataLoader(drawn, batch_size=None, sampler=range(3, 8), num_workers=2)
+        for step, batch in zip(range(3, 8), loader, strict=True):
+            assert torch.equal(batch.truth, drawn[step].truth)
+            assert torch.equal(batch.to("cpu").inputs["depth"], drawn[step].inputs["depth"])
 
 
 class TestLoss:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import zlib
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
@@ -293,7 +294,7 @@ def write_arrays(arrays: Mapping[str, np.ndarray], folder: Path) -> None:
             raise output_error(folder, error) from error
 
 
-class CachedArrays:
+class CachedArrays(ABC):
     """Arrays of several folders of `write_arrays`, read as they are needed.
 
     The array "time" has one number for each sample.
@@ -310,12 +311,12 @@ class CachedArrays:
     def __len__(self) -> int:
         return len(self._places)
 
+    @abstractmethod
     def draw(self, step: int, size: int, side: int, seed: int) -> Any:
         """Return the batch of a step of training: `size` patches of `side` pixels, varied.
 
         The seed and the step alone decide the order and the changes.
         """
-        raise NotImplementedError
 
     def draw_index(self, n: int, seed: int) -> int:
         """Return the index of the n-th sample that is drawn: a permutation, then another one."""

