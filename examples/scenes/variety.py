@@ -145,7 +145,9 @@ def main() -> None:
         if shot.engine == "Cycles" and order.samples is None and order.seeds is None:
             folder = order.data / shot.name
             last = shot.instants - 1
-            quality = variety_noise.quality_of(folder, seed, shot.build, last, order.size)
+            quality = variety_noise.quality_of(
+                folder, seed, shot.build, last, order.size, order.on_gpu
+            )
             shot = replace(shot, quality=quality)
         shoot(shot, order)
         gc.collect()

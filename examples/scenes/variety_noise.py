@@ -33,7 +33,9 @@ OTHER_NOISE = 777
 Build = Callable[[int, int], object]
 
 
-def quality_of(folder: Path, seed: int, build: Build, last: int, size: tuple[int, int]) -> Quality:
+def quality_of(
+    folder: Path, seed: int, build: Build, last: int, size: tuple[int, int], on_gpu: bool = False
+) -> Quality:
     """Return the quality with which a shot is rendered: as it was begun, or as a probe tells.
 
     Parameters
@@ -48,6 +50,8 @@ def quality_of(folder: Path, seed: int, build: Build, last: int, size: tuple[int
         The last instant.
     size : tuple of int
         Width and height.
+    on_gpu : bool
+        Whether the probe is rendered on NVIDIA cards.
     """
     path = folder / manifest.NAME
     if path.is_file():
@@ -55,7 +59,7 @@ def quality_of(folder: Path, seed: int, build: Build, last: int, size: tuple[int
         return replace(TRAINING, seeds=int(content.get("seeds", 1)))
     bpy.ops.wm.read_factory_settings(use_empty=True)
     build(seed, last)
-    return replace(TRAINING, seeds=renders_needed(_floor(seed, size)))
+    return replace(TRAINING, seeds=renders_needed(_floor(seed, size, on_gpu)))
 
 
 def renders_needed(floor: float) -> int:
@@ -64,9 +68,9 @@ def renders_needed(floor: float) -> int:
     return min(MOST, max(1, needed))
 
 
-def _floor(seed: int, size: tuple[int, int]) -> float:
+def _floor(seed: int, size: tuple[int, int], on_gpu: bool) -> float:
     """Render the middle of the shot twice, and return the PSNR between the two."""
-    render.settle(size, TRAINING)
+    render.settle(size, TRAINING, on_gpu)
     product = render.products(TRAINING.samples, manifest.INSTANTS_PER_KEY)["instants"]
     render.configure(product, motion.FPS)
     pictures = []

@@ -60,8 +60,11 @@ def products(samples: int, step: int) -> dict[str, RasterProduct]:
     }
 
 
-def settle(size: tuple[int, int], _: Raster | None = None) -> None:
-    """Set what all frames share; `size` is (width, height) of the written frames."""
+def settle(size: tuple[int, int], _: Raster | None = None, on_gpu: bool = False) -> None:
+    """Set what all frames share; `size` is (width, height) of the written frames.
+
+    `on_gpu` is without effect: EEVEE renders where OpenGL does.
+    """
     path_tracer.settle(size)
     scene = bpy.context.scene
     scene.render.engine = "BLENDER_EEVEE"

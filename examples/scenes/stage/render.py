@@ -80,7 +80,7 @@ def prepare(size: tuple[int, int]) -> None:
     cycles.use_animated_seed = False
 
 
-def settle(size: tuple[int, int], quality: Quality = HURRIED) -> None:
+def settle(size: tuple[int, int], quality: Quality = HURRIED, on_gpu: bool = False) -> None:
     """Set what all frames of the long scenes share; see `prepare`.
 
     Parameters
@@ -89,8 +89,17 @@ def settle(size: tuple[int, int], quality: Quality = HURRIED) -> None:
         Width and height.
     quality : Quality
         How lights are sampled and noise is taken out.
+    on_gpu : bool
+        Whether NVIDIA cards render and denoise.
+
+    Raises
+    ------
+    SystemExit
+        With one sentence, when there is no such card.
     """
     prepare(size)
+    if on_gpu:
+        _use_gpu()
     scene = bpy.context.scene
     cycles = scene.cycles
     cycles.use_adaptive_sampling = False
@@ -111,14 +120,7 @@ def settle(size: tuple[int, int], quality: Quality = HURRIED) -> None:
     image.exr_codec = "PXR24"  # keeps 24 bits of a data pass; the others are sampling noise
 
 
-def use_gpu() -> None:
-    """Render and denoise on all NVIDIA cards.
-
-    Raises
-    ------
-    SystemExit
-        With one sentence, when there is none.
-    """
+def _use_gpu() -> None:
     preferences = bpy.context.preferences.addons["cycles"].preferences
     preferences.compute_device_type = "CUDA"
     preferences.refresh_devices()

@@ -269,9 +269,7 @@ def _build(job: Job) -> dict[int, str]:
     """Build the scene in an empty file and return what its object ids are."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     dynamic = job.script.build(job.script.seed, job.script.instants - 1)
-    ENGINES[job.script.engine].settle(job.order.size, job.quality)
-    if job.order.on_gpu and job.script.engine == "Cycles":
-        render.use_gpu()
+    ENGINES[job.script.engine].settle(job.order.size, job.quality, job.order.on_gpu)
     return dynamic
 
 
