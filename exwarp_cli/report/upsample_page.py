@@ -78,15 +78,17 @@ PULSE_NOTE = (
     "by time. Softer frames make textures shimmer."
 )
 
-# By metric, what a good plot of it by slot looks like.
-SLOT_NOTES = {
+# By metric, the title of its plot by slot, and what a good one looks like.
+SLOT_PLOTS = {
     "pulse": (
+        "Sharpness by slot",
         "Good: a flat line near 0, new frames are as sharp as key frames. Not good: a dip between "
-        "the key frames, textures go soft and sharp again at the key rate."
+        "the key frames, textures go soft and sharp again at the key rate.",
     ),
     "flicker": (
+        "Flicker by slot",
         "Good: low and flat, new frames change in time as the true ones do; 0 is best. Not good: "
-        "one slot far above the others, something jumps there in each key interval."
+        "one slot far above the others, something jumps there in each key interval.",
     ),
 }
 
@@ -294,7 +296,7 @@ def _quality(run: RunSummary, document: dict[str, Any], album: Album | None) -> 
 def _slot_plots(frames: Sequence[FrameRecord]) -> list[Figure]:
     """Draw sharpness and flicker by slot: the mean, lowest and highest of the key intervals."""
     figures = []
-    for field, note in SLOT_NOTES.items():
+    for field, (title, note) in SLOT_PLOTS.items():
         metric = BY_FIELD[field]
         values: dict[int, list[float]] = {}
         for frame in frames:
@@ -315,7 +317,6 @@ def _slot_plots(frames: Sequence[FrameRecord]) -> list[Figure]:
             slots = [0, *slots, slots[-1] + 1]
             series = {name: [0.0, *row, 0.0] for name, row in series.items()}
             x_label = f"slot, with the key frames at 0 and {slots[-1]}"
-        title = "Sharpness by slot" if field == "pulse" else "Flicker by slot"
         labels = Labels(title, x_label, metric.title, f"{metric.title} by slot. {note}")
         figures.append(replace(draw_lines(labels, slots, series), note=note))
     return figures
