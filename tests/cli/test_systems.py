@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,7 @@ NOT_ON_WINDOWS = (
 )  # fmt: skip
 SYSTEMS = {"linux": (), "macos": NOT_ON_MACOS, "windows": NOT_ON_WINDOWS}
 
+# Python runs it before all else, in the processes of a command as well.
 WITHOUT = """
 import importlib, sys
 for name in {names!r}:
@@ -37,19 +39,16 @@ for name in {names!r}:
         sys.modules[module] = None  # importing it fails
     elif hasattr(importlib.import_module(module), attribute):
         delattr(importlib.import_module(module), attribute)
-sys.argv = ["exwarp", *{line!r}]
-from exwarp_cli.cli import main
-main()
 """
 
 
 def run(system: str, *line: object) -> subprocess.CompletedProcess[str]:
     """Run a command line in a process of its own that lacks what a system lacks."""
-    code = WITHOUT.format(names=SYSTEMS[system], line=[str(word) for word in line])
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    return subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
-    )
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, "sitecustomize.py").write_text(WITHOUT.format(names=SYSTEMS[system]))
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join((folder, str(ROOT)))}
+        command = [sys.executable, "-m", "exwarp_cli", *map(str, line)]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +59,8 @@ def on_linux(plain_shot, plain_truth, tmp_path_factory) -> dict[str, bytes]:
 
 def upsampled(system: str, keys: Path, truth: Path, out: Path) -> dict[str, bytes]:
     """Return the frames that a run writes, and check that it says nothing but what it should."""
-    rest = ("--ground-truth", truth, "--video", out / "shot.mp4", "--progress", "none")
-    result = run(system, "upsample", keys, "-o", out / "frames", *rest)
+    rest = ("--ground-truth", truth, "--video", out / "shot.mp4", "--keep-bytes", "--verify")
+    result = run(system, "upsample", keys, "-o", out / "frames", *rest, "--progress", "none")
     assert result.returncode == 0, result.stderr
     assert "Traceback" not in result.stderr
     assert (out / "shot.mp4").stat().st_size > 0
@@ -82,6 +81,15 @@ def test_a_folder_in_use_is_left_alone_and_a_run_goes_on(system, plain_shot, tmp
     assert refused.returncode == 6 and "already" in refused.stderr
     kept = run(system, *line, "--skip-existing")
     assert kept.returncode == 0 and "kept of an earlier run" in kept.stdout + kept.stderr
+
+
+@pytest.mark.parametrize("system", ["macos", "windows"])
+def test_processes_share_the_work(system, plain_shot, plain_truth, tmp_path):
+    line = ("bench", plain_shot, "--ground-truth", plain_truth, "-o", tmp_path / "bench")
+    few = ("--systems", "hold", "--metrics", "psnr", "--jobs", 2, "--progress", "none")
+    result = run(system, *line, *few)
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "bench" / "bench.json").is_file()
 
 
 @pytest.mark.parametrize("system", ["macos", "windows"])
