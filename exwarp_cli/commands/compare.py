@@ -17,6 +17,7 @@ from exwarp_cli.commands.options import (
     progress_option,
     scan_option,
     show,
+    view_transform_option,
 )
 from exwarp_cli.domain.metric import METRICS, Threshold, parse_threshold
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
@@ -60,6 +61,7 @@ def _parse_limits(
     type=click.Path(path_type=Path, file_okay=False),
     help="Write report.html to look at, report.json and frames.csv into this folder.",
 )
+@view_transform_option("the report's pictures show")
 @metrics_option
 @click.option(
     "--preset",
@@ -94,6 +96,7 @@ def command(
     scan: str,
     holes: str | None,
     folder: Path | None,
+    view_transform: str,
     metrics: tuple[str, ...] | None,
     preset: str | None,
     fail_below: tuple[Threshold, ...],
@@ -117,7 +120,8 @@ def command(
     set_max_pixels(max_pixels)
     kind = progress or ("bar" if sys.stderr.isatty() else "none")
     with reporting(kind, results_on_stdout=as_json) as reporter:
-        measuring = MeasureSettings(metrics, preset, (*fail_below, *fail_above), view, scan)
+        limits = (*fail_below, *fail_above)
+        measuring = MeasureSettings(metrics, preset, limits, view, scan, view_transform)
         result = compare(
             reference,
             test,

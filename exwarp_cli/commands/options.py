@@ -14,7 +14,7 @@ import click
 
 from exwarp_cli.config import configured_command
 from exwarp_cli.domain.metric import ALL, BY_OPTION, parse_metrics
-from exwarp_cli.domain.settings import MOST_PIXELS, SCANS, SourceSettings
+from exwarp_cli.domain.settings import MOST_PIXELS, SCANS, SRGB_VIEW, SourceSettings
 from exwarp_cli.domain.wording import printable
 from exwarp_cli.errors import ReaderGoneError
 from exwarp_cli.pipeline.progress import KINDS
@@ -145,6 +145,18 @@ def progress_option(text: str = PROGRESS_HELP, default: str | None = KINDS[0]) -
     """Return ``--progress``, for `pipeline.progress.reporting`; None for no default."""
     return click.option(
         "--progress", type=click.Choice(KINDS), default=default, show_default=True, help=text
+    )
+
+
+def view_transform_option(shown: str) -> Decorator[Any]:
+    """Return the option ``--view-transform``; its help says how what `shown` names show colour."""
+    return click.option(
+        "--view-transform",
+        default=SRGB_VIEW,
+        show_default=True,
+        metavar="NAME|CONFIG:DISPLAY:VIEW",
+        help=f"How {shown} scene-linear colour: srgb, the curve alone; aces1 or aces2, the tone "
+        "scale of ACES 1 or 2; or a view of an OpenColorIO configuration.",
     )
 
 

@@ -23,6 +23,7 @@ from exwarp_cli.commands.options import (
     source_options,
     summary_of_files,
     threads_option,
+    view_transform_option,
 )
 from exwarp_cli.domain.settings import (
     DEVICES,
@@ -177,14 +178,7 @@ if TYPE_CHECKING:
     "10 bits, in MOV alone.",
 )
 @click.option("--exposure", type=float, default=0.0, show_default=True, help="Of the video, stops.")
-@click.option(
-    "--view-transform",
-    default=UpsampleSettings.view_transform,
-    show_default=True,
-    metavar="NAME|CONFIG:DISPLAY:VIEW",
-    help="How the video and the report's pictures show scene-linear colour: srgb, the curve alone; "
-    "aces1 or aces2, the tone scale of ACES 1 or 2; or a view of an OpenColorIO configuration.",
-)
+@view_transform_option("the video and the report's pictures show")
 @click.option("--write-holes", metavar="DIR|PATTERN", help="Also write the hole masks.")
 @click.option(
     "--compression",

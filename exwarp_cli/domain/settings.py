@@ -149,6 +149,7 @@ class MeasureSettings:
     thresholds: tuple[Threshold, ...] = ()  # limits; what they are on is measured too
     view: str = ""  # name of the stereo view that is compared; "" for the hero of each frame
     scan: str = SourceSettings.scan
+    view_transform: str = SRGB_VIEW  # of the report's pictures; scores do not depend on it
 
     @property
     def measured(self) -> tuple[str, ...]:

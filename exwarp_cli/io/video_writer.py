@@ -17,7 +17,6 @@ from types import TracebackType
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.settings import VIDEO_CODECS
 from exwarp_cli.errors import InstallationError, OutputError, UsageError
 from exwarp_cli.io.display_colour import MATRICES, Codes, Primaries, VideoColour
@@ -207,10 +206,6 @@ class VideoLook:
     primaries: Primaries | None = None  # those of the frames that it shows; None for Rec. 709.
     timecode: Timecode | None = None  # of the first frame; None without
     remarks: tuple[str, ...] = ()  # messages to the user about what the video lacks
-
-    def display(self, pixels: Float32) -> Float32:
-        """Return scene-linear colour [H, W, 3 or more] with the primaries of a display."""
-        return pixels if self.primaries is None else self.primaries.converted(pixels)
 
 
 def require_container(path: Path) -> None:

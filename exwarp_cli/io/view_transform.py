@@ -12,7 +12,10 @@ from exwarp_cli.domain.colour import SRGB
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.settings import SRGB_VIEW
 from exwarp_cli.errors import InstallationError, UsageError
-from exwarp_cli.io.display_colour import HALF_MAX
+from exwarp_cli.io.display_colour import HALF_MAX, Primaries, brighten, primaries_of
+from exwarp_cli.io.exr.reader import read_headers
+from exwarp_cli.io.footage import is_plain
+from exwarp_cli.io.sequences import Sequence
 
 # Views by name: configuration, display and view. The configurations come with OpenColorIO; their
 # versions are fixed, so that another OpenColorIO shows the same picture.
@@ -79,14 +82,42 @@ class ViewTransform:
         return UsageError(f"{said}; correct the configuration, the display or the view")
 
 
-def find_view_transform(name: str) -> ViewTransform | None:
-    """Return the view transform of a name, which works; None for the sRGB curve alone.
+@dataclass(frozen=True)
+class DisplayLook:
+    """How a display shows the frames of a sequence."""
+
+    primaries: Primaries | None = None  # of the frames; None for Rec. 709
+    transform: ViewTransform | None = None  # None for the sRGB curve alone
+
+    def apply(self, linear: Float32, exposure_stops: float = 0.0) -> Float32:
+        """Return the light of a display, Rec. 709, that shows scene-linear colour.
+
+        `linear` and the result are float32 [H, W, 3 or more]; a display clips what is not from 0
+        to 1. `exposure_stops` brighten before the view transform.
+        """
+        if self.primaries is not None:
+            linear = self.primaries.converted(linear)
+        if exposure_stops:
+            linear = brighten(linear, exposure_stops)
+        return linear if self.transform is None else self.transform.apply(linear)
+
+
+def find_display_look(sequence: Sequence, transform: ViewTransform | None) -> DisplayLook:
+    """Return how a display shows a sequence: the header of its first EXR has the primaries."""
+    if is_plain(sequence):
+        return DisplayLook(None, transform)
+    header = read_headers(sequence.files[min(sequence.files)])[0]
+    return DisplayLook(primaries_of(header), transform)
+
+
+def find_view_transform(name: str, *shown: Sequence) -> ViewTransform | None:
+    """Return the view transform of a name, for these sequences; None for the sRGB curve alone.
 
     Raises
     ------
     UsageError
-        For a name that is neither ``srgb``, nor in `BUILT_IN`, nor ``CONFIG:DISPLAY:VIEW``, and
-        for a configuration without that view.
+        For a name that is neither ``srgb``, nor in `BUILT_IN`, nor ``CONFIG:DISPLAY:VIEW``, for
+        a configuration without that view, and for a sequence that is not of scene-linear colour.
     InstallationError
         When OpenImageIO has no OpenColorIO, or an older one than a view in `BUILT_IN` needs.
     """
@@ -100,4 +131,10 @@ def find_view_transform(name: str) -> ViewTransform | None:
         )
     view = ViewTransform(name, *parts)
     view.apply(np.zeros((1, 1, 3), np.float32))
+    for sequence in shown:
+        if is_plain(sequence):
+            raise UsageError(
+                f"--view-transform is for EXR, and {sequence.pattern} is shown as it is; leave it "
+                "out"
+            )
     return view

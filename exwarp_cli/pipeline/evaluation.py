@@ -26,6 +26,7 @@ from exwarp_cli.io.footage import (
 from exwarp_cli.io.frames import read_plane
 from exwarp_cli.io.generated_frames import frame_rate
 from exwarp_cli.io.sequences import Sequence, find_sequence
+from exwarp_cli.io.view_transform import DisplayLook, find_display_look, find_view_transform
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.ground_truth import truth_rate
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
@@ -123,6 +124,8 @@ def evaluate(
         sizes differ; when nothing can be measured.
     UsageError
         When the frame range does not parse, or options contradict each other.
+    InstallationError
+        When the view transform is not installed.
     """
     measuring = measuring or MeasureSettings()
     require_consistent(measuring, holes)
@@ -130,6 +133,8 @@ def evaluate(
         find_frames(expand_view(spec, measuring.view or None)[0], scan=measuring.scan)
         for spec in (reference, test)
     )
+    transform = find_view_transform(measuring.view_transform, truth, judged)
+    looks = find_display_look(truth, transform), find_display_look(judged, transform)
     masks = None if holes is None else find_sequence(holes)
     matched_by, paired, pairing_notes = pair(truth, judged, measuring.view)
     selected = _select(paired, frames)
@@ -141,7 +146,9 @@ def evaluate(
     require_generated(measuring, origins, judged)
     scorer, notes = make_scorer(measuring, reference, truth, origins)
     try:
-        compared, shape = _score(files, origins, scorer, progress or NoProgress(), watcher)
+        compared, shape = _score(
+            *(files, origins, scorer, progress or NoProgress(), watcher, looks)
+        )
     finally:
         close_sequences(truth, judged)
     if measuring.preset is None:  # a preset has its own rule for rendered frames
@@ -159,7 +166,7 @@ def evaluate(
         )
     if watcher is not None:  # the worst frame is known only now
         worst = next(pair for pair in files if pair.b == result.worst.test)
-        _show(watcher, worst.b, worst.read(), result.worst.score)
+        _show(watcher, worst.b, worst.read(), result.worst.score, looks)
     return result
 
 
@@ -219,6 +226,7 @@ def _score(
     scorer: SequenceScorer,
     progress: Progress,
     watcher: FrameListener | None,
+    looks: tuple[DisplayLook, DisplayLook],
 ) -> tuple[tuple[ComparedFrame, ...], tuple[int, ...]]:
     """Score all pairs, one in memory at a time; also return the first one's rows and columns."""
     hole_fractions: list[float | None] = []
@@ -233,7 +241,7 @@ def _score(
                 shape = shape if hole_fractions else pair.truth.shape[:2]
                 scorer.add(pair)
                 hole_fractions.append(None if pair.mask is None else float(np.mean(pair.mask)))
-                _show(watcher, file.b, pair, None)
+                _show(watcher, file.b, pair, None, looks)
                 progress.advance(file.b)
                 check_stop()
             scores = scorer.finish()
@@ -248,9 +256,18 @@ def _score(
     return compared, shape
 
 
-def _show(watcher: FrameListener | None, number: int, pair: Pair, score: Score | None) -> None:
+def _show(
+    watcher: FrameListener | None,
+    number: int,
+    pair: Pair,
+    score: Score | None,
+    looks: tuple[DisplayLook, DisplayLook],
+) -> None:
     if watcher is not None and watcher.wants(number, score):
-        watcher.frame(number, pair.test, pair.truth, pair.mask, is_key=False)
+        truth, test = (
+            look.apply(pixels) for look, pixels in zip(looks, (pair.truth, pair.test), strict=True)
+        )
+        watcher.frame(number, test, truth, pair.mask, is_key=False)
 
 
 def pair(

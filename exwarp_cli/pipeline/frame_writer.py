@@ -12,7 +12,7 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, Image, Window
 from exwarp_cli.domain.timeline import OutputRate
-from exwarp_cli.io.display_colour import brighten, to_display, to_display_16
+from exwarp_cli.io.display_colour import to_display, to_display_16
 from exwarp_cli.io.exr.template import PREFIX, Plane, PlaneKey
 from exwarp_cli.io.exr.writer import Buffer
 from exwarp_cli.io.files import ResourceOwner, path_exists
@@ -26,6 +26,7 @@ from exwarp_cli.io.generated_frames import (
 from exwarp_cli.io.key_file import open_key_file, plan_key_file, plan_marked_file
 from exwarp_cli.io.sequences import EXR
 from exwarp_cli.io.video_writer import VideoLook, VideoWriter
+from exwarp_cli.io.view_transform import DisplayLook
 from exwarp_cli.pipeline.output_plan import OutputPlan, key_is_there, slot_is_there
 from exwarp_cli.pipeline.scheduling import AsyncWriter, record_time
 from exwarp_cli.pipeline.verification import FRAME, HOLES, Sums, sum_of
@@ -228,16 +229,9 @@ class FrameWriter(ResourceOwner):
             self._last_shown = code if self._skips else None
 
     def displayed(self, pixels: Float32, exposure_stops: float = 0.0) -> Float32:
-        """Return the light of a display, Rec. 709, that shows scene-linear colour.
-
-        `pixels` and the result are [H, W, 3 or more]; a display clips what is not from 0 to 1.
-        `exposure_stops` brighten before the view transform.
-        """
-        linear = self._look.display(pixels)
-        if exposure_stops:
-            linear = brighten(linear, exposure_stops)
-        view = self._output.view
-        return linear if view is None else view.apply(linear)
+        """Return the light of a display that shows scene-linear colour; see `DisplayLook`."""
+        look = DisplayLook(self._look.primaries, self._output.view)
+        return look.apply(pixels, exposure_stops)
 
     def show_again(self) -> None:
         """Append the last frame to the video again, so that sound stays in step; else a black one.

@@ -125,11 +125,7 @@ class OutputPlan:
             codec = find_codec(settings.video_codec, video)
             if video.resolve() in {path.resolve() for path in source.files.values()}:
                 raise OutputError(f"the video {video} is the input itself; name another")
-        view = find_view_transform(settings.view_transform)
-        if view is not None and is_plain(source):
-            raise UsageError(
-                f"--view-transform is for EXR, and {source.pattern} is shown as it is; leave it out"
-            )
+        view = find_view_transform(settings.view_transform, source)
         return cls(
             frames,
             holes,

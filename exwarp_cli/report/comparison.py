@@ -9,9 +9,11 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.decision import CHOICES
 from exwarp_cli.domain.metric import GENERATED, Threshold
 from exwarp_cli.domain.results import Score
+from exwarp_cli.domain.settings import SRGB_VIEW
 from exwarp_cli.errors import QualityError, UsageError
 from exwarp_cli.io.footage import close_sequences
 from exwarp_cli.io.sequences import Sequence
+from exwarp_cli.io.view_transform import find_display_look, find_view_transform
 from exwarp_cli.pipeline.evaluation import ComparedFrame, Comparison, read_display
 from exwarp_cli.report.csv_tables import (
     FIRST_SCORES,
@@ -88,6 +90,7 @@ def comparison_document(result: Comparison, baseline: Comparison | None = None) 
             },
             "metrics": list(result.measuring.measured),
             "preset": result.measuring.preset,
+            "view_transform": result.measuring.view_transform,
             "thresholds": _judge_limits(result),
             "notes": list(result.notes),
         }
@@ -219,17 +222,24 @@ def require_quality(result: Comparison) -> None:
 def add_baseline(album: Album, result: Comparison, baseline: Comparison) -> None:
     """Show the baseline's frames in the album of a comparison, left of the test's."""
     view = result.measuring.view
+    transform = find_view_transform(result.measuring.view_transform)
+    sequences = baseline.reference, baseline.test
+    looks = [find_display_look(sequence, transform) for sequence in sequences]
     frame_of = {frame.reference: frame for frame in baseline.frames}
     album.names, album.before, album.after = (BASELINE, TEST, REFERENCE), BASELINE, TEST
     try:
         for frame in result.frames:
             same = frame_of.get(frame.reference)
             if same is not None and frame.test in album.frames:
-                truth = read_display(baseline.reference, same.reference, view)
-                pixels = read_display(baseline.test, same.test, view)
+                truth, pixels = (
+                    look.apply(read_display(sequence, number, view))
+                    for look, sequence, number in zip(
+                        *(looks, sequences, (same.reference, same.test)), strict=True
+                    )
+                )
                 album.add_source(frame.test, BASELINE, pixels, truth)
     finally:
-        close_sequences(baseline.reference, baseline.test)
+        close_sequences(*sequences)
 
 
 def compare_page(
@@ -334,5 +344,7 @@ def _input(document: dict[str, Any]) -> Table:
     rows.append(["size", f"{document['width']}x{document['height']}", ""])
     if document["preset"] is not None:
         rows.append(["preset", document["preset"], ""])
+    if document["view_transform"] != SRGB_VIEW:
+        rows.append(["pictures shown by", document["view_transform"], ""])
     rows.append(["ExWarp", document["version"], ""])
     return Table("", ("", "", "frames"), rows)

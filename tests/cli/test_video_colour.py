@@ -121,11 +121,14 @@ def test_pictures_of_the_report_are_converted_too(upsample, tmp_path):
 
 
 def assert_pictures_show(report: Path, codes: Any) -> None:
-    """Expect one colour of all pictures of a page."""
+    """Expect one colour of all pictures of a page, but for those of errors."""
     page = (report / "report.html").read_text("utf-8")
-    pictures = re.findall(r"data:image/webp;base64,([A-Za-z0-9+/=]+)", page)
-    assert pictures
-    for text in pictures:
+    (text,) = re.findall(r'<script type="application/json"[^>]*>(.*?)</script>', page, re.DOTALL)
+    album = json.loads(text)
+    shown = {i for frame in album["frames"] for i in frame["pictures"].values()}
+    assert shown
+    for index in shown:
+        text = album["images"][index]["url"].partition(",")[2]
         with Image.open(io.BytesIO(base64.b64decode(text))) as picture:
             shown = np.asarray(picture.convert("RGB"), float)
         assert np.abs(shown - codes).max() <= 4
@@ -183,10 +186,30 @@ class TestViewTransform:
             assert (video.stat().st_mtime_ns, video.read_bytes()) == written
         assert b"apch" in written[1]
 
+    @pytest.mark.parametrize("name", ["srgb", "aces1"])
+    def test_a_comparison_shows_all_its_pictures_so_and_scores_as_without(
+        self, exwarp, tmp_path, name
+    ):
+        acescg = np.array(REC709_TO_ACESCG) @ SHOWN
+        a, b = (flat(tmp_path / n, acescg, chromaticities=ACESCG) for n in ("a", "b"))
+        truth = flat(tmp_path / "truth", SHOWN)
+        run = ("compare", a, b, "--ground-truth", truth, "--metrics", "psnr", "--json")
+        report = tmp_path / "report"
+        result = exwarp(*run, "--report", report, "--view-transform", name)
+        assert result.code == 0, result.err
+        codes = [code(value) for value in SHOWN] if name == "srgb" else self.codes(name, SHOWN)
+        assert_pictures_show(report, codes)
+        document = json.loads(result.out)
+        assert document["view_transform"] == name
+        assert document["quality"] == json.loads(exwarp(*run).out)["quality"]
+        shown = "pictures shown by" in (report / "report.html").read_text("utf-8")
+        assert shown == (name != "srgb")
+
     def test_footage_is_shown_as_it_is(self, exwarp, tmp_path):
         keys = pictures.stills(tmp_path / "keys", [pictures.frame(i) for i in range(3)])
-        result = exwarp("upsample", keys, "-o", tmp_path / "out", "--view-transform", "aces1")
-        result.refused(2, "--view-transform is for EXR", "leave it out")
+        for command in (("upsample", keys, "-o", tmp_path / "out"), ("compare", keys, keys)):
+            result = exwarp(*command, "--view-transform", "aces1")
+            result.refused(2, "--view-transform is for EXR", "leave it out")
 
 
 @pytest.mark.parametrize(
