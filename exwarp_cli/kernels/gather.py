@@ -237,33 +237,16 @@ def sample_points(
 
 
 @kernel
-def write_point_losses(
-    samples: F64,  # [N, C]
-    wanted: F64,  # [N, C]
-    tolerance: F64,  # [N], the distance that counts 1, as do greater and unknown ones
-    losses: F64,  # [N], written
-) -> None:
-    """Write the distances of values from those wanted, from 0 to 1."""
-    for n in range(losses.size):
-        square = np.float64(0)
-        for c in range(samples.shape[1]):
-            gap = samples[n, c] - wanted[n, c]
-            square += gap * gap
-        distance = math.sqrt(square) / tolerance[n]
-        losses[n] = distance if distance < 1 else 1.0
-
-
-@kernel
 def write_shifted_losses(
     xy: F64,  # [N, 2], places in pixels
     shifts: F32,  # [K, N, 2], added to the places
     image: F32,  # [H, W, C]
     wanted: F64,  # [N, C]
-    tolerance: F64,  # [N], as in `write_point_losses`
+    tolerance: F64,  # [N], the distance that counts 1, as do greater and unknown ones
     place: int,
     losses: F64,  # [K, P, N], written at [:, place]
 ) -> None:
-    """Write `write_point_losses` of `sample_points` for K displacements of each place."""
+    """Write, for K displacements of each place, how far samples are from `wanted`, from 0 to 1."""
     # One pass for all displacements: two calls for each took twice as long.
     height, width, channels = image.shape
     for k in range(shifts.shape[0]):

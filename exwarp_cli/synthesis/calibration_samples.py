@@ -281,11 +281,14 @@ class Probe:
                     xy, shifts, each.image, values, tolerance, index, losses
                 )
                 continue
-            for loss, shift in zip(losses[:, index], shifts, strict=True):
-                depth = np.empty_like(values)
-                gather.sample_points(each.image, xy + shift.astype(np.float64), depth)
-                wanted = values if self.resting else _depth_later(values, depth, xy, tolerance)
-                gather.write_point_losses(depth, wanted, tolerance, loss)
+            sampled = np.empty((len(shifts) * len(xy), 1))
+            gather.sample_points(each.image, (xy + shifts).reshape(-1, 2), sampled)
+            depths, wanted = sampled.reshape(len(shifts), -1), values[:, 0]
+            if not self.resting:
+                wanted = _depths_later(wanted, depths, xy, tolerance)
+            with np.errstate(invalid="ignore"):
+                gaps = np.abs(depths - wanted) / tolerance
+            losses[:, index] = np.where(gaps < 1, gaps, 1.0)
         return np.asarray(np.average(losses.mean(axis=2), axis=1, weights=self._weights))
 
 
@@ -496,26 +499,33 @@ def _level_gaps(
     return np.asarray(least[np.clip(np.searchsorted(levels, depth), 0, len(levels) - 1)])
 
 
-def _depth_later(depth: F64, sampled: F64, xy: F64, tolerance: F64) -> F64:
-    """Return the depth [N, 1] that static points have in the other frame, as its camera moved.
+def _depths_later(
+    z: F64,  # [N], depths
+    sampled: F64,  # [K, N], depths in the other frame, by K displacements
+    xy: F64,  # [N, 2], places in pixels
+    tolerance: F64,  # [N]
+) -> F64:
+    """Return the depths [K, N] that static points have in the other frame, as its camera moved.
 
     That is linear in a point's place (x z, y z, z): the four coefficients are fitted to the depths
     sampled there, robustly.
     """
     # Unfitted, a camera's way forward spoke for half the right vectors.
-    valid = np.isfinite(sampled[:, 0])
+    valid = np.isfinite(sampled)
     x, y = (xy / xy.max() - 0.5).T
-    z = depth[:, 0]
     terms = np.stack([x * z, y * z, z, np.ones_like(z)], axis=1) / tolerance[:, None]
-    used, values = terms[valid], sampled[valid, 0] / tolerance[valid]
-    predicted = z[valid] / tolerance[valid]
-    if len(used) < 50:
-        return depth
+    products = (terms[:, :, None] * terms[:, None]).reshape(-1, 16)
+    values = np.where(valid, sampled, 0) / tolerance
+    predicted = np.broadcast_to(z / tolerance, values.shape)
     for _ in range(4):
-        weighted = used / (1.0 + (values - predicted) ** 2)[:, None]
-        fitted = np.linalg.lstsq(weighted.T @ used, weighted.T @ values, rcond=None)[0]
-        predicted = used @ fitted
-    return np.asarray((terms @ fitted * tolerance)[:, None])
+        weights = (valid / (1.0 + (values - predicted) ** 2))[:, None]
+        # One product for each displacement: errors do not depend on what else is tried.
+        normal = (weights @ products).reshape(-1, 4, 4)
+        moments = (weights * values[:, None]) @ terms
+        fitted = moments @ np.linalg.pinv(normal, hermitian=True)
+        predicted = (fitted @ terms.T)[:, 0]
+    enough = valid.sum(axis=1, keepdims=True) >= 50
+    return np.where(enough, predicted * tolerance, z)
 
 
 def _pixel_size(position: Float32, y: Index, x: Index) -> F64:

@@ -345,12 +345,6 @@ def looked_up(image: np.ndarray, target: np.ndarray) -> Arrays:
     return (found,)
 
 
-def missed(found: np.ndarray, wanted: np.ndarray, tolerance: np.ndarray) -> Arrays:
-    losses = np.full(len(found), -1.0)
-    gather.write_point_losses(found, wanted, tolerance, losses)
-    return (losses,)
-
-
 def missed_along(
     xy: np.ndarray,
     shifts: np.ndarray,

@@ -248,8 +248,7 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
 ONE_BUILD: dict[str, Callable[[], calls.Arrays]] = {
     "whole_ids": lambda: calls.rounded(image(64).reshape(-1).round(1)),
     "look_up": lambda: calls.looked_up(image(58), scattered(59)),
-    "count_misses": lambda: calls.missed(scattered(60), scattered(61), scattered(62)[:, 0] ** 2),
-    "count_misses_of": lambda: calls.missed_along(
+    "count_misses": lambda: calls.missed_along(
         scattered(65)[:, :2].copy(),
         np.random.default_rng(66).normal(0, 2, (3, len(scattered(65)), 2)).astype(np.float32),
         image(67),
