@@ -1,4 +1,5 @@
 # make test     lint, types, layers and all tests, in a virtual environment made on first use
+# make test-full  the same, with every combination in place of a spread of them (see tests/matrix.py)
 # make check    the same without the tests
 # make golden   run 80 commands, and compare all that they write with what the base commit wrote
 #               (2 to 4 minutes); OPTIONS='--pixels' or '--threads 5'; see tests/golden/golden.py
@@ -48,10 +49,13 @@ TRAINING ?= $(HOME)/.cache/exwarp/training
 POLICY ?= build/policy
 MODEL ?= models/extrapolator.onnx
 
-.PHONY: test check golden faults planted hardware bench bench-check profile demo scenes things blender train policy judge paper docs clean
+.PHONY: test test-full check golden faults planted hardware bench bench-check profile demo scenes things blender train policy judge paper docs clean
 
 test: check
 	$(BIN)/pytest --numprocesses auto --dist worksteal
+
+test-full: check
+	EXWARP_TESTS=full $(BIN)/pytest --numprocesses auto --dist worksteal
 
 check: $(STAMP)
 	$(BIN)/ruff check
@@ -64,7 +68,7 @@ golden: $(STAMP)
 
 faults: $(STAMP)
 	$(BIN)/pip install --group faults
-	EXWARP_FAULTS=full $(BIN)/pytest --numprocesses auto --dist worksteal tests/faults
+	EXWARP_TESTS=full $(BIN)/pytest --numprocesses auto --dist worksteal tests/faults
 	$(BIN)/python -m tests.faults.fuzz $(OPTIONS)
 
 planted: $(STAMP)

@@ -22,7 +22,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 # Settings in the environment of the shell are no part of the tests.
 for name in [name for name in os.environ if name.startswith("EXWARP_")]:
-    if name not in ("EXWARP_ARTEFACTS", "EXWARP_BLENDER", "EXWARP_CHROMIUM", "EXWARP_FAULTS"):
+    if name not in ("EXWARP_ARTEFACTS", "EXWARP_BLENDER", "EXWARP_CHROMIUM", "EXWARP_TESTS"):
         del os.environ[name]
 os.environ["EXWARP_CONFIG"] = "none"
 

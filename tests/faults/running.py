@@ -18,9 +18,6 @@ from exwarp_cli.io.files import TEMPORARY_SUFFIX
 from exwarp_cli.io.generated_frames import is_intact
 from tests.cli import shots
 
-FULL = os.environ.get("EXWARP_FAULTS") == "full"
-"""Whether everything is tried, as `make faults` does, or a little of it."""
-
 BOUND_S = 120
 """Seconds after which a command counts as one that hangs."""
 

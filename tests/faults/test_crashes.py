@@ -17,7 +17,6 @@ from tests.cli import shots
 from tests.cli.processes import await_files
 from tests.faults.running import (
     CRASHING,
-    FULL,
     PLAIN,
     Outcome,
     ended,
@@ -25,6 +24,7 @@ from tests.faults.running import (
     run,
     started,
 )
+from tests.matrix import FULL
 from tests.unit.tiny_models import endless, save
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes of POSIX")

@@ -12,7 +12,6 @@ import pytest
 from tests.cli import shots
 from tests.cli.processes import await_files
 from tests.faults.running import (
-    FULL,
     PLAIN,
     ended,
     require_no_leftovers,
@@ -20,6 +19,7 @@ from tests.faults.running import (
     run,
     started,
 )
+from tests.matrix import FULL
 
 OUTPUT = 5
 CALLS = {

@@ -8,7 +8,8 @@ import shutil
 import pytest
 
 from tests.cli import shots
-from tests.faults.running import FULL, PLAIN, require_no_leftovers, run
+from tests.faults.running import PLAIN, require_no_leftovers, run
+from tests.matrix import FULL
 
 INPUT = 3
 NUMBERS = (errno.ESTALE, errno.EIO, errno.EACCES, errno.EMFILE, errno.ENFILE, errno.ETIMEDOUT)

@@ -11,7 +11,8 @@ import pytest
 
 from tests.cli import shots
 from tests.cli.street import Street
-from tests.faults.running import FULL, ended, require_no_leftovers, started
+from tests.faults.running import ended, require_no_leftovers, started
+from tests.matrix import FULL
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="others do not tell")
 
