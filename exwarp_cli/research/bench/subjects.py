@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, place_on_canvas
+from exwarp_cli.domain.network_api import LOOKAHEAD
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, UsageError
@@ -19,7 +20,12 @@ from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.io.sequences import find_sequence
 from exwarp_cli.models.interpolator import OnnxInterpolator, load_interpolator
 from exwarp_cli.models.model_file import shipped_folder
-from exwarp_cli.models.picture_network import OnnxExtrapolator, load_extrapolator
+from exwarp_cli.models.picture_network import (
+    OnnxExtrapolator,
+    OnnxLookAhead,
+    load_extrapolator,
+    load_lookahead,
+)
 from exwarp_cli.models.policy_files import load_policy, policy_name_without
 from exwarp_cli.pipeline.decide import Observer
 from exwarp_cli.pipeline.ground_truth import find_truth
@@ -159,6 +165,7 @@ class Networks:
 
     own: OnnxExtrapolator | None  # our E; None where no system extrapolates
     imported: OnnxExtrapolator | None  # ExtraNet; None without --extranet
+    look_ahead: OnnxLookAhead | None  # ours; None where it is not compared
     interpolators: Mapping[str, OnnxInterpolator]  # by the system's name
 
     @property
@@ -170,8 +177,8 @@ class Networks:
     @property
     def checksums(self) -> dict[str, str]:
         """SHA-256 of each network by what it is; what interpolates depends on its card as well."""
-        extrapolators = {"extrapolator": self.own, "extranet": self.imported}
-        checksums = {name: n.checksum for name, n in extrapolators.items() if n is not None}
+        ours = {"extrapolator": self.own, "extranet": self.imported, LOOKAHEAD: self.look_ahead}
+        checksums = {name: n.checksum for name, n in ours.items() if n is not None}
         for name, network in self.interpolators.items():
             checksums |= {name: network.checksum, f"{name}, card": network.card.checksum}
         return checksums
@@ -187,11 +194,13 @@ def load_networks(settings: BenchSettings, threads: int | None) -> Networks:
     UsageError
         When two interpolators have one name.
     """
-    own = imported = None
+    own = imported = look_ahead = None
     if needs_network(settings.systems):
         own = load_extrapolator(settings.extrapolator, threads, settings.device)
     if settings.extranet is not None:
         imported = load_extrapolator(settings.extranet, threads, settings.device)
+    if LOOKAHEAD in settings.systems:
+        look_ahead = load_lookahead(None, threads, settings.device)
     interpolators: dict[str, OnnxInterpolator] = {}
     for path in settings.interpolators:
         network = load_interpolator(path, threads, settings.device)
@@ -202,7 +211,7 @@ def load_networks(settings: BenchSettings, threads: int | None) -> Networks:
                 "otherwise in its card"
             )
         interpolators[name] = network
-    return Networks(own, imported, interpolators)
+    return Networks(own, imported, look_ahead, interpolators)
 
 
 class OpenedSubject:
@@ -229,7 +238,8 @@ class OpenedSubject:
         asked = UpsampleSettings(self.subject.source, "", EVERYTHING.name)
         display = self.source.keys.display
         self._reader = IntervalReader(self.source, EVERYTHING, asked)
-        self.builder = IntervalBuilder(display, self.networks.own or self.networks.imported)
+        extrapolator = self.networks.own or self.networks.imported
+        self.builder = IntervalBuilder(display, extrapolator, self.networks.look_ahead)
         self.observer = Observer(display, self.source.setting)
         self.chooser = LearnedPolicy(self.policy.network)
 

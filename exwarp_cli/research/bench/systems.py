@@ -13,6 +13,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, INTERPOLATE, PATHS, WARP
+from exwarp_cli.domain.network_api import LOOKAHEAD
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import UsageError
 
@@ -37,11 +38,11 @@ FIXED = tuple(name.lower() for name in PATHS)
 
 # Systems that wait for the next key frame; networks given by --interpolator are others.
 MINTERPOLATE = "minterpolate"
-LOOKAHEAD = ("softsplat", "blend", MINTERPOLATE)
+WAITING = (LOOKAHEAD, "softsplat", "blend", MINTERPOLATE)
 ONNX = "onnx:"  # before the name of an interpolation network
 
 # What can always be compared, by name.
-SYSTEMS = (*CHOOSERS, *FIXED, HOLD, *LOOKAHEAD)
+SYSTEMS = (*CHOOSERS, *FIXED, HOLD, *WAITING)
 
 # Paths S1 and S3 with the network that --extranet names in place of ours.
 EXTRANET, EXTRANET_FAST = "extranet", "extranet-s3"
@@ -68,6 +69,7 @@ ABOUT = {
     "s6": "path S6, warping alone",
     EXTRANET: "imported ExtraNet, path S1",
     EXTRANET_FAST: "imported ExtraNet, path S3",
+    LOOKAHEAD: "both key frames splatted as by softsplat, mixed by the weights of a network",
     "softsplat": "both key frames splatted by the renderer's motion, blended by depth",
     "blend": "cross-fade",
     MINTERPOLATE: "ffmpeg's minterpolate, from colour alone",
@@ -105,7 +107,7 @@ class BenchSettings:
 
 def is_lookahead(system: str) -> bool:
     """Return whether a system waits for the next key frame."""
-    return system in LOOKAHEAD or system.startswith(ONNX)
+    return system in WAITING or system.startswith(ONNX)
 
 
 def needs_network(systems: Iterable[str]) -> bool:
