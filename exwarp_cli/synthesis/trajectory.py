@@ -12,6 +12,7 @@ to 0.2 pixels, of spokes one pixel wide the motion is not always recovered.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -368,22 +369,26 @@ def fit_pose(
             distance = np.linalg.norm(errors, axis=1)
             scale = 1.5 * max(float(np.median(distance)), MIN_ERROR)
             weights = (1 + (distance / scale) ** 2) ** -2
-        # How pixels change with a shift and with a turn, [N, 2, 6].
-        by_shift = (camera[:2, :3] - image[..., None] * camera[2, :3]) / depth[:, None, None]
-        slopes = np.concatenate([np.cross(turned[:, None], by_shift), by_shift], axis=2)
+        slopes = _slopes(camera, turned, image, depth)
         step = _solve(slopes, errors, weights)
         rotation, shift = _rotation(step[:3]) @ rotation, shift + step[3:]
-        if count >= PLAIN_ROUNDS and np.abs(slopes @ step).max() < SETTLED:
+        if count >= PLAIN_ROUNDS and np.abs(step @ slopes).max() < SETTLED:
             break
     return Pose(centre, _turn_vector(rotation), shift)
 
 
+def _slopes(camera: F64, turned: F64, image: F64, depth: F64) -> F64:
+    """Return how the pixels [N, 2] of points change with a turn and with a shift: [6, 2 N]."""
+    by_shift = (camera[:2, :3].T[:, None] - image * camera[2, :3, None, None]) / depth[:, None]
+    (x, y, z), (u, v, w) = turned.T[..., None], by_shift
+    by_turn = (y * w - z * v, z * u - x * w, x * v - y * u)
+    return np.stack([*by_turn, *by_shift]).reshape(6, -1)
+
+
 def _solve(slopes: F64, errors: F64, weights: F64) -> F64:
     """Return the turn, radians about the axes, and the shift [6] that reduce errors most."""
-    # Sums along rows: three times as quick as over pixels, and no BLAS, whose threads change them.
-    rows = np.ascontiguousarray(slopes.reshape(-1, 6).T)
-    weighted = rows * np.repeat(weights, 2)
-    matrix = np.einsum("jn,kn->jk", weighted, rows)
+    weighted = slopes * np.repeat(weights, 2)
+    matrix = np.einsum("jn,kn->jk", weighted, slopes)  # no BLAS, whose threads change sums
     # A flat or distant object hardly determines some directions: there it is not moved.
     matrix += 1e-6 * np.diag(np.diag(matrix)) + 1e-12 * np.trace(matrix) * np.eye(6)
     step: F64 = np.linalg.solve(matrix, np.einsum("jn,n->j", weighted, errors.reshape(-1)))
@@ -393,13 +398,16 @@ def _solve(slopes: F64, errors: F64, weights: F64) -> F64:
 
 def _rotation(turn: F64) -> F64:
     """Return the rotation about an axis by its length in radians (Rodrigues)."""
-    angle = float(np.linalg.norm(turn))
+    angle = math.hypot(*turn)
     x, y, z = turn
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    # sinc is exact at 0 as well.
-    first, second = np.sinc(angle / np.pi), np.sinc(angle / (2 * np.pi)) ** 2 / 2
+    first, second = _sinc(angle), _sinc(angle / 2) ** 2 / 2
     rotation: F64 = np.eye(3) + first * cross + second * cross @ cross
     return rotation
+
+
+def _sinc(x: float) -> float:
+    return math.sin(x) / x if x else 1.0
 
 
 def _turn_vector(rotation: F64) -> F64:
