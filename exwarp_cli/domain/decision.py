@@ -154,6 +154,8 @@ def walk_tree(choose: Callable[[str], str]) -> Iterator[tuple[str, str]]:
 
 SOFTSPLAT = "softsplat"  # both key frames splatted to the slot and blended by depth and time
 
+LOOKAHEAD = "lookahead"  # the same, mixed by the weights of a network
+
 BLEND = "blend"  # a cross-fade of both key frames
 
 KEY = "key"  # a renderer

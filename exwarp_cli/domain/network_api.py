@@ -281,8 +281,6 @@ SIDES = 4
 # `softsplat` and centres alone are 4.6 %.
 CANDIDATES = 1 + SIDES
 
-LOOKAHEAD = "lookahead"  # name of the method
-
 # Picture inputs, float32 [1, channels, H, W]. colour: display-encoded (sRGB, beyond 0 and 1, too),
 # what `softsplat` makes, then the sides; pixels that a side lacks have the colour of `softsplat`.
 # masks: 1 where a side shows nothing (4); then where the outline of a nearer surface is mixed into

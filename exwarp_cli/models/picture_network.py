@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from exwarp_cli.domain.decision import LOOKAHEAD
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.network_api import (
     EXTRAPOLATOR_INTERFACE,
-    LOOKAHEAD,
     LOOKAHEAD_INTERFACE,
     TIME_INPUT,
     ExtrapolatorInputs,

@@ -11,8 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from exwarp_cli.domain.decision import SOFTSPLAT
-from exwarp_cli.domain.network_api import LOOKAHEAD
+from exwarp_cli.domain.decision import LOOKAHEAD, SOFTSPLAT
 from exwarp_cli.domain.results import FrameRecord, RunSummary
 from exwarp_cli.domain.tiles import REASONS, Risk, tile_edges
 from exwarp_cli.domain.timeline import ranges

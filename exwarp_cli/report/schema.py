@@ -11,9 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, SOFTSPLAT, WARP, Trial
+from exwarp_cli.domain.decision import (
+    CHOICES,
+    EXTRAPOLATE,
+    LOOKAHEAD,
+    NODES,
+    PATHS,
+    SOFTSPLAT,
+    WARP,
+    Trial,
+)
 from exwarp_cli.domain.metric import GROUND_TRUTH, KEY_FRAMES, METRICS
-from exwarp_cli.domain.network_api import LOOKAHEAD
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary, Score
 from exwarp_cli.domain.tiles import paths_from_makers
 from exwarp_cli.domain.timeline import ranges

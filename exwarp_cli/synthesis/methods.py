@@ -13,12 +13,13 @@ from exwarp_cli.domain.decision import (
     HELD,
     HOLD,
     INTERPOLATE,
+    LOOKAHEAD,
     PATHS,
     SOFTSPLAT,
     WARP,
 )
 from exwarp_cli.domain.frame import Float32, KeyFrame
-from exwarp_cli.domain.network_api import HISTORY_FRAMES, LOOKAHEAD, LookAheadNetwork
+from exwarp_cli.domain.network_api import HISTORY_FRAMES, LookAheadNetwork
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.tiles import REWARP, Risk, TilePlan
 from exwarp_cli.synthesis.camera import F64

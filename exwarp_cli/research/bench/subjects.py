@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from exwarp_cli.domain.decision import LOOKAHEAD
 from exwarp_cli.domain.frame import Bool, Float32, place_on_canvas
-from exwarp_cli.domain.network_api import LOOKAHEAD
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, UsageError

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, INTERPOLATE, PATHS, WARP
-from exwarp_cli.domain.network_api import LOOKAHEAD
+from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, INTERPOLATE, LOOKAHEAD, PATHS, WARP
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import UsageError
 
