@@ -46,17 +46,30 @@ def without_compilation(text: str) -> str:
     return "".join(line for line in text.splitlines(keepends=True) if not line.startswith(starts))
 
 
-@pytest.fixture(autouse=True)
-def unwritten_plots(monkeypatch):
-    """Paint the plots of pages without writing them, which takes most of a second a run.
-
-    `tests/web` and `test_hostile_names` look at what is written.
-    """
+def leave_plots_out(patch: pytest.MonkeyPatch) -> None:
+    """Paint the plots of pages without writing them, which takes most of a second a run."""
 
     def savefig(self: object, file: TextIO, **_: object) -> None:
         file.write('<svg viewBox="0 0 1 1"></svg>')
 
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", savefig)
+    patch.setattr("matplotlib.figure.Figure.savefig", savefig)
+
+
+@pytest.fixture(autouse=True)
+def unwritten_plots(monkeypatch):
+    """Leave plots out; `tests/web` and `test_hostile_names` look at what is written."""
+    leave_plots_out(monkeypatch)
+
+
+def run_quietly(*words: object) -> None:
+    """Run a command that has to succeed, for fixtures that outlive a test; leave plots out.
+
+    One thread: more only wait for each other on small frames.
+    """
+    quiet = ("--progress", "none", "--threads", 1)
+    with pytest.MonkeyPatch.context() as patch:
+        leave_plots_out(patch)
+        assert cli.run([str(word) for word in (*words, *quiet)]) == 0
 
 
 @pytest.fixture

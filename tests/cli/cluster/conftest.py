@@ -10,18 +10,27 @@ import pytest
 from tests.cli import shots
 from tests.cli.cluster.dask_cluster import DaskCluster
 from tests.cli.cluster.results import KEYS
-from tests.cli.shots import SMALL
+from tests.cli.conftest import run_quietly
+from tests.cli.shots import FORWARD, SMALL
 
 
 @pytest.fixture(scope="package")
 def keys(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("six") / "keys"
+    folder = tmp_path_factory.mktemp("keys") / "keys"
     return shots.sequence(folder, shots.plain, range(1, KEYS + 1), SMALL)
 
 
 @pytest.fixture(scope="package")
+def whole(tmp_path_factory, keys) -> Path:
+    """The frames of `s6`, made in one process; read only."""
+    out = tmp_path_factory.mktemp("whole") / "frames"
+    run_quietly("upsample", keys, "-o", out, "-m", "s6", *FORWARD)
+    return out
+
+
+@pytest.fixture(scope="package")
 def truth(tmp_path_factory) -> Path:
-    return shots.truth(tmp_path_factory.mktemp("six-truth") / "truth", KEYS, 1, SMALL)
+    return shots.truth(tmp_path_factory.mktemp("truth") / "truth", KEYS, 1, SMALL)
 
 
 @pytest.fixture(scope="package")

@@ -8,7 +8,7 @@ from exwarp_cli.io.files import TEMPORARY_SUFFIX
 from tests.cli import shots
 from tests.cli.reports import album, rows, unmeasured
 
-KEYS = 6
+KEYS = 4
 """Key frames of the shot."""
 
 
