@@ -130,3 +130,21 @@ def judged(tmp_path_factory, uneven, truth, network, policies) -> Callable[..., 
         return known[name, setting]
 
     return run
+
+
+@pytest.fixture(scope="session")
+def moving(tmp_path_factory, network, policies) -> Callable[[str], tuple[tuple[object, ...], Done]]:
+    """Return the shot on windows that change, by setting, and a policy's run on it; each once."""
+    from tests.cli.decisions.windows import moving_shots
+
+    root = tmp_path_factory.mktemp("moving")
+    given, known = moving_shots(root), dict[str, Done]()
+    policy = ("--causal", "--no-gate", "--policy", policies("watching"))
+
+    def run(setting: str) -> tuple[tuple[object, ...], Done]:
+        if setting not in known:
+            out = root / f"out-{setting}"
+            known[setting] = take(given[setting], out, *policy, "--extrapolator", network)
+        return given[setting], known[setting]
+
+    return run

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,9 @@ import numpy as np
 import pytest
 
 from exwarp_cli import cli
-from exwarp_cli.research.bench import benchmark
+from exwarp_cli.research.bench import benchmark, measurement
 from tests.cli import shots
+from tests.cli.conftest import run_quietly
 from tests.cli.decisions.conftest import KEYS, SETTINGS, take
 from tests.cli.documents import document_of
 from tests.cli.pictures import write_still
@@ -28,6 +29,14 @@ from tests.unit import tiny_interpolators
 QUICK = ("--jobs", 1, "--progress", "none", "--metrics", "psnr,ssim")
 FEW = (*QUICK, "--systems", "exwarp,softsplat")
 MINIATURE = Path(__file__).parents[2] / "data" / "miniature"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def brief_timing() -> Iterator[None]:
+    """Measure run times on two intervals, of which the first is not counted."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(measurement, "TIMED_INTERVALS", 1)
+        yield
 
 
 @pytest.fixture
@@ -45,6 +54,22 @@ def bench(exwarp, uneven, truth, network, tmp_path):
         return json.loads((out / "bench.json").read_text()), out
 
     return run
+
+
+@pytest.fixture(scope="session")
+def few(tmp_path_factory, uneven, truth, network) -> Path:
+    """The folder of a benchmark with few systems; read only."""
+    out = tmp_path_factory.mktemp("few") / "bench"
+    keys, *rest = uneven["key"]
+    source = (keys, *rest, "--ground-truth", truth, "--extrapolator", network)
+    run_quietly("bench", *source, "-o", out, *FEW)
+    return out
+
+
+@pytest.fixture
+def again(few, tmp_path) -> Path:
+    """A copy of it, where `bench` finds what was measured before."""
+    return Path(shutil.copytree(few, tmp_path / "bench"))
 
 
 @pytest.fixture(scope="session")
@@ -67,7 +92,8 @@ def line(uneven, truth, network, policies) -> Callable[[str, Path], tuple[object
 
     def words(setting: str, out: Path) -> tuple[object, ...]:
         more = ("--extrapolator", network, "--policy", policies("watching"))
-        more += ("--systems", "exwarp,oracle,s1,s2,s4,s5,s6,hold,softsplat")
+        more += ("--systems", "exwarp,oracle,s1,s2,s6,hold,softsplat")
+        more += ("--frames", {"key": "1-6", "slot": "2-4"}[setting])
         return ("bench", *uneven[setting], "--ground-truth", truth, "-o", out, *QUICK, *more)
 
     return words
@@ -86,21 +112,36 @@ def rows(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(path.read_text().splitlines()))
 
 
-@pytest.mark.parametrize("setting", SETTINGS)
-def test_numbers_are_those_of_upsample(whole, judged, uneven, truth, tmp_path, setting):
-    folder = whole(setting)
-    (found,) = document_in(folder)["quality"]
-    paths = {"key": ("s2", "s5"), "slot": ("s4",)}[setting]
-    done = {name: judged(name, setting) for name in (*paths, "s6", "oracle", "watching")}
-    for name in ("softsplat", "hold"):
-        given = ("-m", name, "--ground-truth", truth, "--metrics", "psnr,ssim")
-        done[name] = take(uneven[setting], tmp_path / name, *given)
+def test_numbers_are_those_of_upsample(whole, judged, uneven, truth, tmp_path):
+    (found,) = document_in(whole("key"))["quality"]
+    done = {name: judged(name) for name in ("s2", "s6", "oracle", "watching")}
+    given = ("-m", "hold", "--ground-truth", truth, "--metrics", "psnr,ssim")
+    done["hold"] = take(uneven["key"], tmp_path / "hold", *given)
     for name, run in done.items():
         ours = found["systems"]["exwarp" if name == "watching" else name]
         for where in ("all", "holes", "dropped"):
             expected = run.report["quality"][where]
             for key in ("psnr_db", "ssim", "frames"):
                 assert ours[where][key] == pytest.approx(expected[key], abs=1e-9), (name, where)
+
+
+def test_so_are_those_of_each_frame_with_gbuffers_of_slots(whole, judged, uneven, truth, tmp_path):
+    done = {name: judged(name, "slot").rows for name in ("s2", "s6", "oracle", "watching")}
+    given = ("-m", "softsplat", "--ground-truth", truth, "--metrics", "psnr,ssim")
+    done["softsplat"] = take(uneven["slot"], tmp_path / "softsplat", *given).rows
+    for name, theirs in done.items():
+        for part in parts_of(whole("slot")):
+            slots = part["systems"]["exwarp" if name == "watching" else name]
+            of_key = [
+                row for row in theirs if row["key"] == str(part["key"]) and row["slot"] != "0"
+            ]
+            for ours, row in zip(slots, of_key, strict=True):
+                for metric in ("psnr_db", "ssim"):
+                    for where, column in (("all", metric), ("holes", f"{metric}_holes")):
+                        if row[column]:
+                            expected = pytest.approx(float(row[column]), abs=1e-9)
+                            assert ours[where][metric] == expected, (name, where)
+        assert any(row["psnr_db_holes"] for row in theirs)
 
 
 def test_truth_may_be_of_stills(exwarp, uneven, truth, tmp_path):
@@ -123,9 +164,8 @@ def test_truth_may_be_of_stills(exwarp, uneven, truth, tmp_path):
 def test_paths_are_those_of_upsample(whole, judged, setting):
     parts = parts_of(whole(setting))
     for chooser, name in (("exwarp", "watching"), ("oracle", "oracle")):
-        # The last key frame has no truth after it; upsample decides there, too.
-        taken = [part["paths"][chooser] for part in parts]
-        assert taken == judged(name, setting).paths[:-1]
+        taken, expected = [part["paths"][chooser] for part in parts], judged(name, setting).paths
+        assert taken == [expected[part["key"] - 1] for part in parts]
         assert len(set(taken)) > 1
     effective = document_in(whole(setting))["fps"][0]["effective"]
     assert (effective["s1"], effective["s2"], effective["s6"]) == (60, 90, 120)
@@ -134,17 +174,18 @@ def test_paths_are_those_of_upsample(whole, judged, setting):
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_features_are_those_that_upsample_decides_by(whole, judged, setting):
     ours = rows(whole(setting) / "features.csv")
-    theirs = [row for row in judged("watching", setting).rows if row["slot"] == "1"]
-    assert [row["key"] for row in ours[::3]] == [row["key"] for row in theirs[:-1]]
+    theirs = {row["key"]: row for row in judged("watching", setting).rows if row["slot"] == "1"}
+    assert len(ours) == 3 * {"key": KEYS - 1, "slot": 3}[setting]
     assert {row["R"] for row in ours} == {str(32.0 * 18)}
-    for mine, row in zip(ours[::3], theirs, strict=False):
+    for mine in ours[::3]:
+        row = theirs[mine["key"]]
         for name in ("N_d", "EMD_Wn", "EMD_Wp", "Var_x", "Var_y"):
             assert float(mine[name]) == pytest.approx(float(row[name]), abs=1e-5), name
 
 
 def test_every_metric_of_a_frame_is_that_of_upsample(bench, uneven, truth, tmp_path):
-    document, _ = bench(*QUICK[:-2], "--systems", "s6,softsplat")
-    given = ("-m", "s6", "--ground-truth", truth, "--frames", f"1-{KEYS - 1}", "--metrics", "all")
+    document, _ = bench(*QUICK[:-2], "--systems", "s6", "--frames", "1-2")
+    given = ("-m", "s6", "--ground-truth", truth, "--frames", "1-2", "--metrics", "all")
     expected = take(uneven["key"], tmp_path / "out", *given).report["quality"]
     ours = document["quality"][0]["systems"]["s6"]
     assert None not in [expected["all"][name] for name in ("hdr_flip", "vmaf", "flicker", "pulse")]
@@ -153,17 +194,15 @@ def test_every_metric_of_a_frame_is_that_of_upsample(bench, uneven, truth, tmp_p
     assert {k: ours["holes"][k] for k in holes} == pytest.approx(holes, abs=1e-6)
 
 
-def test_a_second_run_measures_nothing_and_writes_the_same(bench, monkeypatch):
-    first, folder = bench(*FEW)
-    before = {path: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+def test_a_second_run_measures_nothing_and_writes_the_same(bench, few, again, monkeypatch):
+    before = {path: path.read_bytes() for path in again.iterdir() if path.is_file()}
 
     def fail(*_: object) -> None:
         raise AssertionError("measured again")
 
     monkeypatch.setattr(benchmark, "measure", fail)
     monkeypatch.setattr(benchmark, "time_subject", fail)
-    second, _ = bench(*FEW)
-    assert second == first
+    assert bench(*FEW)[0] == document_in(few)
     assert {path: path.read_bytes() for path in before} == before
 
 
@@ -184,8 +223,8 @@ def test_a_clock_adds_real_time_to_what_was_measured(exwarp, whole, line, tmp_pa
         for metric in ("psnr_db", "ssim"):
             assert system[metric] == pytest.approx(offline["systems"][name]["all"][metric])
         assert system["return"] == pytest.approx(offline["returns"][name]), name
-    assert set(row["systems"]) == {"exwarp", "oracle", "s1", "s2", "s4", "s5", "s6"}
-    assert len(rows(out / "real_time_slots.csv")) == 7
+    assert set(row["systems"]) == {"exwarp", "oracle", "s1", "s2", "s6"}
+    assert len(rows(out / "real_time_slots.csv")) == 5
     for folder, marked in ((out, True), (whole("key"), False)):
         for file in ("bench.md", "report.html"):
             assert ("in real time" in (folder / file).read_text()) == marked
@@ -214,16 +253,16 @@ def test_each_key_interval_moves_the_bar(exwarp, uneven, truth, tmp_path, monkey
     line = ("bench", *uneven["key"], "--ground-truth", truth, "-o", tmp_path / "bench", *how)
     events = [json.loads(text) for text in exwarp(*line, "--frames", "1-3").err.splitlines()]
     seen = [one for one in events if one["event"] in ("measuring", "frame")]
-    # Run times are measured first, on the same three intervals.
-    assert [one["event"] for one in seen] == ["frame"] * 3 + ["measuring", "frame"] * 3
+    # Run times are measured first, on two of the same intervals.
+    assert [one["event"] for one in seen] == ["frame"] * 2 + ["measuring", "frame"] * 3
     counted = [one for one in seen if one["event"] == "frame"]
-    assert [(one["done"], one["total"]) for one in counted] == [(n, 6) for n in range(1, 7)]
-    assert ["timing" in one["note"] for one in counted] == [True] * 3 + [False] * 3
-    assert counted[3]["eta_s"] > 0 and counted[-1]["eta_s"] == 0
+    assert [(one["done"], one["total"]) for one in counted] == [(n, 5) for n in range(1, 6)]
+    assert ["timing" in one["note"] for one in counted] == [True] * 2 + [False] * 3
+    assert counted[2]["eta_s"] > 0 and counted[-1]["eta_s"] == 0
     events = [json.loads(text) for text in exwarp(*line, "--frames", "1-4").err.splitlines()]
     kept = [one["eta_s"] for one in events if one["event"] == "frame"]
     # The fourth interval is new, and timed with others than before.
-    assert kept[-1] == 0 and len(kept) == 7
+    assert kept[-1] == 0 and len(kept) == 6
 
 
 def test_what_fails_before_the_work_begins_has_no_progress(exwarp, tmp_path):
@@ -232,19 +271,17 @@ def test_what_fails_before_the_work_begins_has_no_progress(exwarp, tmp_path):
     assert [one["event"] for one in events] == ["fail"]
 
 
-def test_chunks_and_workers_find_what_one_process_finds(bench, monkeypatch):
-    alone, _ = bench(*FEW, name="alone")
+def test_chunks_and_workers_find_what_one_process_finds(bench, few, monkeypatch):
     bench("--jobs", 2, *FEW[2:], "--frames", "1-3", name="chunks")
     bench(*FEW, "--frames", f"4-{KEYS}", name="chunks")
     monkeypatch.setattr(benchmark, "measure", None)
     joined, _ = bench(*FEW, name="chunks")
     for key in ("quality", "holes", "features", "decisions", "fps", "extranet_procedure"):
-        assert joined[key] == alone[key], key
+        assert joined[key] == document_in(few)[key], key
 
 
-def test_only_what_is_damaged_or_asked_for_anew_is_measured(bench, monkeypatch):
-    first, folder = bench(*FEW)
-    part = next(iter(folder.glob("parts/*/2.json")))
+def test_only_what_is_damaged_or_asked_for_anew_is_measured(bench, few, again, monkeypatch):
+    part = next(iter(again.glob("parts/*/2.json")))
     part.write_text(part.read_text()[:100])
     measure, measured = benchmark.measure, []
 
@@ -253,8 +290,7 @@ def test_only_what_is_damaged_or_asked_for_anew_is_measured(bench, monkeypatch):
         return measure(opened, loaded)
 
     monkeypatch.setattr(benchmark, "measure", counted)
-    again, _ = bench(*FEW)
-    assert again["quality"] == first["quality"] and measured == [1]
+    assert bench(*FEW)[0]["quality"] == document_in(few)["quality"] and measured == [1]
     fewer, _ = bench(*QUICK, "--systems", "s3,hold", "--frames", "2")
     assert set(fewer["quality"][0]["systems"]) == {"s3", "hold"} and measured == [1, 1]
 
@@ -288,6 +324,7 @@ def test_tables_say_what_is_looked_ahead_and_what_the_paper_prints(exwarp, netwo
     out = tmp_path / "bench"
     result = exwarp(
         "bench", MINIATURE, "--scenes", "variety-0074", "-o", out, *QUICK, "--setting", "both",
+        "--every", 3,
         "--systems", "exwarp,s1,s3,softsplat,minterpolate",
         "--extrapolator", network, "--extranet", network,
     )  # fmt: skip
@@ -295,7 +332,7 @@ def test_tables_say_what_is_looked_ahead_and_what_the_paper_prints(exwarp, netwo
     assert "bench.md" in result.out and "report.html" in result.out
     document = json.loads((out / "bench.json").read_text())
     assert [row["setting"] for row in document["sequences"]] == ["slot", "key"]
-    assert {row["intervals"] for row in document["sequences"]} == {3}
+    assert {row["intervals"] for row in document["sequences"]} == {1}
     by_system = {(r["setting"], r["system"]): r for r in rows(out / "comparison.csv")}
     softsplat, ours = by_system["slot", "softsplat"], by_system["slot", "exwarp"]
     assert (softsplat["kind"], float(softsplat["waits_ms"])) == ("look-ahead", 1000 / 30)
@@ -363,11 +400,10 @@ def test_frames_too_small_for_vmaf_are_refused_before_any_work(exwarp, tmp_path)
 
 
 def test_terminated_it_says_so_at_once_and_its_workers_end(tmp_path):
-    street = Street(64, 36)
-    keys = shots.sequence(tmp_path / "keys", shots.plain, range(1, 10), street)
-    truth = shots.truth(tmp_path / "truth", keys=9, street=street)
+    keys = shots.sequence(tmp_path / "keys", shots.plain, (1, 2, 3), shots.SMALL)
+    truth = shots.truth(tmp_path / "truth", street=shots.SMALL)
     given = (keys, *shots.FORWARD, "--ground-truth", truth, "-o", tmp_path / "bench")
-    how = ("--systems", "s6", "--metrics", "psnr,hdr-flip", "--jobs", 2, "--progress", "plain")
+    how = ("--systems", "s6", "--metrics", "psnr", "--jobs", 2, "--progress", "plain")
     with start("-m", "exwarp_cli", "bench", *given, *how) as process:
         # The child that works, its two workers, and what tracks their semaphores.
         workers = until(lambda: len(children(process.pid)) > 3 and children(process.pid))

@@ -11,7 +11,7 @@ import pytest
 
 from tests.cli import shots
 from tests.cli.decisions.conftest import KEYS, SETTINGS, STREET, Done, take
-from tests.cli.decisions.windows import moving_shots
+from tests.matrix import combinations
 from tests.reference import decisions as paper
 
 NODES = ("d1", "d2", "d3", "d4", "d5")
@@ -34,6 +34,23 @@ def features(exwarp) -> Callable[..., Rows]:
     return run
 
 
+@pytest.fixture(scope="module")
+def tables() -> dict[str, Rows]:
+    return {}
+
+
+@pytest.fixture
+def table(features, uneven, tables) -> Callable[[str], Rows]:
+    """Return the table of the whole shot, by setting; each made once."""
+
+    def find(setting: str) -> Rows:
+        if setting not in tables:
+            tables[setting] = features(uneven[setting])
+        return tables[setting]
+
+    return find
+
+
 @pytest.fixture
 def by_watching(policies, network, tmp_path) -> Callable[..., Done]:
     """Upsample a shot by a policy that goes by what it sees, without a gate."""
@@ -54,8 +71,8 @@ def same_as_in_the_run(rows: Rows, run: Rows) -> None:
 
 @pytest.mark.parametrize("setting", SETTINGS)
 class TestTable:
-    def test_a_row_for_every_node(self, features, uneven, setting):
-        rows = features(uneven[setting])
+    def test_a_row_for_every_node(self, table, setting):
+        rows = table(setting)
         assert list(rows[0]) == ["frame", "key", "node", *NAMES, "distance", "inputs"]
         assert [(row["key"], row["node"], row["frame"]) for row in rows] == [
             (str(key), node, str(4 * key - 3 + SLOT[node]))
@@ -63,17 +80,11 @@ class TestTable:
             for node in NODES
         ]
 
-    def test_it_is_what_a_run_saw(self, features, uneven, judged, setting):
-        same_as_in_the_run(features(uneven[setting]), judged("watching", setting).rows)
+    def test_it_is_what_a_run_saw(self, table, judged, setting):
+        same_as_in_the_run(table(setting), judged("watching", setting).rows)
 
-    @pytest.mark.parametrize("frames", ["6", "2-6x2"])
-    def test_a_chunk_is_a_part_of_the_whole(self, features, uneven, setting, frames):
-        whole, part = features(uneven[setting]), features(uneven[setting], "--frames", frames)
-        chosen = {"6"} if frames == "6" else {"2", "4", "6"}
-        assert part == [row for row in whole if row["key"] in chosen]
-
-    def test_inputs_are_those_of_the_definition(self, features, uneven, setting):
-        rows = features(uneven[setting])
+    def test_inputs_are_those_of_the_definition(self, table, setting):
+        rows = table(setting)
         seen = {
             (int(row["key"]), row["node"]): {
                 name: float(row[name]) for name in (*NAMES, "distance")
@@ -89,9 +100,8 @@ class TestTable:
             found = np.array(row["inputs"].split(), dtype=float)
             np.testing.assert_allclose(found, expected, atol=0.51)
 
-    def test_windows_that_change_too(self, features, by_watching, tmp_path, setting):
-        given = moving_shots(tmp_path)[setting]
-        run = by_watching(given)
+    def test_windows_that_change_too(self, features, moving, setting):
+        given, run = moving(setting)
         same_as_in_the_run(features(given), run.rows)
 
     def test_ids_from_motion_too(self, features, by_watching, tmp_path, setting):
@@ -108,11 +118,11 @@ class TestTable:
 
         street = shots.SMALL
         if setting == "key":
-            given = (shots.sequence(tmp_path / "keys", frame(key_planes), (1, 2, 3), street),)
+            given = (shots.sequence(tmp_path / "keys", frame(key_planes), (1, 2), street),)
         else:
-            keys = shots.sequence(tmp_path / "keys", shots.colour_only, (1, 2, 3), street)
+            keys = shots.sequence(tmp_path / "keys", shots.colour_only, (1, 2), street)
             slots = tmp_path / "slots"
-            shots.sequence(slots, frame(_without_index), range(1, 10), street, 0.25)
+            shots.sequence(slots, frame(_without_index), range(1, 6), street, 0.25)
             given = (keys, "--gbuffers", slots)
         given = (*given, *shots.VECTORS)
         run = by_watching(given)
@@ -126,10 +136,17 @@ def _without_index(street, time):
     return {k: v for k, v in shots.slot_planes(street, time).items() if k != "IndexOB.X"}
 
 
-def test_nodes_see_the_key_frame_or_their_own_instant(features, uneven):
+@pytest.mark.parametrize(("setting", "frames"), combinations(SETTINGS, ("6", "2-6x2")))
+def test_a_chunk_is_a_part_of_the_whole(features, table, uneven, setting, frames):
+    part = features(uneven[setting], "--frames", frames)
+    chosen = {"6"} if frames == "6" else {"2", "4", "6"}
+    assert part == [row for row in table(setting) if row["key"] in chosen]
+
+
+def test_nodes_see_the_key_frame_or_their_own_instant(table):
     """At d1 the settings differ by the instant before, at d3 to d5 by their own."""
     for setting, own in (("key", False), ("slot", True)):
-        rows = features(uneven[setting])
+        rows = table(setting)
         for k in range(KEYS - 1):
             cells = [tuple(row[name] for name in NAMES) for row in rows[5 * k : 5 * k + 5]]
             assert cells[2] == cells[3] == cells[4]

@@ -45,9 +45,9 @@ class TestBest:
             assert means[done.paths[key]] >= max(means.values()) - ROUNDING
             for node, scores in weighed(done, key).items():
                 assert scores == pytest.approx([known[node, c][0] for c in (W, E)], abs=ROUNDING)
-        for path in PATHS:
-            other = judged(path.lower(), setting).report["quality"]["all"]["psnr_db"]
-            assert done.report["quality"]["all"]["psnr_db"] >= other - ROUNDING
+        runs = [judged(path.lower(), setting) for path in PATHS]
+        values = [run.report["quality"]["all"]["psnr_db"] for run in runs]
+        assert done.report["quality"]["all"]["psnr_db"] >= max(values) - ROUNDING
 
     def test_by_return(self, judged, setting):
         done = judged("oracle-return", setting)
@@ -117,10 +117,10 @@ def test_they_differ(judged, uneven, network, truth, tmp_path, method, path):
 class TestBytes:
     def test_chunks(self, judged, uneven, network, truth, upsample, tmp_path):
         keys, *rest = uneven["slot"]
-        for chunk in ("4-6", "1,3", "2"):
-            options = ("-m", "oracle", "--extrapolator", network, "--ground-truth", truth)
-            upsample(keys, tmp_path / "parts", *rest, *options, "--frames", chunk)
-        assert shots.contents(tmp_path / "parts") == judged("oracle", "slot").frames
+        options = ("-m", "oracle", "--extrapolator", network, "--ground-truth", truth)
+        upsample(keys, tmp_path / "part", *rest, *options, "--frames", "2,5-6")
+        part = shots.contents(tmp_path / "part")
+        assert len(part) == 12 and part.items() <= judged("oracle", "slot").frames.items()
 
     def test_another_truth_counts_for_its_interval_alone(
         self, judged, uneven, network, truth, tmp_path
