@@ -82,16 +82,17 @@ class TestVideo:
         assert psnr(frame(1.6), found[4]) > 30
 
     def test_sound_of_a_part_begins_with_it(self, upsample, keys, tmp_path):
-        upsample(keys, tmp_path / "part.mp4", "--frames", "2")
+        upsample(keys, tmp_path / "part.mp4", "-m", "hold", "--frames", "2")
         assert len(shown(tmp_path / "part.mp4")) == 4
         tone = pictures.ffmpeg("-i", tmp_path / "part.mp4", "-map", "0:a", "-f", "s16le", "-")
         whole = pictures.ffmpeg("-i", keys, "-map", "0:a", "-f", "s16le", "-")
         assert 0.15 < len(tone) / len(whole) < 0.6  # one frame of five; codecs cut in blocks
-        upsample(keys, tmp_path / "gaps.mp4", "--frames", "1,3")
+        upsample(keys, tmp_path / "gaps.mp4", "-m", "hold", "--frames", "1,3")
         assert open_clip(tmp_path / "gaps.mp4").look.sound is None
 
     def test_sound_is_left_out_where_the_rate_is_not_its_own(self, upsample, keys, tmp_path):
-        said = upsample(keys, tmp_path / "slow.mp4", "--fps", 12, "--progress", "plain").err
+        options = ("-m", "hold", "--fps", 12, "--progress", "plain")
+        said = upsample(keys, tmp_path / "slow.mp4", *options).err
         made = open_clip(tmp_path / "slow.mp4")
         assert made.rate == 48 and made.look.sound is None
         assert f"the sound of {keys}, as --fps 12 is not its own rate of 24" in said
@@ -110,26 +111,25 @@ class TestVideo:
         assert code is not None and code.text == "01:00:00:92"  # frame 23 of 24, at 96
 
     def test_beside_frames(self, upsample, keys, tmp_path):
-        upsample(keys, tmp_path / "out", "--video", tmp_path / "out.mov", "--no-tail")
-        assert len(names(tmp_path / "out")) == len(shown(tmp_path / "out.mov")) == 4 * KEYS - 3
-        assert open_clip(tmp_path / "out.mov").look.sound is not None
-
-    def test_beside_frames_that_are_there(self, upsample, keys, tmp_path):
+        """Also beside those that are there."""
         out, video = tmp_path / "out", tmp_path / "out.mov"
-        upsample(keys, out, "--video", video, "--factor", 2)
+        how = (keys, out, "--video", video, "--no-tail", "--factor", 2)
+        upsample(*how)
         was = shown(video)
+        assert len(names(out)) == len(was) == 2 * KEYS - 1
+        assert open_clip(video).look.sound is not None
         video.unlink()
-        again = (out, "--video", video, "--factor", 2, "--skip-existing")
-        assert changed_by(lambda: upsample(keys, *again), out) == set()
+        assert changed_by(lambda: upsample(*how, "--skip-existing"), out) == set()
         assert np.array_equal(shown(video), was)
 
     def test_a_good_one_is_kept(self, upsample, keys, tmp_path):
         out = tmp_path / "out.mp4"
-        upsample(keys, out, "--factor", 2)
+        how = (keys, out, "-m", "hold", "--factor", 2)
+        upsample(*how)
         written = out.stat().st_mtime_ns
-        again = upsample(keys, out, "--factor", 2, "--skip-existing")
+        again = upsample(*how, "--skip-existing")
         assert "is there already" in again.out and out.stat().st_mtime_ns == written
-        upsample(keys, out, "--factor", 2, "--skip-existing", "--exposure", 1)
+        upsample(*how, "--skip-existing", "--exposure", 1)
         assert out.stat().st_mtime_ns != written
 
     def test_rendered_frames_can_become_one_alone(self, upsample, plain_shot, tmp_path):
@@ -147,7 +147,7 @@ class TestFrames:
             assert passed.dtype == np.uint8 and (passed == decoded[i]).all()
 
     def test_are_half_and_linear_in_exr(self, upsample, keys, tmp_path):
-        upsample(keys, tmp_path / "a.###.exr", "--compression", "piz")
+        upsample(keys, tmp_path / "a.###.exr", "--frames", 2, "--compression", "piz")
         header, planes = read(tmp_path / "a.006.exr")
         assert set(planes) == set("RGB") and planes["R"].dtype == np.float16
         assert header["framesPerSecond"] == 4 * TEST_RATE
@@ -273,16 +273,16 @@ class TestDamage:
 
 class TestCuts:
     def test_nothing_is_taken_across(self, upsample, tmp_path):
-        source = clip(tmp_path / "two.mp4", [*panned(4), *panned(4, seed=7)], sound=False)
+        source = clip(tmp_path / "two.mp4", [*panned(3), *panned(3, seed=7)], sound=False)
         report = tmp_path / "report"
         said = upsample(source, tmp_path / "out", "--report", report).out
-        assert "cut before key frame 5 (detected)" in said
+        assert "cut before key frame 4 (detected)" in said
         document = json.loads((report / "report.json").read_text())
-        assert document["cuts"] == [{"frame": 5, "source": "detected"}]
-        for name, seed, first in (("before", 0, 0), ("after", 7, 16)):
-            alone = clip(tmp_path / f"{name}.mp4", panned(4, seed=seed), sound=False)
+        assert document["cuts"] == [{"frame": 4, "source": "detected"}]
+        for name, seed, first in (("before", 0, 0), ("after", 7, 12)):
+            alone = clip(tmp_path / f"{name}.mp4", panned(3, seed=seed), sound=False)
             upsample(alone, tmp_path / name)
-            for i in range(1, 17):
+            for i in range(1, 13):
                 codes = pictures.codes_of(tmp_path / "out" / f"two.{first + i:04d}.png")
                 expected = pictures.codes_of(tmp_path / name / f"{name}.{i:04d}.png")
                 assert np.array_equal(codes, expected), (name, i)
@@ -358,7 +358,7 @@ class TestRefusals:
         source = clip(tmp_path / "pan.mp4", panned(2), sound=False)
         was = source.read_bytes()
         exwarp("upsample", source, "-o", source, "--overwrite").refused(5, "is the input itself")
-        exwarp("upsample", source, "-o", tmp_path / "other.mp4", "--fps", 30)
+        exwarp("upsample", source, "-o", tmp_path / "other.mp4", "-m", "hold", "--fps", 30)
         exwarp("upsample", source, "-o", tmp_path / "other.mp4").refused(6, "another -o")
         assert source.read_bytes() == was
 
@@ -366,7 +366,8 @@ class TestRefusals:
         source = clip(tmp_path / "pan.mkv", panned(12), sound=False)
         data = source.read_bytes()
         source.write_bytes(data[: len(data) * 2 // 3])
-        result = exwarp("upsample", source, "-o", tmp_path / "out.mp4", "--progress", "none")
+        quiet = ("-m", "hold", "--progress", "none")
+        result = exwarp("upsample", source, "-o", tmp_path / "out.mp4", *quiet)
         if result.code:  # the container may hide it, as a shorter video
             result.refused(3, "cannot read the video")
             assert names(tmp_path) == ["pan.mkv"]
