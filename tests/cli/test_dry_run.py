@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,26 @@ import pytest
 
 from exwarp_cli.domain.timeline import parse_frames
 from tests.cli import shots
+from tests.cli.conftest import run_quietly
 from tests.cli.shots import FORWARD
+from tests.cli.street import Street
 
 HOW = ("-m", "s6", *FORWARD)
+
+
+@pytest.fixture(scope="module")
+def plain_shot(tmp_path_factory) -> Path:
+    return shots.sequence(tmp_path_factory.mktemp("plain") / "keys", street=Street(32, 18))
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory, plain_shot) -> Path:
+    """What an earlier run left: frames 1 to 8 without 4, and 6 damaged; read only."""
+    out = tmp_path_factory.mktemp("begun") / "out"
+    run_quietly("upsample", plain_shot, "-o", out, *HOW, "--frames", "1-2")
+    (out / "shot.0004.exr").unlink()
+    shots.truncate(out / "shot.0006.exr")
+    return out
 
 
 @pytest.fixture
@@ -58,15 +76,14 @@ class TestTelling:
         assert found["fps"] == {"base": 30, "output": 120, "source": "header", "factor": "4"}
         assert found["cuts"] == {"detect": True, "known": []} and found["chunks"] == []
 
-    def test_what_is_kept_and_what_is_replaced(self, foresee, upsample, plain_shot, tmp_path):
-        out = tmp_path / "out"
-        upsample(plain_shot, out, *HOW, "--frames", "1-2")
-        shots.truncate(out / "shot.0003.exr")
-        (out / "shot.0005.exr").unlink()
+    def test_what_is_kept_and_what_is_replaced(
+        self, foresee, upsample, plain_shot, begun, tmp_path
+    ):
+        out = Path(shutil.copytree(begun, tmp_path / "out"))
         found = numbers(foresee(out, *HOW, "--skip-existing"))
-        assert (found["keep"], found["replace"], found["write"]) == ("1-2,4,6-8", "3", "5,9-12")
+        assert (found["keep"], found["replace"], found["write"]) == ("1-3,5,7-8", "6", "4,9-12")
         found = numbers(foresee(out, *HOW, "--overwrite"))
-        assert (found["keep"], found["replace"], found["write"]) == ("", "1-4,6-8", "5,9-12")
+        assert (found["keep"], found["replace"], found["write"]) == ("", "1-3,5-8", "4,9-12")
         upsample(plain_shot, out, *HOW, "--skip-existing")
         assert numbers(foresee(out, *HOW, "--skip-existing"))["keep"] == "1-12"
 
@@ -107,14 +124,14 @@ CASES: dict[str, tuple[object, ...]] = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_run_does_what_was_foreseen(exwarp, upsample, plain_shot, tmp_path, monkeypatch, name):
+def test_a_run_does_what_was_foreseen(
+    exwarp, upsample, plain_shot, begun, tmp_path, monkeypatch, name
+):
     """Frame by frame, with what an earlier run left; and until then nothing changes anywhere."""
     monkeypatch.chdir(tmp_path)
     options = (*HOW, *CASES[name])
     if "--skip-existing" in options or "--overwrite" in options:
-        upsample(plain_shot, "out", *HOW, "--frames", "1-2")
-        Path("out/shot.0004.exr").unlink()
-        shots.truncate(Path("out/shot.0006.exr"))
+        shutil.copytree(begun, "out")
     before = states(tmp_path, plain_shot)
     dry = exwarp("upsample", plain_shot, "-o", "out", *options, "--dry-run", "--json")
     assert dry.code == 0 and states(tmp_path, plain_shot) == before
@@ -159,9 +176,8 @@ class TestRefusals:
         wet = exwarp("upsample", *arguments)
         assert (wet.code, wet.err) == (dry.code, dry.err)
 
-    def test_frames_in_the_way(self, exwarp, upsample, plain_shot, tmp_path):
-        upsample(plain_shot, tmp_path / "out", *HOW)
-        self.alike(exwarp, 6, plain_shot, "-o", tmp_path / "out", *HOW)
+    def test_frames_in_the_way(self, exwarp, plain_shot, begun):
+        self.alike(exwarp, 6, plain_shot, "-o", begun, *HOW)
 
     def test_a_report_in_the_way(self, exwarp, plain_shot, tmp_path):
         (tmp_path / "report").mkdir()
