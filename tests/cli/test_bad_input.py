@@ -91,7 +91,7 @@ class TestDamage:
 
     def test_found_when_its_turn_comes_leaves_the_frames_before(self, exwarp, tmp_path):
         """Nine frames, so that the damaged one is not among those that are measured."""
-        keys = shots.sequence(tmp_path / "keys", shots.plain, range(1, 10))
+        keys = shots.sequence(tmp_path / "keys", shots.plain, range(1, 10), shots.SMALL)
         truncate(keys / "shot.0007.exr")
         out = tmp_path / "out"
         result = exwarp("upsample", keys, "-o", out, "-m", "s6", "--progress", "none")
@@ -187,30 +187,30 @@ class TestSequences:
         exwarp("compare", keys, plain_truth, "--frames", "7").refused(3, "frame 7")
 
 
+@pytest.fixture(scope="module")
+def garbage(tmp_path_factory) -> Path:
+    """Vectors that have nothing to do with the picture."""
+    chance = np.random.default_rng(3)
+
+    def frame(path: Path, street: Street, time: float) -> None:
+        planes = shots.plain_planes(street, time)
+        for name in ("forward.u", "forward.v"):
+            planes[name] = chance.normal(0, 5, planes[name].shape).astype(np.float32)
+        shots.write(path, {"": planes})
+
+    return shots.sequence(tmp_path_factory.mktemp("chance") / "keys", frame, street=shots.SMALL)
+
+
 class TestMotion:
-    def garbage(self, folder: Path) -> Path:
-        """Write vectors that have nothing to do with the picture."""
-        chance = np.random.default_rng(3)
-
-        def frame(path: Path, street: Street, time: float) -> None:
-            planes = shots.plain_planes(street, time)
-            for name in ("forward.u", "forward.v"):
-                planes[name] = chance.normal(0, 5, planes[name].shape).astype(np.float32)
-            shots.write(path, {"": planes})
-
-        return shots.sequence(folder, frame)
-
-    def test_vectors_that_explain_nothing(self, exwarp, tmp_path):
-        keys = self.garbage(tmp_path / "keys")
-        result = exwarp("upsample", keys, "-o", tmp_path / "out", "-m", "s6")
+    def test_vectors_that_explain_nothing(self, exwarp, garbage, tmp_path):
+        result = exwarp("upsample", garbage, "-o", tmp_path / "out", "-m", "s6")
         result.refused(4, "motion", "--motion")
         assert not (tmp_path / "out").exists()
-        shown = exwarp("inspect", keys)
+        shown = exwarp("inspect", garbage)
         assert shown.code == 0 and "motion unsettled: " in shown.out and shown.err == ""
 
-    def test_methods_without_motion_do_not_mind(self, exwarp, tmp_path):
-        keys = self.garbage(tmp_path / "keys")
-        assert exwarp("upsample", keys, "-o", tmp_path / "out", "-m", "blend").code == 0
+    def test_methods_without_motion_do_not_mind(self, exwarp, garbage, tmp_path):
+        assert exwarp("upsample", garbage, "-o", tmp_path / "out", "-m", "blend").code == 0
 
     @pytest.mark.parametrize(
         ("given", "word"),

@@ -62,7 +62,7 @@ class TestUnwritable:
     @pytest.mark.skipif(os.name == "nt", reason="limits of POSIX")
     def test_a_full_disk(self, tmp_path):
         """A limit on file sizes stands in for the disk: writing fails in the middle of a file."""
-        keys = shots.sequence(tmp_path / "keys", shots.plain, (1, 2))
+        keys = shots.sequence(tmp_path / "keys", shots.colour_only, (1, 2))
         smallest = min(len(data) for data in shots.contents(keys).values())
         code = (
             "import resource, sys; from exwarp_cli import cli; limit = int(sys.argv.pop(1)); "

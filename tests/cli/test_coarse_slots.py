@@ -64,7 +64,7 @@ def motion_of(report: Path) -> dict:
 
 def test_it_runs_without_a_flag_and_as_with_one(upsample, shot, tmp_path):
     keys, slots = shot
-    common = ("-m", "s6", "--gbuffers", slots, "--report")
+    common = ("-m", "s6", "--gbuffers", slots, "--frames", "1,5", "--report")
     upsample(keys, tmp_path / "plain", *common, tmp_path / "a")
     upsample(keys, tmp_path / "given", *common, tmp_path / "b", "--motion", "unreal")
     motion = motion_of(tmp_path / "a")
@@ -81,7 +81,8 @@ def test_it_runs_without_a_flag_and_as_with_one(upsample, shot, tmp_path):
 def test_names_that_are_wrong_are_still_overruled(upsample, tmp_path):
     keys, slots = written(tmp_path, sign=-1.0)
     report = tmp_path / "report"
-    upsample(keys, tmp_path / "out", "-m", "s6", "--gbuffers", slots, "--report", report)
+    options = ("--gbuffers", slots, "--frames", "1", "--report", report)
+    upsample(keys, tmp_path / "out", "-m", "s6", *options)
     motion = motion_of(report)
     assert motion["source"] == "corrected"
     assert motion["evidence"].startswith("previous=R,-G measured")

@@ -10,7 +10,7 @@ import onnx
 import pytest
 
 from tests.cli import shots
-from tests.cli.shots import SMALL
+from tests.cli.shots import FORWARD, SMALL, VECTORS
 from tests.unit.test_model_weights import apart
 from tests.unit.tiny_models import filled_warp, save
 
@@ -28,6 +28,16 @@ def of_opset(version: int) -> onnx.ModelProto:
 
 
 EXTRAPOLATING = "causal, s1, s2, s3, s4, s5, oracle, oracle-return"
+
+
+@pytest.fixture(scope="module")
+def shot(tmp_path_factory) -> dict[str, tuple[object, ...]]:
+    """Arguments that name two key frames, by setting."""
+    root = tmp_path_factory.mktemp("shot")
+    keys = shots.sequence(root / "keys", shots.plain, (1, 2), SMALL)
+    colour = shots.sequence(root / "colour", shots.colour_only, (1, 2), SMALL)
+    slots = shots.sequence(root / "slots", shots.slot_gbuffer, range(1, 6), SMALL, step=0.25)
+    return {"key": (keys, *FORWARD), "slot": (colour, "--gbuffers", slots, *VECTORS)}
 
 
 class TestRefusals:
