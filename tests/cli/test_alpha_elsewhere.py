@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ import pytest
 
 from tests.blender_layers import FLOAT, HALF, Planes, layer
 from tests.cli import shots
+from tests.cli.conftest import run_quietly
 from tests.cli.street import Street
+from tests.matrix import combinations
 
 SPELLINGS: dict[str, Mapping[str, Mapping[str, str]]] = {
     "plain": {"": {"R": "R", "G": "G", "B": "B", "A": "A"}},
@@ -63,16 +66,30 @@ def plane_of(path: Path, name: str) -> np.ndarray:
     return planes[name]
 
 
-@pytest.mark.parametrize("method", ["s6", "softsplat"])
-@pytest.mark.parametrize("spelling", [name for name in SPELLINGS if name != "plain"])
-def test_it_is_warped_with_the_colour_under_its_own_name(upsample, tmp_path, spelling, method):
-    for name in ("plain", spelling):
-        shots.sequence(tmp_path / name, writer(name), (1, 2), shots.SMALL)
-        upsample(tmp_path / name, tmp_path / f"out {name}", "-m", method, *shots.FORWARD)
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Callable[[str, str], Path]:
+    """Return the first interval's frames, by spelling and method; each made once, read only."""
+
+    @cache
+    def run(spelling: str, method: str) -> Path:
+        root = tmp_path_factory.mktemp("made")
+        keys = shots.sequence(root / "keys", writer(spelling), (1, 2), shots.SMALL)
+        options = ("-m", method, *shots.FORWARD, "--frames", 1)
+        run_quietly("upsample", keys, "-o", root / "out", *options)
+        return root / "out"
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("spelling", "method"),
+    combinations([name for name in SPELLINGS if name != "plain"], ["s6", "softsplat"]),
+)
+def test_it_is_warped_with_the_colour_under_its_own_name(made, spelling, method):
     names = {letter: name for part in SPELLINGS[spelling].values() for letter, name in part.items()}
     for number in (2, 3, 4):
-        got = tmp_path / f"out {spelling}" / f"shot.{number:04d}.exr"
-        plain = tmp_path / "out plain" / got.name
+        got = made(spelling, method) / f"shot.{number:04d}.exr"
+        plain = made("plain", method) / got.name
         assert channels_of(got) == set(names.values())
         assert plane_of(got, names["A"]).dtype == np.float32
         for letter, name in names.items():

@@ -39,9 +39,9 @@ def printed(arguments: tuple[str, ...], environment: dict[str, str], folder: Pat
 
 
 @pytest.fixture
-def accented(plain_shot, tmp_path) -> Path:
-    """Copy a shot into a folder whose name is no ASCII; return it."""
-    return shutil.copytree(plain_shot, tmp_path / "k\xe9y")
+def accented(tmp_path) -> Path:
+    """A shot in a folder whose name is no ASCII."""
+    return shots.sequence(tmp_path / "k\xe9y", shots.colour_only, (1, 2), shots.SMALL)
 
 
 def test_a_terminal_in_latin_1_reads_names_as_they_are(latin_1, accented):
@@ -51,14 +51,14 @@ def test_a_terminal_in_latin_1_reads_names_as_they_are(latin_1, accented):
 
 
 def test_a_job_from_a_terminal_in_latin_1_names_the_same_files(latin_1, accented):
-    call = ("farm", "commands", str(accented), "-o", "out", "-m", "s6", "--motion", "forward")
+    call = ("farm", "commands", str(accented), "-o", "out", "-m", "hold")
     found = printed(call, latin_1, Path.cwd())
     assert f"'{accented}'".encode() in found
 
 
 def test_command_lines_name_files_as_the_disk_does(accented):
     """They are run by a shell, whatever encoding the output has."""
-    call = ("farm", "commands", str(accented), "-o", "out", "-m", "s6", "--motion", "forward")
+    call = ("farm", "commands", str(accented), "-o", "out", "-m", "hold")
     found = printed(call, {**os.environ, "PYTHONIOENCODING": "latin-1"}, Path.cwd())
     assert f"'{accented}'".encode() in found
 

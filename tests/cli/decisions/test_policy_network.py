@@ -77,6 +77,7 @@ def test_a_policy_that_does_not_say(start, network, trained_for, stated):
 
 def test_the_report_says_it_too(uneven, network, trained_for, tmp_path):
     given = ("--causal", "--extrapolator", network, "--policy", trained_for(["ab" * 32]))
+    given += ("--frames", 1)
     policy = take(uneven["key"], tmp_path / "out", *given).report["policy"]
     assert policy["trained_for"] == ["ab" * 32] and f"{NOTE} abababab" in policy["note"]
     assert NOTE in (tmp_path / "out-report" / "report.html").read_text()

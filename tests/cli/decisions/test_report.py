@@ -174,7 +174,8 @@ class TestMissing:
             "--threads",
             1,
         )
-        options += ("--motion", motion, "--progress", "none", "--report", tmp_path / "report")
+        options += ("--frames", 1, "--motion", motion, "--progress", "none")
+        options += ("--report", tmp_path / "report")
         result = exwarp("upsample", keys, "-o", tmp_path / "out", *options)
         assert result.code == 0, result.err
         report = json.loads((tmp_path / "report" / "report.json").read_text())
