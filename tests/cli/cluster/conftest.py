@@ -30,7 +30,7 @@ def whole(tmp_path_factory, keys) -> Path:
 
 @pytest.fixture(scope="package")
 def truth(tmp_path_factory) -> Path:
-    return shots.truth(tmp_path_factory.mktemp("truth") / "truth", KEYS, 1, SMALL)
+    return shots.truth(tmp_path_factory.mktemp("truth") / "truth", shots.KEYS, 1, SMALL)
 
 
 @pytest.fixture(scope="package")

@@ -19,7 +19,7 @@ from tests.cli import shots
 from tests.cli.cluster.results import KEYS, agree
 from tests.cli.pictures import clip, frame
 from tests.cli.reports import unmeasured
-from tests.cli.shots import FORWARD, SMALL
+from tests.cli.shots import FORWARD
 from tests.stereo_shots import arguments, write_stereo
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
@@ -46,18 +46,17 @@ ALL = ("--write-holes", "@holes", "--video", "@a.mp4", "--report", "@report")
 
 
 class TestSame:
-    def test_frames_masks_video_and_report(self, both, keys, truth):
-        one, other = both(keys, "-m", "s6", *ALL, "--ground-truth", truth)
-        assert len(shots.names(one / "frames")) == 4 * KEYS
+    def test_frames_masks_video_and_report(self, both, shot, network, truth):
+        sequence, *rest = shot["slot"]
+        options = (*rest, "--extrapolator", network, "--ground-truth", truth, "--frames", "1-3")
+        one, other = both(sequence, "-m", "oracle", *ALL, *options, size=1)
+        assert len(shots.names(one / "frames")) == 12
         agree(one, other)
 
-    @pytest.mark.parametrize("method", ["causal", pytest.param("oracle", marks=pytest.mark.slow)])
-    def test_methods_that_decide(self, both, shot, network, tmp_path_factory, method):
+    def test_decisions(self, both, shot, network):
         sequence, *rest = shot["slot"]
-        truth = shots.truth(tmp_path_factory.mktemp("five") / "truth", shots.KEYS, 1, SMALL)
-        options = (*rest, "-m", method, "--extrapolator", network, "--ground-truth", truth)
-        options += ("--frames", "2-4", "--report", "@report")
-        one, other = both(sequence, *options, size=1)
+        options = (*rest, "--extrapolator", network, "--frames", "2-4", "--report", "@report")
+        one, other = both(sequence, "-m", "causal", *options, size=1)
         assert any(unmeasured(one / "report")["decisions"]["paths"].values())
         agree(one, other)
 
@@ -69,7 +68,7 @@ class TestSame:
 
     @pytest.mark.slow
     def test_layers_and_views_of_every_kind(self, both, tmp_path_factory):
-        folder = write_stereo(tmp_path_factory.mktemp("stereo") / "keys", "parts")
+        folder = write_stereo(tmp_path_factory.mktemp("stereo") / "keys", "parts", (1, 2))
         sequence, options = arguments(folder, "parts")
         everything = ("--view", "all", "--layers", "all", "--video", "@a.mp4")
         agree(*both(sequence, *options, "-m", "softsplat", *everything, size=1))

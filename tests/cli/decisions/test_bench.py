@@ -271,25 +271,30 @@ def test_what_fails_before_the_work_begins_has_no_progress(exwarp, tmp_path):
     assert [one["event"] for one in events] == ["fail"]
 
 
-def test_chunks_and_workers_find_what_one_process_finds(bench, few, monkeypatch):
-    bench("--jobs", 2, *FEW[2:], "--frames", "1-3", name="chunks")
-    bench(*FEW, "--frames", f"4-{KEYS}", name="chunks")
-    monkeypatch.setattr(benchmark, "measure", None)
-    joined, _ = bench(*FEW, name="chunks")
+@pytest.fixture
+def measured(monkeypatch) -> list[int]:
+    """The key frames whose intervals this process measures from now on, from 0."""
+    measure, found = benchmark.measure, list[int]()
+
+    def counted(opened: Any, loaded: Any) -> dict[str, Any]:
+        found.append(loaded.key)
+        return measure(opened, loaded)
+
+    monkeypatch.setattr(benchmark, "measure", counted)
+    return found
+
+
+def test_chunks_and_workers_find_what_one_process_finds(bench, few, measured):
+    bench("--jobs", 2, *FEW[2:], "--frames", "1-3")
+    joined, _ = bench(*FEW)
+    assert measured == [3, 4]
     for key in ("quality", "holes", "features", "decisions", "fps", "extranet_procedure"):
         assert joined[key] == document_in(few)[key], key
 
 
-def test_only_what_is_damaged_or_asked_for_anew_is_measured(bench, few, again, monkeypatch):
+def test_only_what_is_damaged_or_asked_for_anew_is_measured(bench, few, again, measured):
     part = next(iter(again.glob("parts/*/2.json")))
     part.write_text(part.read_text()[:100])
-    measure, measured = benchmark.measure, []
-
-    def counted(opened, loaded):
-        measured.append(loaded.key)
-        return measure(opened, loaded)
-
-    monkeypatch.setattr(benchmark, "measure", counted)
     assert bench(*FEW)[0]["quality"] == document_in(few)["quality"] and measured == [1]
     fewer, _ = bench(*QUICK, "--systems", "s3,hold", "--frames", "2")
     assert set(fewer["quality"][0]["systems"]) == {"s3", "hold"} and measured == [1, 1]
