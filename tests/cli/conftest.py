@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import builtins
-from collections.abc import Callable
+import hashlib
+import pickle
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
@@ -11,6 +13,8 @@ from typing import Any, TextIO
 import pytest
 
 from exwarp_cli import cli
+from exwarp_cli.domain.motion import MotionFinding
+from exwarp_cli.pipeline import motion_convention
 from exwarp_cli.runtime.compilation import COMPILED, COMPILING
 from tests.cli import shots
 from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS
@@ -70,6 +74,23 @@ def run_quietly(*words: object) -> None:
     with pytest.MonkeyPatch.context() as patch:
         leave_plots_out(patch)
         assert cli.run([str(word) for word in (*words, *quiet)]) == 0
+
+
+@pytest.fixture(scope="session", autouse=True)
+def conventions_measured_once() -> Iterator[None]:
+    """Measure what vectors mean once for each set of frames: most of the time of a short run."""
+    findings: dict[bytes, MotionFinding] = {}
+    measure = motion_convention.calibrate
+
+    def calibrate(*arguments: Any) -> MotionFinding:
+        key = hashlib.sha256(pickle.dumps(arguments)).digest()
+        if key not in findings:
+            findings[key] = measure(*arguments)
+        return findings[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(motion_convention, "calibrate", calibrate)
+        yield
 
 
 @pytest.fixture
