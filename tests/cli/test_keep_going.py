@@ -12,6 +12,7 @@ import pytest
 from tests.cli import shots
 from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS, contents, names
 from tests.cli.spoiling import remove, scribble, truncate
+from tests.matrix import combinations
 
 FRAMES = 4 * KEYS
 BROKEN = 3
@@ -103,21 +104,6 @@ def test_without_it_nothing_goes_on(exwarp, keys, tmp_path):
     result.refused(3, "frame 3 is missing")
 
 
-@pytest.mark.parametrize("method", ["softsplat", "s6", "s3", "causal"])
-@pytest.mark.parametrize("cuts", ["auto", "none"])
-def test_any_split_gives_the_same_bytes(kept, exwarp, upsample, network, keys, method, cuts):
-    truncate(damaged_at(keys, BROKEN))
-    options = (*FORWARD, "--cuts", cuts)
-    whole, _ = kept("whole", keys, *options, method=method)
-    split = whole.parent / "split"
-    for number in (5, 1, 4, 2, 3):
-        extra = ("--extrapolator", network) if method in EXTRAPOLATING else ()
-        quiet = ("--progress", "none", "--threads", 1, "--frames", number, "-m", method)
-        result = exwarp("upsample", keys, "-o", split, *quiet, *extra, "--keep-going", *options)
-        assert result.code == (12 if number == BROKEN else 0), result.err
-    assert contents(split) == contents(whole)
-
-
 @pytest.mark.parametrize("method", ["softsplat", "s3", "causal"])
 def test_mended_and_resumed_all_is_as_if_nothing_had_been(kept, made, keys, method):
     sound = damaged_at(keys, BROKEN).read_bytes()
@@ -173,23 +159,15 @@ class TestOtherFiles:
     def slots(self, shot, tmp_path) -> Path:
         return Path(shutil.copytree(shot["slot"][2], tmp_path / "slots"))
 
-    @pytest.mark.parametrize("method", ["softsplat", "s6", "s3", "causal"])
-    @pytest.mark.parametrize("damage", [remove, truncate])
-    def test_a_slot_without_g_buffers(self, kept, exwarp, network, shot, slots, method, damage):
+    @pytest.mark.parametrize(
+        ("method", "damage"), combinations(["softsplat", "s6", "s3", "causal"], [remove, truncate])
+    )
+    def test_a_slot_without_g_buffers(self, kept, shot, slots, method, damage):
         """Slot 2 of the second interval, frame 7: the key frame 5 goes through."""
         damage(damaged_at(slots, 7))
-        options = ("--gbuffers", slots, *VECTORS)
-        out, err = kept("out", shot["slot"][0], *options, method=method)
+        out, err = kept("out", shot["slot"][0], "--gbuffers", slots, *VECTORS, method=method)
         assert numbered(out) == set(range(1, FRAMES + 1)) - {6, 7, 8}
         assert "left out frames 6-8: " in err
-        split = out.parent / "split"
-        for number in (3, 1, 5, 2, 4):
-            extra = ("--extrapolator", network) if method in EXTRAPOLATING else ()
-            quiet = ("--progress", "none", "--threads", 1, "--frames", number, "-m", method)
-            given = (*quiet, *extra, "--keep-going", *options)
-            result = exwarp("upsample", shot["slot"][0], "-o", split, *given)
-            assert result.code == (12 if number == 2 else 0), result.err
-        assert contents(split) == contents(out)
 
     def test_g_buffers_of_a_key_frame(self, kept, shot, slots):
         truncate(damaged_at(slots, 5))

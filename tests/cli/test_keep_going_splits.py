@@ -14,7 +14,7 @@ from tests.blender_layers import layer
 from tests.cli import shots
 from tests.cli.pictures import frame, stills
 from tests.cli.shots import FORWARD, SMALL, VECTORS, contents, names
-from tests.matrix import combinations
+from tests.matrix import combinations, spread
 from tests.stereo_shots import write_stereo
 
 QUIET = ("--progress", "none", "--threads", 1, "--keep-going")
@@ -62,7 +62,7 @@ SURFACE = ("Diffuse Color", "Glossy Color")
 
 @pytest.mark.parametrize(
     ("method", "cuts"),
-    combinations(("softsplat", "exwarp", "s3", "causal"), ("auto", "none", "3,6", "4,5")),
+    combinations(("softsplat", "exwarp", "s6", "s3", "causal"), ("auto", "none", "3,6", "4,5")),
 )
 def test_several_lost_frames(split_alike, network, tmp_path, cuts, method):
     """Far enough apart that the history of one reaches to another, or not."""
@@ -100,7 +100,7 @@ def test_every_layer(split_alike, network, tmp_path, method):
     assert made == set(range(1, 25)) - set(range(13, 17))
 
 
-@pytest.mark.parametrize("method", ["exwarp", "softsplat", "s6", "s3"])
+@pytest.mark.parametrize("method", spread(("exwarp", "softsplat", "s6", "s3"), 2))
 def test_every_view(split_alike, network, tmp_path, method):
     """The right eye's parts come last, and are lost with the end of the file."""
     keys = write_stereo(tmp_path / "keys", "parts", range(1, 6))

@@ -11,6 +11,7 @@ from pathlib import Path
 import OpenEXR
 import pytest
 
+from exwarp_cli import cli
 from tests.cli import pictures, shots
 from tests.cli.street import Street
 
@@ -24,11 +25,19 @@ def keys(plain_shot, tmp_path) -> Path:
     return Path(shutil.copytree(plain_shot, tmp_path / "keys"))
 
 
+@pytest.fixture(scope="module")
+def finished(plain_shot, tmp_path_factory) -> Path:
+    """The frames of a whole run; read only."""
+    out = tmp_path_factory.mktemp("finished") / "out"
+    command = ("upsample", plain_shot, "-o", out, *HOW, "--threads", 1)
+    assert cli.run([str(word) for word in command]) == 0
+    return out
+
+
 @pytest.fixture
-def out(keys, upsample, tmp_path) -> Path:
-    """The frames of a whole run."""
-    upsample(keys, tmp_path / "out", *HOW)
-    return tmp_path / "out"
+def out(finished, tmp_path) -> Path:
+    """The frames of a whole run, which a test may change."""
+    return Path(shutil.copytree(finished, tmp_path / "out"))
 
 
 def paint(path: Path, **more: object) -> bytes:
@@ -151,7 +160,7 @@ class TestReplaced:
         self.again(upsample, keys, out)
         assert shots.contents(out) == self.fresh(upsample, keys, tmp_path)
 
-    @pytest.mark.parametrize("split", [("1", "2", "3"), ("3", "2", "1"), ("2-3", "1"), ("1-3",)])
+    @pytest.mark.parametrize("split", [("1", "2-3"), ("3", "2", "1")])
     def test_any_split_replaces_the_same(self, upsample, keys, out, tmp_path, split):
         for number in (1, 2, 3):
             render_again(keys, number)
@@ -246,6 +255,11 @@ class TestFramesOfEarlierBuilds:
 
         monkeypatch.setattr(SlotRenderer, "_attributes", fewer)
 
+    @pytest.fixture
+    def out(self, earlier, keys, upsample, tmp_path) -> Path:
+        upsample(keys, tmp_path / "out", *HOW)
+        return tmp_path / "out"
+
     def test_the_method_of_each_frame_counts(self, exwarp, upsample, keys, out):
         how = ("--skip-existing", "--fps", 25)
         upsample(keys, out, *HOW, *how)
@@ -328,11 +342,12 @@ class TestCounts:
             shots.write(path, {"": shots.plain_planes(street, time)}, head)
 
         keys = shots.sequence(tmp_path / "keys", timed, range(1, 4), shots.SMALL)
-        out, report = tmp_path / "out", tmp_path / "report"
+        out = tmp_path / "out"
         upsample(keys, out, *HOW)
         (out / "shot.0002.exr").unlink()
-        upsample(keys, out, *HOW, "--skip-existing", "--report", report)
-        found = json.loads((report / "report.json").read_text())["render_time"]
+        found = json.loads(upsample(keys, out, *HOW, "--skip-existing", "--json").out)[
+            "render_time"
+        ]
         assert 90 < found["saved_s"] < 100  # one frame, and not nine
         assert 0.4 < found["saved_share"] < 0.5  # of it and its key frame
 

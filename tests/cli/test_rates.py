@@ -12,6 +12,7 @@ import pytest
 from tests.cli import shots
 from tests.cli.shots import FORWARD, SMALL, VECTORS
 from tests.cli.street import Street
+from tests.matrix import combinations, spread
 
 KEYS = range(1, 6)
 
@@ -36,13 +37,11 @@ def half_rate(path: Path, street: Street, time: float) -> None:
 
 
 def scored(upsample, sequence: Path, out: Path, truth: Path, *options: object) -> dict:
-    report = out.with_name(f"{out.name}-report")
-    upsample(sequence, out, "--ground-truth", truth, "--report", report, "--no-tail", *options)
-    return json.loads((report / "report.json").read_text())
+    scores = ("--ground-truth", truth, "--metrics", "psnr", "--json")
+    return json.loads(upsample(sequence, out, *scores, "--no-tail", *options).out)
 
 
-@pytest.mark.parametrize("factor", [2, 3, 5, 8])
-@pytest.mark.parametrize("method", ["s6", "softsplat"])
+@pytest.mark.parametrize(("factor", "method"), combinations([2, 3, 5, 8], ["s6", "softsplat"]))
 def test_slots_lie_where_they_should_in_time(upsample, keys, tmp_path, factor, method):
     truth = truth_at(tmp_path / "truth", Fraction(factor))
     options = ("--factor", factor, "-m", method, *FORWARD)
@@ -64,7 +63,7 @@ def test_slots_lie_where_they_should_in_time(upsample, keys, tmp_path, factor, m
     assert gain > 5
 
 
-@pytest.mark.parametrize("method", ["s6", "softsplat"])
+@pytest.mark.parametrize("method", spread(["softsplat", "s6"], 1))
 def test_from_24_to_60(upsample, keys, tmp_path, method):
     truth = truth_at(tmp_path / "truth", Fraction(5, 2))
     options = ("--fps", 24, "--to-fps", 60, "-m", method, *FORWARD)
@@ -86,9 +85,8 @@ def test_from_24_to_60(upsample, keys, tmp_path, method):
 
 
 def test_a_key_frame_that_is_shown_late_is_a_new_frame(upsample, keys, tmp_path):
-    options = ("--fps", 24, "--to-fps", 60, "-m", "hold", "--report", tmp_path / "report")
-    upsample(keys, tmp_path / "out", *options)
-    found = json.loads((tmp_path / "report" / "report.json").read_text())
+    options = ("--fps", 24, "--to-fps", 60, "-m", "hold", "--json")
+    found = json.loads(upsample(keys, tmp_path / "out", *options).out)
     assert found["fps"]["effective"] == pytest.approx(60 * 5 / 13)
     assert (found["frames"]["generated"], found["frames"]["dropped"]) == (2, 8)
 
