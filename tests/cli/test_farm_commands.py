@@ -12,6 +12,7 @@ from tests.cli import shots
 from tests.cli.documents import document_of
 from tests.cli.farm_engine import EXWARP, HOSTILE, environment
 from tests.cli.shots import FORWARD, SMALL
+from tests.matrix import combinations
 
 NAME = "it's {a} shot: é #1"
 
@@ -61,8 +62,10 @@ class TestLines:
         result.refused(2, "line end", "--json")
         assert exwarp("farm", "commands", NAME, "-o", "a\nb", *FORWARD, "--json").code == 0
 
-    @pytest.mark.parametrize("name", ["a\tb", "a\x1b[1mb", "a\x85b", "a\u2028b", "a\u202eb"])
-    @pytest.mark.parametrize("option", ["-o", "--report"])
+    @pytest.mark.parametrize(
+        ("name", "option"),
+        combinations(["a\tb", "a\x1b[1mb", "a\x85b", "a\u2028b", "a\u202eb"], ["-o", "--report"]),
+    )
     def test_nor_is_one_that_a_terminal_obeys(self, shot, exwarp, name, option):
         """Of colours ``click`` would leave the rest: another name."""
         given = (NAME, "-o", "out", *FORWARD, option, name)

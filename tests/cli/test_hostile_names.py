@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from exwarp_cli import cli
 from exwarp_cli.domain.wording import has_control_chars
 from tests.cli import shots
 from tests.cli.shots import FORWARD, SMALL
@@ -134,29 +135,39 @@ class TestTerminal:
             assert len(result.err.splitlines()) == 1
 
 
-def test_pages_have_the_elements_of_a_plain_one(exwarp, upsample, shot, folder, tmp_path):
+@pytest.fixture(scope="module")
+def truth(tmp_path_factory) -> Path:
+    return shots.truth(tmp_path_factory.mktemp("truth") / "truth", street=SMALL)
+
+
+def elements_of_pages(keys: Path, truth: Path, out: Path) -> list[object]:
+    """Write the pages of a run, and of a comparison."""
+    scored = (*FORWARD, "-m", "s6", "--ground-truth", truth, "--report", out / "report")
+    for command in (
+        ("upsample", keys, "-o", f"{out / 'new'}/", *scored, "--threads", 1),
+        ("compare", out / "new", out / "new", "--report", out / "compared", "--metrics", "psnr"),
+    ):
+        assert cli.run([*map(str, command), "--progress", "none"]) == 0
+    return [elements(out / part / "report.html") for part in ("report", "compared")]
+
+
+@pytest.fixture(scope="module")
+def plain(truth, tmp_path_factory) -> list[object]:
+    """The elements of pages about a plain name."""
+    folder = tmp_path_factory.mktemp("plain")
+    return elements_of_pages(hostile(folder / "keys", PLAIN), truth, folder / PLAIN)
+
+
+def test_pages_have_the_elements_of_a_plain_one(exwarp, shot, plain, truth, tmp_path):
     """And tables come back as they were."""
     keys, name = shot
-    plain = folder / PLAIN
-    if not plain.exists():
-        hostile(plain, PLAIN)
-    truth = folder / "truth"
-    if not truth.exists():
-        shots.truth(truth, street=SMALL)
-    found = {}
-    for place, text in ((keys, name), (plain, PLAIN)):
-        out = tmp_path / text
-        options = (*FORWARD, "-m", "s6", "--ground-truth", truth, "--report", out / "report")
-        upsample(place, out / "new", *options)
-        options = ("--report", out / "compared", "--metrics", "psnr", "--progress", "none")
-        assert exwarp("compare", out / "new", out / "new", *options).code == 0
-        found[text] = [elements(out / part / "report.html") for part in ("report", "compared")]
-        merged = exwarp("merge-reports", out / "report", "-o", out / "merged")
-        assert merged.code == 0, merged.err
-        require_plain(merged.out)
-        for part in ("report", "merged"):
-            table = (out / part / "frames.csv").read_text(encoding="utf-8")
-            rows = list(csv.DictReader(io.StringIO(table, newline="")))
-            assert len(rows) == 12
-            assert not [cell for row in rows for cell in row.values() if cell[:1] in "=@" and cell]
-    assert found[name] == found[PLAIN]
+    out = tmp_path / name
+    assert elements_of_pages(keys, truth, out) == plain
+    merged = exwarp("merge-reports", out / "report", "-o", out / "merged")
+    assert merged.code == 0, merged.err
+    require_plain(merged.out)
+    for part in ("report", "merged"):
+        table = (out / part / "frames.csv").read_text(encoding="utf-8")
+        rows = list(csv.DictReader(io.StringIO(table, newline="")))
+        assert len(rows) == 12
+        assert not [cell for row in rows for cell in row.values() if cell[:1] in "=@" and cell]

@@ -14,6 +14,7 @@ import pytest
 from tests.blender_layers import HALF, Planes, layer, multipart
 from tests.cli import shots
 from tests.cli.street import Street
+from tests.matrix import combinations
 from tests.stereo_layouts import LAYOUTS
 from tests.stereo_shots import eyes_at, write_stereo
 
@@ -107,9 +108,11 @@ def counts_of(report: Path) -> dict[tuple[int, int, str, str], int]:
 class TestLayers:
     """A block of one layer, on every surface there is."""
 
-    @pytest.mark.parametrize(("method", "value"), [("s6", "nan"), ("softsplat", "minus inf")])
-    @pytest.mark.parametrize("name", LAYERS)
-    def test_no_frame_has_any(self, upsample, tmp_path, method, name, value):
+    @pytest.mark.parametrize(
+        ("name", "how"), combinations(list(LAYERS), [("s6", "nan"), ("softsplat", "minus inf")])
+    )
+    def test_no_frame_has_any(self, upsample, tmp_path, name, how):
+        method, value = how
         keys = write(tmp_path / "keys", name, VALUES[value])
         options = ("-m", method, "--layers", "all", *shots.VECTORS)
         found = upsample(keys, tmp_path / "out", *options, "--report", tmp_path / "report")
@@ -126,8 +129,9 @@ class TestLayers:
         page = (tmp_path / "report" / "report.html").read_text()
         assert ("Not finite in the input" in page) == bool(counted)
 
-    @pytest.mark.parametrize("name", ["Vector", "Position"])
-    @pytest.mark.parametrize("method", ["s1", "s3", "blend", "hold"])
+    @pytest.mark.parametrize(
+        ("method", "name"), combinations(["s1", "blend", "s3", "hold"], ["Vector", "Position"])
+    )
     def test_nor_by_other_methods(self, upsample, network, tmp_path, method, name):
         keys = write(tmp_path / "keys", name, np.nan)
         options = ("-m", method, "--layers", "all", *shots.VECTORS)

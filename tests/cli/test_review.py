@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from exwarp_cli import cli
 from exwarp_cli.domain.timeline import parse_frames
 from tests.cli import shots
 from tests.cli.reports import album, rows, unmeasured
@@ -41,14 +43,25 @@ def keys(tmp_path_factory) -> Path:
     return shots.sequence(folder, shots.blender4, range(1, COUNT + 1), street)
 
 
+ASKED = ("-m", "softsplat", *VECTORS, "--cuts", "none")
+
+
+@pytest.fixture(scope="module")
+def whole(keys, tmp_path_factory) -> Path:
+    """The folder of a run's report, beside its frames in "out"; read only."""
+    root = tmp_path_factory.mktemp("whole")
+    command = ("upsample", keys, "-o", root / "out", *ASKED, "--report", root / "report")
+    assert cli.run([str(word) for word in (*command, "--threads", 3)]) == 0
+    return root / "report"
+
+
 @pytest.fixture
 def run(upsample, keys, tmp_path):
     """Upsample with a report; return its folder."""
 
     def do(name: str, *options: object) -> Path:
         report = tmp_path / f"{name}-report"
-        asked = ("-m", "softsplat", *VECTORS, "--cuts", "none", "--report", report)
-        upsample(keys, tmp_path / name, *asked, *options)
+        upsample(keys, tmp_path / name, *ASKED, "--report", report, *options)
         return report
 
     return do
@@ -80,39 +93,37 @@ def test_a_frame_that_was_spoilt_on_purpose_comes_first(run, method):
     assert numbers & wanted and numbers <= wanted | doubtful
 
 
-def test_the_page_shows_the_list_and_the_map(run):
-    report = run("page")
-    text = (report / "report.html").read_text()
+def test_the_page_shows_the_list_and_the_map(whole):
+    text = (whole / "report.html").read_text()
     assert "Worth a look" in text and "Places worth a look" in text
-    document = album(report)
+    document = album(whole)
     risks = [frame["risk"] for frame in document["frames"] if frame["kind"] != "key"]
     assert all(len(one["levels"]) == one["rows"] * one["columns"] for one in risks)
-    found = json.loads((report / "report.json").read_text())["review"]
+    found = json.loads((whole / "report.json").read_text())["review"]
     assert document["start"] == found["predicted_error"]["worst_frame"]
 
 
-def test_a_run_that_goes_on_has_the_same_lists(run, tmp_path):
-    whole = run("out")
+def test_a_run_that_goes_on_has_the_same_lists(run, whole, tmp_path):
+    shutil.copytree(whole.parent / "out", tmp_path / "out")
     for number in (2, 7):
         (tmp_path / "out" / f"shot.{number:04d}.exr").unlink()
-    expected, before = lists(whole), rows(whole)
-    assert lists(run("out", "--skip-existing")) == expected
+    again = run("out", "--skip-existing")
+    assert lists(again) == lists(whole)
     names = ("frame", "predicted_error", "risk")
-    assert [[r[n] for n in names] for r in rows(whole)] == [[r[n] for n in names] for r in before]
+    found, expected = ([[row[n] for n in names] for row in rows(one)] for one in (again, whole))
+    assert found == expected
 
 
-def test_joined_chunks_have_the_lists_of_a_single_run(run, exwarp, tmp_path):
-    whole = run("whole")
+def test_joined_chunks_have_the_lists_of_a_single_run(run, whole, exwarp, tmp_path):
     chunks = [run(part, "--frames", part) for part in ("1-2", "3", "4-5")]
     assert exwarp("merge-reports", *chunks, "-o", tmp_path / "joined").code == 0
     assert lists(tmp_path / "joined") == lists(whole)
     assert unmeasured(tmp_path / "joined")["review"] == unmeasured(whole)["review"]
 
 
-def test_headers_keep_what_is_predicted(run, tmp_path):
-    report = run("out", "--threads", 3)
-    for row in rows(report):
-        header, _ = shots.read(tmp_path / "out" / row["file"])
+def test_headers_keep_what_is_predicted(whole):
+    for row in rows(whole):
+        header, _ = shots.read(whole.parent / "out" / row["file"])
         if row["kind"] == "generated":
             assert header["exwarp:predictedError"] == pytest.approx(float(row["predicted_error"]))
             assert header["exwarp:risk"] == row["risk"]

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.shots import contents
+from tests.matrix import spread
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -73,7 +74,7 @@ def test_frames_are_those_of_linux(system, on_linux, plain_shot, plain_truth, tm
     assert upsampled(system, plain_shot, plain_truth, tmp_path) == on_linux
 
 
-@pytest.mark.parametrize("system", ["macos", "windows"])
+@pytest.mark.parametrize("system", spread(["windows", "macos"], 1))
 def test_a_folder_in_use_is_left_alone_and_a_run_goes_on(system, plain_shot, tmp_path):
     line = ("upsample", plain_shot, "-o", tmp_path / "out", "--progress", "none")
     assert run(system, *line, "--frames", "1-2").returncode == 0
@@ -83,7 +84,7 @@ def test_a_folder_in_use_is_left_alone_and_a_run_goes_on(system, plain_shot, tmp
     assert kept.returncode == 0 and "kept of an earlier run" in kept.stdout + kept.stderr
 
 
-@pytest.mark.parametrize("system", ["macos", "windows"])
+@pytest.mark.parametrize("system", spread(["windows", "macos"], 1))
 def test_processes_share_the_work(system, plain_shot, plain_truth, tmp_path):
     line = ("bench", plain_shot, "--ground-truth", plain_truth, "-o", tmp_path / "bench")
     few = ("--systems", "hold", "--metrics", "psnr", "--jobs", 2, "--progress", "none")
@@ -100,7 +101,7 @@ def test_bad_input_is_still_one_sentence(system, tmp_path):
     assert line.startswith("exwarp: error: ")
 
 
-@pytest.mark.parametrize("system", ["macos", "windows"])
+@pytest.mark.parametrize("system", spread(["windows", "macos"], 1))
 def test_the_doctor_finds_nothing_wrong(system):
     result = run(system, "doctor")
     assert result.returncode == 0, result.stdout + result.stderr

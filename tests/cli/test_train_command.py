@@ -8,7 +8,11 @@ from pathlib import Path
 import pytest
 
 from exwarp_cli.cli import run
-from exwarp_cli.research.training import lookahead_samples
+from exwarp_cli.research.training import (
+    extrapolator_training,
+    lookahead_samples,
+    lookahead_training,
+)
 from exwarp_cli.research.training.augmentation import PLAIN, Variant
 from tests.cli.documents import strict
 from tests.unit.analytic_scene import write_scene
@@ -30,7 +34,7 @@ def train(data: Path, output: Path, *more: str) -> int:
     return run(["train", "extrapolator", "--data", str(data), "-o", str(output), *more])
 
 
-def test_a_network_is_trained_and_named(data, tmp_path, capsys):
+def test_a_network_is_trained_and_named(data, tmp_path, capsys, monkeypatch):
     assert train(data, tmp_path / "run", *SMALL) == 0
     out, err = capsys.readouterr()
     assert "extrapolator.onnx: give it to exwarp upsample" in out
@@ -40,6 +44,8 @@ def test_a_network_is_trained_and_named(data, tmp_path, capsys):
     assert "judged" not in err
     files = {"checkpoint.pt", "curve.csv", "extrapolator.onnx", "settings.json"}
     assert {p.name for p in (tmp_path / "run").iterdir()} == files
+    # Exporting takes some seconds, and would give the same file.
+    monkeypatch.setattr(extrapolator_training, "export_extrapolator", lambda *_, **__: None)
     assert train(data, tmp_path / "run", *SMALL, "--json") == 0
     out, err = capsys.readouterr()
     assert "going on at step 2 of 2" in err
@@ -139,6 +145,7 @@ def test_a_network_that_looks_ahead_is_trained(data, tmp_path, capsys, monkeypat
     assert "judged" not in err
     files = {"checkpoint.pt", "curve.csv", "lookahead.onnx", "settings.json"}
     assert {p.name for p in (tmp_path / "run").iterdir()} == files
+    monkeypatch.setattr(lookahead_training, "export_network", lambda *_, **__: None)
     assert run([*asked, "--json"]) == 0
     out, err = capsys.readouterr()
     assert "going on at step 2 of 2" in err

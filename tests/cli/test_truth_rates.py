@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+from exwarp_cli import cli
 from tests.cli import shots
 from tests.cli.shots import FORWARD, SMALL
+from tests.matrix import combinations
 
 KEYS = range(1, 6)
+SCORED = ("upsample", "-m", "s6", *FORWARD, "--metrics", "psnr", "--progress", "plain")
 
 
 @pytest.fixture(scope="module")
@@ -48,50 +52,69 @@ def rows(report: Path) -> dict[int, float]:
     return {int(line[number]): float(line[psnr]) for line in lines[1:] if line[psnr]}
 
 
+@pytest.fixture(scope="module")
+def right(keys, tmp_path_factory) -> Callable[[int], dict[int, float]]:
+    """Return the scores, by output frame, against the truth at the output's rate."""
+    done: dict[int, dict[int, float]] = {}
+
+    def scores(factor: int) -> dict[int, float]:
+        if factor not in done:
+            root = tmp_path_factory.mktemp("right")
+            truth = ("--ground-truth", truth_at(root / "truth", factor), "--factor", factor)
+            command = (*SCORED, keys, "-o", root / "out", *truth, "--report", root / "report")
+            assert cli.run([str(word) for word in command]) == 0
+            done[factor] = rows(root / "report")
+        return done[factor]
+
+    return scores
+
+
 @pytest.fixture
 def run(exwarp, keys, tmp_path):
     """Upsample against a truth, and compare with it: the scores of both, by output frame."""
 
     def both(truth: Path, *options: object) -> tuple[dict[int, float], dict[int, float], str]:
         out, report = tmp_path / "out", tmp_path / "report"
-        command = ("upsample", keys, "-o", out, "--ground-truth", truth, "--report", report)
-        made = exwarp(*command, "-m", "s6", "--progress", "plain", *FORWARD, *options)
+        made = exwarp(
+            *SCORED, keys, "-o", out, "--ground-truth", truth, "--report", report, *options
+        )
         assert made.code == 0, made.err
-        compared = exwarp("compare", truth, out, "--report", tmp_path / "compared")
+        again = ("--metrics", "psnr", "--report", tmp_path / "compared")
+        compared = exwarp("compare", truth, out, *again)
         assert compared.code == 0, compared.err
         return rows(report), rows(tmp_path / "compared"), made.err + compared.out
 
     return both
 
 
-@pytest.mark.parametrize(("first", "tail"), [(1, False), (1, True), (501, False), (501, True)])
-@pytest.mark.parametrize(("factor", "rate"), [(2, 4), (3, 6)])
-def test_of_a_faster_truth_the_frames_of_the_same_instant(run, tmp_path, factor, rate, tail, first):
-    right, _, _ = run(truth_at(tmp_path / "right", factor), "--factor", factor)
-    truth = truth_at(tmp_path / "truth", rate, first, tail)
-    made, compared, output = run(truth, "--factor", factor, "--overwrite")
-    assert {n: made[n] for n in right} == right
-    assert {n: compared[n] for n in right} == pytest.approx(right)
-    assert f"has {rate} frames for each key frame and the output {factor}" in output
+@pytest.mark.parametrize(
+    ("place", "factor"), combinations([(1, False), (501, True), (1, True), (501, False)], [2, 3])
+)
+def test_of_a_faster_truth_the_frames_of_the_same_instant(run, right, tmp_path, place, factor):
+    first, tail = place
+    expected = right(factor)
+    truth = truth_at(tmp_path / "truth", 2 * factor, first, tail)
+    made, compared, output = run(truth, "--factor", factor)
+    assert {n: made[n] for n in expected} == expected
+    assert {n: compared[n] for n in expected} == pytest.approx(expected)
+    assert f"has {2 * factor} frames for each key frame and the output {factor}" in output
     assert "those of the same instant are compared" in output
 
 
-def test_of_a_slower_truth_what_there_is(run, tmp_path):
-    right, _, _ = run(truth_at(tmp_path / "right", 4))
-    made, compared, output = run(truth_at(tmp_path / "truth", 2), "--overwrite")
-    assert made == {n: right[n] for n in (3, 7, 11, 15)}
+def test_of_a_slower_truth_what_there_is(run, right, tmp_path):
+    made, compared, output = run(truth_at(tmp_path / "truth", 2))
+    assert made == {n: right(4)[n] for n in (3, 7, 11, 15)}
     assert {n: compared[n] for n in made} == pytest.approx(made)
     assert "new frames at whose instant it has none are not scored" in output
 
 
-def test_a_longer_truth_at_the_output_s_rate_is_taken_as_it_is(exwarp, keys, run, tmp_path):
+def test_a_longer_truth_at_the_output_s_rate_is_taken_as_it_is(run, right, tmp_path):
     """Ten key frames' truth for five of them is as long as a faster one."""
     numbers = range(1, 38)
     truth = shots.sequence(tmp_path / "truth", shots.colour_only, numbers, SMALL, step=0.25)
-    right, _, _ = run(truth_at(tmp_path / "right", 4))
-    made, compared, output = run(truth, "--overwrite")
-    assert {n: made[n] for n in right} == right
-    assert {n: compared[n] for n in right} == pytest.approx(right)
+    made, compared, output = run(truth)
+    assert {n: made[n] for n in right(4)} == right(4)
+    assert {n: compared[n] for n in right(4)} == pytest.approx(right(4))
     assert "for each key frame" not in output
 
 
