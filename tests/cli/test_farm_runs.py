@@ -155,9 +155,9 @@ class TestTrouble:
         (keys / "shot.0006.exr").write_bytes(good)
         for name, text in {"LAYERS": "all", "NO_TAIL": "1", "MOTION": "x", "TAIL": "what"}.items():
             monkeypatch.setenv(f"EXWARP_UPSAMPLE_{name}", text)
-        ended = openjd("run", template, "-p", "ChunkSize=4", cwd=tmp_path)
+        ended = openjd("run", template, "-p", "ChunkSize=2", cwd=tmp_path)
         assert ended.code == 0, ended.log
-        assert ended.chunks == ["1-4", "5-6"]
+        assert ended.chunks == ["1-2", "3-4", "5-6"]
         assert f"newer ones tell of: {tmp_path / 'report' / 'chunks' / '1-3'}" in ended.log
         for name in ("LAYERS", "NO_TAIL", "MOTION", "TAIL"):
             monkeypatch.delenv(f"EXWARP_UPSAMPLE_{name}")

@@ -86,9 +86,8 @@ class TestEstimating:
     def test_it_has_to_be_allowed(self, upsample, tmp_path, method):
         pytest.importorskip("cv2")
         keys = shots.sequence(tmp_path / "keys", renamed({"Z": "Depth.Z"}), street=SMALL)
-        options = ("--estimate-motion", *method, "--report", tmp_path / "report")
-        upsample(keys, tmp_path / "out", *options)
-        document = json.loads((tmp_path / "report" / "report.json").read_text())
+        run = upsample(keys, tmp_path / "out", "--estimate-motion", *method, "--json")
+        document = json.loads(run.out)
         assert document["input"]["motion"]["source"] == "estimated"
 
     def test_vectors_that_are_there_are_used(self, exwarp, tmp_path):

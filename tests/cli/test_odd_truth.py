@@ -19,6 +19,7 @@ ODD = 7
 """Number of the frame: slot 2 of the second key frame."""
 
 WHERE = f"shot.{ODD:04d}.exr"
+PSNR = ("--metrics", "psnr")
 
 
 def grow(path: Path) -> None:
@@ -49,7 +50,7 @@ def undisturbed(plain_shot, plain_truth, tmp_path_factory) -> Path:
     """What is made with whole ground truth, and its report."""
     folder = tmp_path_factory.mktemp("undisturbed")
     options = ("--ground-truth", plain_truth, "--report", folder / "report", "--progress", "none")
-    command = ("upsample", plain_shot, "-o", folder / "out", *FORWARD, *options)
+    command = ("upsample", plain_shot, "-o", folder / "out", *FORWARD, *options, *PSNR)
     assert cli.run([str(part) for part in (*command, "-m", "s6")]) == 0
     return folder
 
@@ -81,7 +82,7 @@ def test_with_keep_going_only_its_score_is_left_out(
 ):
     damage(truth / WHERE)
     report, out = tmp_path / "report", tmp_path / "out"
-    options = ("--ground-truth", truth, "-m", "s6", "--progress", "none", *FORWARD)
+    options = ("--ground-truth", truth, "-m", "s6", "--progress", "none", *FORWARD, *PSNR)
     more = ("--keep-going", "--report", report)
     result = exwarp("upsample", plain_shot, "-o", out, *options, *more)
     assert result.code == 12, result.err

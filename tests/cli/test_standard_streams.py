@@ -13,6 +13,7 @@ import pytest
 from exwarp_cli.errors import OutputError
 from exwarp_cli.models import session
 from tests.cli import shots
+from tests.matrix import spread
 
 COMMAND = [sys.executable, "-m", "exwarp_cli"]
 FULL = Path("/dev/full")
@@ -94,11 +95,11 @@ def test_a_farm_s_unread_lines_hide_no_failure(exwarp, monkeypatch):
     assert result.code == 3 and "nothing-of-that-name" in result.err
 
 
-RUN = ("-m", "s6", "--motion", "forward")
+RUN = ("-m", "hold", "--motion", "forward")
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="the system has no full device")
-@pytest.mark.parametrize("progress", ["json", "bar"])
+@pytest.mark.parametrize("progress", spread(["json", "bar"], 1))
 def test_messages_that_a_full_disk_loses_do_not_end_the_work(plain_shot, tmp_path, progress):
     run = ("upsample", str(plain_shot), "-o", str(tmp_path / "out"), *RUN, "--progress", progress)
     found = shell(f'"$@" 2>{FULL}', *run)
@@ -113,7 +114,7 @@ def test_an_exit_code_outlives_its_message():
     assert (found.returncode, found.stdout, found.stderr) == (3, "", "")
 
 
-@pytest.mark.parametrize("progress", ["plain", "openjd"])
+@pytest.mark.parametrize("progress", spread(["openjd", "plain"], 1))
 def test_a_reader_that_ends_early_does_not_end_the_work(plain_shot, tmp_path, progress):
     """As behind ``2>&1 | head -1``."""
     run = ("upsample", str(plain_shot), "-o", str(tmp_path / "out"), *RUN, "--progress", progress)

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
+from torch import nn
 
 from exwarp_cli.cli import run
 from exwarp_cli.research.training import (
@@ -34,7 +37,15 @@ def train(data: Path, output: Path, *more: str) -> int:
     return run(["train", "extrapolator", "--data", str(data), "-o", str(output), *more])
 
 
-def test_a_network_is_trained_and_named(data, tmp_path, capsys, monkeypatch):
+def test_a_network_is_trained_and_named(data, network, tmp_path, capsys, monkeypatch):
+    about: list[str] = []
+
+    # Exporting takes 20 s, and `tests/unit/test_networks.py` looks at what comes of it.
+    def export(module: nn.Module, path: Path, **more: Any) -> None:
+        about.append(more["about"])
+        shutil.copy(network, path)
+
+    monkeypatch.setattr(extrapolator_training, "export_extrapolator", export)
     assert train(data, tmp_path / "run", *SMALL) == 0
     out, err = capsys.readouterr()
     assert "extrapolator.onnx: give it to exwarp upsample" in out
@@ -44,8 +55,6 @@ def test_a_network_is_trained_and_named(data, tmp_path, capsys, monkeypatch):
     assert "judged" not in err
     files = {"checkpoint.pt", "curve.csv", "extrapolator.onnx", "settings.json"}
     assert {p.name for p in (tmp_path / "run").iterdir()} == files
-    # Exporting takes some seconds, and would give the same file.
-    monkeypatch.setattr(extrapolator_training, "export_extrapolator", lambda *_, **__: None)
     assert train(data, tmp_path / "run", *SMALL, "--json") == 0
     out, err = capsys.readouterr()
     assert "going on at step 2 of 2" in err
@@ -60,6 +69,7 @@ def test_a_network_is_trained_and_named(data, tmp_path, capsys, monkeypatch):
     *_, last = csv.DictReader((tmp_path / "run" / "curve.csv").read_text().splitlines())
     assert list(scores) == list(last) and scores["step"] == 2
     assert scores["loss"] == float(last["loss"])
+    assert about == ["ExWarp extrapolation network, blend, 2 steps on 1 scenes, seed 0"] * 2
 
 
 @pytest.mark.parametrize(
@@ -145,6 +155,7 @@ def test_a_network_that_looks_ahead_is_trained(data, tmp_path, capsys, monkeypat
     assert "judged" not in err
     files = {"checkpoint.pt", "curve.csv", "lookahead.onnx", "settings.json"}
     assert {p.name for p in (tmp_path / "run").iterdir()} == files
+    # Exporting takes some seconds, and would give the same file.
     monkeypatch.setattr(lookahead_training, "export_network", lambda *_, **__: None)
     assert run([*asked, "--json"]) == 0
     out, err = capsys.readouterr()
