@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -74,6 +75,16 @@ def run_quietly(*words: object) -> None:
     with pytest.MonkeyPatch.context() as patch:
         leave_plots_out(patch)
         assert cli.run([str(word) for word in (*words, *quiet)]) == 0
+
+
+@pytest.fixture(scope="module")
+def unpainted_plots() -> Iterator[None]:
+    """Leave out the lines and axes of plots, too, which take a third of a second a report."""
+    axes = MagicMock()
+    axes.get_legend_handles_labels.return_value = ([], [])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("exwarp_cli.report.plots._add_axes", lambda *_: axes)
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

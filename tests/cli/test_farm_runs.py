@@ -56,8 +56,8 @@ def ran(job, tmp_path):
 class TestSameBytes:
     def test_three_chunks_with_report_and_video(self, ran, upsample, tmp_path):
         keys = shots.sequence(tmp_path / "keys", shots.plain, range(1, 6), SMALL)
-        truth = ("--ground-truth", shots.truth(tmp_path / "truth", 5, street=SMALL))
-        both = ("-m", "softsplat", *truth)
+        truth = shots.truth(tmp_path / "truth", 5, street=SMALL)
+        both = ("-m", "softsplat", "--ground-truth", truth, "--metrics", "psnr")
         last = ("--report", "report", "--video", "a.mp4")
         ended = ran("keys", "-o", "out", "--chunk-size", 2, *both, *last)
         assert ended.code == 0 and ended.log.count("--------- Running Task") == 5, ended.log

@@ -13,6 +13,7 @@ import pytest
 from tests.cli import shots
 from tests.cli.shots import VECTORS
 from tests.cli.street import Street
+from tests.matrix import spread
 from tests.unit import tiny_lookahead, tiny_models
 
 SMALL = Street(48, 27, speed=0.3)
@@ -94,7 +95,7 @@ def test_a_network_that_predicts_key_frames_better_makes_the_frames(gate, dimmed
     assert document["decisions"]["look_ahead"] == {"cheap": 0, "dear": 24}
 
 
-@pytest.mark.parametrize("shot", ["dimmed", "steady"])
+@pytest.mark.parametrize("shot", spread(["dimmed", "steady"], 1))
 def test_a_network_that_predicts_them_worse_makes_none(gate, nets, request, shot):
     keys = request.getfixturevalue(shot)
     out, document = gate(keys, "gated", "--interpolator", nets["after"])

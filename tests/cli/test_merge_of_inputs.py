@@ -16,6 +16,8 @@ from tests.cli.shots import FORWARD, SMALL
 from tests.stereo_shots import write_stereo
 from tests.unit.tiny_interpolators import PAIR, convolution, put
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 TIMED = {"inputs": PAIR | {"timestep": "time"}, "name": "Tiny", "padding": {"multiple": 2}}
 Shot = tuple[object, ...]
 

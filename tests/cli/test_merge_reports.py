@@ -8,7 +8,6 @@ import random
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from unittest.mock import MagicMock
 
 import pytest
 
@@ -21,6 +20,8 @@ from tests.cli.documents import strict
 from tests.cli.reports import album, rows, unmeasured
 from tests.cli.shots import VECTORS
 from tests.cli.street import Street
+
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
 
 KEYS = 6
 CUT = 4
@@ -51,16 +52,6 @@ def shot(tmp_path_factory) -> dict[str, Path]:
 
 
 Run = Callable[..., Path]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def unpainted_plots():
-    """Leave out the painting of plots, which takes half a second a report; none is compared."""
-    axes = MagicMock()
-    axes.get_legend_handles_labels.return_value = ([], [])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("exwarp_cli.report.plots._add_axes", lambda *_: axes)
-        yield
 
 
 @pytest.fixture

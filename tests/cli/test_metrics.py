@@ -13,6 +13,8 @@ from tests.cli import shots
 from tests.cli.shots import FORWARD
 from tests.cli.street import Street
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 NEW = ("hdr_flip", "vmaf", "flicker")
 
 

@@ -18,6 +18,8 @@ from tests.matrix import combinations
 from tests.stereo_layouts import LAYOUTS
 from tests.stereo_shots import eyes_at, write_stereo
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 STREET = Street(48, 27)
 SPOILT = 2
 """Number of the key frame that is spoilt."""

@@ -15,6 +15,8 @@ from tests.cli import shots
 from tests.cli.shots import FORWARD, contents, names
 from tests.cli.spoiling import remove, scribble, truncate
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 ODD = 7
 """Number of the frame: slot 2 of the second key frame."""
 

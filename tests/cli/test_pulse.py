@@ -14,6 +14,8 @@ from tests.cli.shots import FORWARD
 from tests.matrix import spread
 from tests.reference import pulse as naive
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 
 def report_of(folder: Path) -> dict:
     return json.loads((folder / "report.json").read_text())

@@ -19,6 +19,8 @@ from tests.cli.shots import FORWARD, SMALL, VECTORS
 from tests.stereo_layouts import single, write_single
 from tests.stereo_shots import eyes_at, write_stereo
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 HOW = ("-m", "softsplat", *FORWARD, "--cuts", "none")
 GIVEN = range(1, 6)
 """Numbers of the rendered sequence, of which 1 and 5 are key frames."""

@@ -17,6 +17,8 @@ from tests.cli.reports import album, rows, unmeasured
 from tests.cli.shots import VECTORS
 from tests.cli.street import Street
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 COUNT = 5
 STREET = Street(128, 72, speed=0.3)
 SPOILT = 3

@@ -15,6 +15,8 @@ from tests.cli import shots
 from tests.cli.shots import FORWARD, SMALL
 from tests.matrix import combinations
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 KEYS = range(1, 6)
 SCORED = ("upsample", "-m", "s6", *FORWARD, "--metrics", "psnr", "--progress", "plain")
 

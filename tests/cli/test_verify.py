@@ -10,6 +10,7 @@ import pytest
 
 from exwarp_cli.pipeline import frame_writer, verification
 from tests.cli.shots import KEYS, contents, names
+from tests.matrix import spread
 
 QUIET = ("--progress", "none", "--threads", 1)
 FRAMES = 4 * KEYS
@@ -42,7 +43,7 @@ def digest(path: Path) -> str:
 
 
 class TestChecksums:
-    @pytest.mark.parametrize("method", ["s6", "softsplat", "hold"])
+    @pytest.mark.parametrize("method", spread(["s6", "softsplat", "hold"], 2))
     def test_the_report_has_those_of_all_files(self, upsample, shot, tmp_path, method):
         keys, *rest = shot["key"]
         out, report = tmp_path / "out", tmp_path / "report"
