@@ -14,21 +14,16 @@ DATA = Path(__file__).parents[1] / "data" / "miniature"
 NAME = "variety-0074"
 
 
-@pytest.fixture
-def judged(tmp_path, capsys):
-    model = save(tmp_path / "tiny.onnx", filled_warp())
-
-    def run(*more: str) -> tuple[list[dict], str]:
-        options = ["--data", DATA, "--scenes", NAME, "--model", model, "--jobs", "1"]
-        options += ["--methods", "s1", "s3", "s6", "--out", tmp_path / "out", *more]
-        assert paths.main([str(option) for option in options]) == 0
-        return json.loads((tmp_path / "out" / "paths.json").read_text()), capsys.readouterr().out
-
-    return run
+def judge(folder: Path) -> list[dict]:
+    model = save(folder / "tiny.onnx", filled_warp())
+    options = ["--data", DATA, "--scenes", NAME, "--model", model, "--jobs", "1"]
+    options += ["--methods", "s1", "s3", "s6", "--out", folder / "out", "--surface", "none"]
+    assert paths.main([str(option) for option in options]) == 0
+    return json.loads((folder / "out" / "paths.json").read_text())
 
 
-def test_a_network_that_answers_with_the_warp_is_as_good(judged):
-    rows, printed = judged("--surface", "none")
+def test_a_network_that_answers_with_the_warp_is_as_good(tmp_path, capsys, monkeypatch):
+    rows, printed = judge(tmp_path), capsys.readouterr().out
     assert [row["setting"] for row in rows] == ["key", "slot"]
     for row in rows:
         found = row["methods"]
@@ -40,12 +35,8 @@ def test_a_network_that_answers_with_the_warp_is_as_good(judged):
     assert f"| {NAME} | key |" in printed
     assert "+0.00" in printed
 
-
-def test_what_was_judged_is_kept(judged, monkeypatch):
-    first, _ = judged("--settings", "key")
-
     def forbidden(*_args: object) -> None:
         raise AssertionError("judged again")
 
     monkeypatch.setattr(paths, "_interval", forbidden)
-    assert judged("--settings", "key")[0] == first
+    assert judge(tmp_path) == rows, "what was judged is kept"

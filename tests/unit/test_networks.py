@@ -1,8 +1,6 @@
-"""Extrapolation networks: what they answer, in torch and as exported models."""
+"""Extrapolation networks: what they answer, and what holes look like to them."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,12 +12,10 @@ from exwarp_cli.research.training.extrapolation_network import (
     ARCHITECTURES,
     STRIDE,
     Architecture,
-    ExtrapolationNetwork,
     _first_visible,
     _sample,
     build_network,
 )
-from exwarp_cli.research.training.onnx_export import export_extrapolator
 from tests.unit.network_inputs import example
 
 
@@ -147,40 +143,12 @@ def test_architectures_differ():
     assert Architecture() == ARCHITECTURES["blend"]
 
 
-@pytest.fixture(scope="module")
-def patched(tmp_path_factory) -> tuple[ExtrapolationNetwork, Path]:
-    """A network of the architecture that is shipped, small and with weights that all matter."""
-    torch.manual_seed(3)
-    network = build_network("kernels-light", 12)
-    with torch.no_grad():
-        for parameter in network.parameters():
-            parameter.add_(0.05 * torch.randn_like(parameter))
-    path = tmp_path_factory.mktemp("patched") / "patched.onnx"
-    export_extrapolator(network, path, stride=STRIDE, about="random weights")
-    return network.eval(), path
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("size", [(120, 213), (240, 427)])
-def test_threads_and_the_runtime_change_nothing(patched, size):
-    network, path = patched
-    height, width = (n + -n % STRIDE for n in size)
-    given = example(height, width)
-    pictures = {name: p[0].numpy() for name, p in given.items() if name != TIME_INPUT}
-    cut = {name: p[:, : size[0], : size[1]] for name, p in pictures.items()}
-    # Rows and columns up to the next multiple repeat the edge, as the model's runner does it.
-    whole = {
-        name: np.pad(p, ((0, 0), (0, height - size[0]), (0, width - size[1])), mode="edge")
-        for name, p in cut.items()
-    }
-    with torch.no_grad():
-        tensors = {name: torch.from_numpy(p)[None] for name, p in whole.items()}
-        expected = network(**tensors, time=given[TIME_INPUT])[0, :, : size[0], : size[1]].numpy()
-    answers = [
-        load_extrapolator(path, threads, "cpu")(NetworkInputs(**cut, time=0.5))
+def test_threads_change_nothing():
+    pictures = {name: p[0].numpy() for name, p in example(120, 213).items() if name != TIME_INPUT}
+    one, *more = (
+        load_extrapolator(None, threads, "cpu")(NetworkInputs(**pictures, time=0.5))
         for threads in (1, 2, 3)
-    ]
-    for other in answers[1:]:
-        np.testing.assert_array_equal(other, answers[0])
-    np.testing.assert_allclose(answers[0], expected, atol=1e-4)
-    assert np.abs(expected - cut["warped"][3:]).mean() > 0.01, "the network does something"
+    )
+    for answer in more:
+        np.testing.assert_array_equal(answer, one)
+    assert np.abs(one - pictures["warped"][3:]).mean() > 0.01, "the network does something"

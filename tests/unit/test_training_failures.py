@@ -14,7 +14,7 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.research.training import crop_cache, extrapolator_training
-from exwarp_cli.research.training.crop_cache import cut_crops, write_crops
+from exwarp_cli.research.training.crop_cache import cut_crops, write_arrays
 from exwarp_cli.research.training.extrapolator_training import (
     MODEL,
     ExtrapolatorTraining,
@@ -27,7 +27,6 @@ from tests.unit.reading import changed_planes
 TINY = ExtrapolatorSettings(
     architecture="blend", width=4, steps=3, batch=2, patch=32, frames=2, side=64, seed=1
 )
-MADE = ExtrapolatorSettings(frames=3, side=64, seed=1)
 
 
 @pytest.fixture(scope="module")
@@ -106,42 +105,44 @@ def test_a_loss_that_is_no_number_ends_it(train, monkeypatch, tmp_path, value):
     assert all(torch.isfinite(t).all() for t in kept["average"].values())
 
 
+@pytest.fixture(scope="module")
+def arrays(scenes) -> dict[str, np.ndarray]:
+    return cut_crops(scenes[0], TINY)
+
+
 def files(folder: Path) -> dict[str, tuple[int, bytes]]:
     return {p.name: (p.stat().st_mtime_ns, p.read_bytes()) for p in folder.iterdir()}
 
 
-def test_the_second_writer_leaves_the_first_one_s_crops(scenes, tmp_path):
+@pytest.mark.parametrize("overtaken", [False, True])
+def test_the_second_writer_leaves_the_first_one_s_crops(arrays, tmp_path, monkeypatch, overtaken):
+    """Even if there were none when it looked."""
     folder = tmp_path / "cache" / "crops"
-    write_crops(scenes[0], MADE, folder)
-    first = files(folder)
-    write_crops(scenes[0], replace(MADE, seed=2), folder)
+    write_arrays(arrays, folder)
+    first, seen = files(folder), iter([False, True])
+    if overtaken:
+        monkeypatch.setattr(crop_cache, "is_complete", lambda _folder: next(seen))
+    write_arrays({name: array + 1 for name, array in arrays.items()}, folder)
     assert files(folder) == first
     assert list(folder.parent.iterdir()) == [folder], "nothing is left beside it"
 
 
-def test_a_writer_that_was_overtaken_leaves_them_too(scenes, tmp_path, monkeypatch):
-    folder = tmp_path / "cache" / "crops"
-    write_crops(scenes[0], MADE, folder)
-    first, seen = files(folder), iter([False, True])
-    monkeypatch.setattr(crop_cache, "is_complete", lambda _folder: next(seen))
-    write_crops(scenes[0], replace(MADE, seed=2), folder)
-    assert files(folder) == first
-    assert list(folder.parent.iterdir()) == [folder]
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_what_was_not_rendered_rightly_is_no_target(scenes, monkeypatch, value):
-    block = np.s_[20:60, 30:100]
+def test_what_was_not_rendered_rightly_is_no_target(scenes, arrays, monkeypatch):
+    parts = {
+        np.nan: np.s_[20:40, 30:60],
+        np.inf: np.s_[20:40, 60:100],
+        -np.inf: np.s_[40:60, 30:100],
+    }
 
     def spoiled(_shot: Shot, _number: int, role: Role, planes: np.ndarray) -> np.ndarray:
         if role is Role.COLOUR:
             planes = planes.copy()
-            planes[block] = value
+            for value, part in parts.items():
+                planes[part] = value
         return planes
 
-    right = cut_crops(scenes[0], MADE)
     changed_planes(monkeypatch, spoiled)
-    found = cut_crops(scenes[0], MADE)
+    found = cut_crops(scenes[0], TINY)
     for name, planes in found.items():
         assert np.isfinite(planes).all(), name
-    assert np.abs(found["target"]).max() < 2 * np.abs(right["target"]).max()
+    assert np.abs(found["target"]).max() < 2 * np.abs(arrays["target"]).max()

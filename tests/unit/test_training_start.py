@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any, cast
 
+import numpy as np
 import pytest
 import torch
 
+from exwarp_cli.domain.network_api import TIME_INPUT, NetworkInputs
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
-from exwarp_cli.research.training.extrapolation_network import STRIDE
+from exwarp_cli.models.picture_network import load_extrapolator
+from exwarp_cli.research.training.extrapolation_network import ARCHITECTURES, STRIDE, Architecture
 from exwarp_cli.research.training.extrapolator_training import (
     MODEL,
     ExtrapolatorTraining,
     set_statistics,
 )
-from exwarp_cli.research.training.onnx_export import export_extrapolator
 from exwarp_cli.research.training.resumable_training import CHECKPOINT
 from exwarp_cli.research.training.training_settings import ExtrapolatorSettings
 from tests.unit.network_inputs import example
 
 TINY = ExtrapolatorSettings(architecture="blend", width=4, steps=4)
+SMALL = replace(TINY, architecture="small", scenes={"training": []})
 
 
 def said(_line: str) -> None: ...
@@ -74,21 +79,48 @@ class TestModel:
 
     @pytest.fixture(scope="class")
     @staticmethod
-    def other(tmp_path_factory) -> ExtrapolatorTraining:
-        """One whose layers have seen batches; read only, as its export takes long."""
-        made = ExtrapolatorTraining(tmp_path_factory.mktemp("other") / "other", TINY, said)
-        made.average.train()
-        with torch.no_grad():
-            for seed in range(4):
-                made.average(**{name: 2 * part for name, part in example(32, 32, seed).items()})
-        export_extrapolator(made.average, made.folder / MODEL, stride=STRIDE, about="a test")
-        return made
+    def other(tmp_path_factory) -> Iterator[ExtrapolatorTraining]:
+        """One whose layers have seen batches; read only, as its export takes long.
+
+        It has all parts of the network that is shipped, and few layers.
+        """
+        few: dict[str, Any] = {"growth": (1,), "taps": (1, 0, 0), "blurs": (3,), "detail": 4}
+        with pytest.MonkeyPatch.context() as patch:
+            small = replace(ARCHITECTURES["kernels-light"], **few)
+            patch.setitem(cast(dict[str, Architecture], ARCHITECTURES), "small", small)
+            made = ExtrapolatorTraining(tmp_path_factory.mktemp("other") / "other", SMALL, said)
+            made.average.train()
+            with torch.no_grad():
+                for parameter in made.average.parameters():
+                    parameter.add_(0.05 * torch.randn_like(parameter))
+                for seed in range(4):
+                    made.average(**{name: 2 * part for name, part in example(32, 32, seed).items()})
+            assert made.export() == made.folder / MODEL
+            yield made
 
     @pytest.fixture
     def begun(self, other, tmp_path) -> ExtrapolatorTraining:
-        made = ExtrapolatorTraining(tmp_path / "b", replace(TINY, seed=5), said)
+        made = ExtrapolatorTraining(tmp_path / "b", replace(SMALL, seed=5), said)
         made.begin_with(other.folder / MODEL)
         return made
+
+    @pytest.mark.parametrize(("height", "width"), [(16, 32), (60, 107)])
+    def test_the_model_answers_as_the_network(self, other, height, width):
+        """Rows and columns up to the next multiple of the stride repeat the edge."""
+        given = example(height, width)
+        pictures = {name: p[0].numpy() for name, p in given.items() if name != TIME_INPUT}
+        around = ((0, 0), (0, -height % STRIDE), (0, -width % STRIDE))
+        padded = {
+            name: torch.from_numpy(np.pad(picture, around, mode="edge"))[None]
+            for name, picture in pictures.items()
+        }
+        with torch.no_grad():
+            expected = other.average.eval()(**padded, time=given[TIME_INPUT])[0].numpy()
+        found = load_extrapolator(other.folder / MODEL, 1, "cpu")(
+            NetworkInputs(**pictures, time=0.5)
+        )
+        np.testing.assert_allclose(found, expected[:, :height, :width], atol=1e-4)
+        assert np.abs(found - pictures["warped"][3:]).mean() > 0.01, "the network does something"
 
     def test_it_answers_as_the_model_does(self, other, begun):
         given = example(32, 32)
@@ -111,8 +143,8 @@ class TestModel:
         )
 
     def test_another_network_is_refused(self, other, tmp_path):
-        made = ExtrapolatorTraining(tmp_path / "b", replace(TINY, width=8), said)
-        with pytest.raises(LayoutError, match="holds another network than blend"):
+        made = ExtrapolatorTraining(tmp_path / "b", replace(SMALL, width=8), said)
+        with pytest.raises(LayoutError, match="holds another network than small"):
             made.begin_with(other.folder / MODEL)
 
     def test_what_is_no_model_is_refused(self, tmp_path):
