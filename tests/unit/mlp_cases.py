@@ -14,7 +14,7 @@ from exwarp_cli.accelerator.mlp import PAPER_SIZES, QuantisedLayer, QuantisedMlp
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from tests.reference.mlp import Parts
 
-FEW = 9
+FEW = 3
 """States that the interpreted text is run on with the paper's network; each takes half a second."""
 
 MANY = 1000

@@ -11,6 +11,7 @@ from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.synthesis.look_ahead import LookAhead
 from exwarp_cli.synthesis.motion_fields import reproject, settle_motion
 from exwarp_cli.synthesis.warp import Mover, blend_by_depth, srgb_to_linear
+from tests.matrix import combinations
 from tests.unit.opaque_shapes import FINE, HEIGHT, WIDTH, View, bar, cut_out, disc, grid, mean
 
 TIMES = (0.25, 0.5, 0.75)
@@ -22,21 +23,22 @@ def mixed(pair: tuple[View, View], time: float) -> np.ndarray:
     return LookAhead(*fields, time).make(pair[0].pixels, pair[1].pixels)
 
 
-@pytest.mark.parametrize("shape", [disc, bar], ids=["disc", "bar"])
-@pytest.mark.parametrize("angle", np.arange(0, 360, 30))
-def test_an_opaque_shape_stays_opaque(shape, angle):
-    for distance in (3.3, 9.7, 17.1):
-        motion = distance * math.cos(math.radians(angle)), distance * math.sin(math.radians(angle))
-        first = (WIDTH / 2 - motion[0] / 2 + 0.3, HEIGHT / 2 - motion[1] / 2 + 0.2)
-        last = (first[0] + motion[0], first[1] + motion[1])
-        pair = cut_out(shape, first, motion), cut_out(shape, last, motion)
-        for time in TIMES:
-            at = (first[0] + time * motion[0], first[1] + time * motion[1])
-            truth, alpha = cut_out(shape, at, motion), mixed(pair, time)[..., 3]
-            assert (alpha[truth.cover > 0.999] > 0.5).all()
-            assert alpha[truth.cover > 0.999].mean() > 0.99
-            assert alpha.min() >= 0 and alpha.max() <= 1
-            assert alpha[truth.cover == 0].mean() < 0.002
+@pytest.mark.parametrize(
+    ("angle", "distance", "shape"),
+    combinations(np.arange(0, 360, 30), (3.3, 9.7, 17.1), (disc, bar)),
+)
+def test_an_opaque_shape_stays_opaque(shape, angle, distance):
+    motion = distance * math.cos(math.radians(angle)), distance * math.sin(math.radians(angle))
+    first = (WIDTH / 2 - motion[0] / 2 + 0.3, HEIGHT / 2 - motion[1] / 2 + 0.2)
+    last = (first[0] + motion[0], first[1] + motion[1])
+    pair = cut_out(shape, first, motion), cut_out(shape, last, motion)
+    for time in TIMES:
+        at = (first[0] + time * motion[0], first[1] + time * motion[1])
+        truth, alpha = cut_out(shape, at, motion), mixed(pair, time)[..., 3]
+        assert (alpha[truth.cover > 0.999] > 0.5).all()
+        assert alpha[truth.cover > 0.999].mean() > 0.99
+        assert alpha.min() >= 0 and alpha.max() <= 1
+        assert alpha[truth.cover == 0].mean() < 0.002
 
 
 RADIUS = 20.0
@@ -76,8 +78,9 @@ def ball(at: tuple[float, float], turned: float, turn: float, motion: tuple[floa
     return View(pixels, settle_motion(gbuffer), cover[..., 0])
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.2, 0.5])
-@pytest.mark.parametrize("motion", [(0.0, 0.0), (7.0, 3.0), (20.0, 0.0)])
+@pytest.mark.parametrize(
+    ("turn", "motion"), combinations([0.2, 0.5, 0.0], [(0.0, 0.0), (7.0, 3.0), (20.0, 0.0)])
+)
 def test_a_turning_ball_has_no_pinholes_and_no_ghost(turn, motion):
     first = WIDTH / 2 - motion[0] / 2, HEIGHT / 2 - motion[1] / 2
     last = first[0] + motion[0], first[1] + motion[1]

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from exwarp_cli.accelerator.mac_array import MacArray, simulate
 from exwarp_cli.accelerator.mlp import QuantisedLayer, QuantisedMlp, Requantisation, infer_reference
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
+from tests.matrix import FULL
 from tests.reference.mlp import infer, infer_many
 from tests.unit.interpreted import same_when_interpreted
 from tests.unit.mlp_cases import edges, network, parts, run_all, states
@@ -59,11 +60,8 @@ class TestSameBits:
 
     @pytest.mark.parametrize("seed", range(2))
     def test_on_random_states_and_edges(self, seed):
-        same_everywhere(network(seed), np.concatenate([states(20_000, seed), edges(seed=seed)]))
-
-    @pytest.mark.slow
-    def test_on_a_million_states(self):
-        same_everywhere(network(7), states(1_000_000, 7))
+        count = 500_000 if FULL else 10_000
+        same_everywhere(network(seed), np.concatenate([states(count, seed), edges(seed=seed)]))
 
     @settings(max_examples=40)
     @given(SIZES, st.integers(0, 10**6))

@@ -15,6 +15,7 @@ from exwarp_cli.metrics.registry import score_frame
 from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.methods import METHODS
+from tests.matrix import combinations
 
 SHOT = Path(__file__).parents[1] / "data" / "miniature" / "variety-0074"
 LEFT_OUT = {
@@ -30,10 +31,13 @@ def network() -> Extrapolator:
     return load_extrapolator(None, 1, "cpu")
 
 
-@pytest.mark.parametrize("left_out", LEFT_OUT)
-@pytest.mark.parametrize("setting", ["key", "slot"])
-def test_it_is_better_than_the_warp(network, setting, left_out):
-    footage = SceneClip(open_scene(SHOT))
+@pytest.fixture(scope="module")
+def footage() -> SceneClip:
+    return SceneClip(open_scene(SHOT))
+
+
+@pytest.mark.parametrize(("left_out", "setting"), combinations([*LEFT_OUT], ["key", "slot"]))
+def test_it_is_better_than_the_warp(network, footage, setting, left_out):
     interval = footage.causal(2, setting).without(*LEFT_OUT[left_out])
     interval = replace(interval, extrapolator=network)
     gains = []
