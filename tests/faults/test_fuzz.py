@@ -9,18 +9,19 @@ from hypothesis import strategies as st
 from tests.faults.fuzz.cases import drawn, in_process
 from tests.faults.fuzz.damage import DAMAGES, draw_shot
 from tests.faults.running import run
+from tests.matrix import FULL
 
 CALM = tuple(HealthCheck)
 
 
-@settings(max_examples=120, derandomize=True, suppress_health_check=CALM)
+@settings(max_examples=120 if FULL else 40, derandomize=True, suppress_health_check=CALM)
 @given(st.data())
 def test_in_process(data):
     with drawn(data.draw) as case:
         case.judge(in_process(case))
 
 
-@settings(max_examples=6, derandomize=True, suppress_health_check=CALM)
+@settings(max_examples=6 if FULL else 2, derandomize=True, suppress_health_check=CALM)
 @given(st.data())
 def test_through_the_command(data):
     with drawn(data.draw) as case:

@@ -25,8 +25,9 @@ pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 METHODS = ("softsplat", "s6", "causal")
-TIMES = 72 if FULL else 2
-"""Runs that are killed by each signal: 6 in all, in full 216."""
+KILLS = [(number,) * count for number in SIGNALS for count in (1, 2)] if FULL else [SIGNALS]
+"""Signals that end a run, and then those that go on with it."""
+TIMES = 36 if FULL else 1
 
 
 FOLDERS = ("out", "holes")
@@ -50,13 +51,13 @@ def whole(keys, tmp_path_factory) -> dict[str, tuple[list[dict[str, bytes]], flo
     return found
 
 
-@pytest.mark.parametrize("number", SIGNALS, ids=lambda number: number.name)
+@pytest.mark.parametrize("kills", KILLS)
 @pytest.mark.parametrize("seed", range(TIMES))
-def test_going_on_gives_the_same_bytes(keys, rendered, whole, tmp_path, number, seed):
-    chance = random.Random(f"{number.name} {seed}")
+def test_going_on_gives_the_same_bytes(keys, rendered, whole, tmp_path, kills, seed):
+    chance = random.Random(f"{kills} {seed}")
     method = METHODS[seed % len(METHODS)]
     contents, seconds = whole[method]
-    for _ in range(chance.randint(1, 2)):
+    for number in kills:
         process = started(*command(keys, tmp_path, method))
         time.sleep(chance.uniform(0.05, 1.05) * seconds)
         # One process, or all that a terminal or a farm would reach.
