@@ -11,11 +11,11 @@ from exwarp_cli import cli
 
 @pytest.fixture(scope="module")
 def merged(tmp_path_factory, report) -> Path:
-    """The page of the same run, done key frame by key frame."""
+    """The page of the same run, done in two parts."""
     root = tmp_path_factory.mktemp("merged")
-    for key in (3, 1, 2):
-        part = type(report)(report.keys, report.truth, root / "frames", root / "chunks" / str(key))
-        part.run("--frames", str(key))
+    for keys in ("3", "1-2"):
+        part = type(report)(report.keys, report.truth, root / "frames", root / "chunks" / keys)
+        part.run("--frames", keys)
     assert cli.run(["merge-reports", str(root)]) == 0
     return root / "report.html"
 

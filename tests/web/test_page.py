@@ -32,13 +32,9 @@ from tests.unit.sample_runs import INPUT, path_run, run
 
 VOID = {"meta", "input", "br", "hr", "img", "link"}
 NAMES = [
-    "a \"b\" 'c'.####.exr",
+    "a \"b\" 'c' 50% # & <!-- --> {{ 7 * 7 }} {% raw %}.####.exr",
     "</script><script>alert(1)</script>",
-    "50% # & <!-- -->",
-    "🎬 \u202e \u2028",
-    "broken \udcff byte",
-    "{{ 7 * 7 }} {% raw %}",
-    "$x_1$ \\frac",
+    "🎬 \u202e \u2028 broken \udcff byte $x_1$ \\frac",
 ]
 
 
@@ -252,7 +248,7 @@ def test_json_cannot_end_its_script() -> None:
 
 
 def test_the_same_run_gives_the_same_page() -> None:
-    assert page_of(long_run(3)) == page_of(long_run(3))
+    assert page_of(long_run(1)) == page_of(long_run(1))
 
 
 def test_a_run_without_anything_has_a_page(tmp_path: Path) -> None:
