@@ -15,10 +15,13 @@ from exwarp_cli.pipeline.interval_builder import IntervalBuilder
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.key_frames import HistoryFrame, over_interval, without_surface
 from exwarp_cli.synthesis.interval import Interval
+from tests.matrix import combinations, spread
 from tests.unit.filled import Filled
 from tests.unit.scenes import View, town
 
 DISPLAY = Window(0, 0, 128, 80)
+
+pytestmark = pytest.mark.usefixtures("loose_objects")
 
 
 @functools.cache
@@ -85,8 +88,7 @@ def test_motion_leads_to_the_key_frame_before(setting):
         assert np.abs(past.motion[inside]).max() > 3  # the scene moves
 
 
-@pytest.mark.parametrize("setting", ["key", "slot"])
-@pytest.mark.parametrize("before", [(2,), (0, 1, 2)])
+@pytest.mark.parametrize(("setting", "before"), combinations(["key", "slot"], [(2,), (0, 1, 2)]))
 def test_what_is_shared_is_what_is_made_afresh(setting, before):
     kept, fresh = built(*before, 3, setting=setting), built(3, setting=setting)
     np.testing.assert_array_equal(kept.key.image.pixels, fresh.key.image.pixels)
@@ -148,7 +150,7 @@ def test_a_following_frame_is_kept_for_its_own_interval(settled):
     assert len(settled) == 4
 
 
-@pytest.mark.parametrize("extrapolated", [(), (1,), (0, 1, 2), (0,)])
+@pytest.mark.parametrize("extrapolated", spread([(), (0,), (1,), (0, 1, 2)], 3))
 def test_an_interval_that_is_completed_is_one_that_was_read_whole(extrapolated):
     """Whichever before it were completed; what no interval has a use for is not kept."""
 

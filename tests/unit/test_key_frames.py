@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections import Counter
 from dataclasses import fields, replace
 from pathlib import Path
@@ -20,9 +21,10 @@ from exwarp_cli.pipeline.interval_builder import IntervalBuilder
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader
 from exwarp_cli.pipeline.key_frames import reads_late
 from exwarp_cli.pipeline.shots import _Leap
-from exwarp_cli.pipeline.source import open_source
+from exwarp_cli.pipeline.source import Source, open_source
 from exwarp_cli.research.bench.subjects import EVERYTHING
 from exwarp_cli.synthesis.methods import METHODS
+from tests.matrix import spread
 from tests.unit.exr_files import write_single
 from tests.unit.filled import Filled
 from tests.unit.scenes import town
@@ -30,6 +32,9 @@ from tests.unit.scenes import town
 SIZE = (96, 60)
 COUNT = 4
 Read = list[tuple[int, tuple[Role, ...]]]
+
+
+pytestmark = pytest.mark.usefixtures("loose_objects")
 
 
 @pytest.fixture(scope="module")
@@ -66,10 +71,15 @@ def read(monkeypatch) -> Read:
     return read
 
 
+@functools.cache
+def source(settings: SourceSettings) -> Source:
+    return open_source(settings)
+
+
 def reader(folder: Path, method: str) -> IntervalReader:
-    settings = SourceSettings(str(folder))
+    settings = SourceSettings(str(folder), motion="previous=X,-Y next=-Z,W")
     asked = UpsampleSettings(settings, str(folder / "out"), method, gate=False)
-    return IntervalReader(open_source(settings), METHODS[method], asked)
+    return IntervalReader(source(settings), METHODS[method], asked)
 
 
 def assert_same(a: KeyFrame | None, b: KeyFrame | None) -> None:
@@ -117,7 +127,7 @@ class TestHistory:
     def read_eagerly(self, folder: Path, key: int) -> IntervalInputs:
         return reader(folder, "s3").read(key)
 
-    @pytest.mark.parametrize("keys", [(2,), (0, 1, 2), (1, 2, 3)])
+    @pytest.mark.parametrize("keys", spread([(2,), (0, 1, 2), (1, 2, 3)], 2))
     def test_it_is_what_is_read_with_the_interval_otherwise(self, folder, keys):
         late = reader(folder, "causal")
         for key in keys:
@@ -155,7 +165,7 @@ class TestHistory:
             assert_same(late.add_history(inputs[key]).frame, expected.frame)
 
 
-@pytest.mark.parametrize("wider", [None, 1, 2])
+@pytest.mark.parametrize("wider", spread([None, 1, 2], 2))
 def test_intervals_in_a_row_are_built_as_alone(folder, wider):
     """Also where a frame has data beyond the display window, on which nothing was settled yet."""
     display = Window(0, 0, *SIZE)

@@ -39,7 +39,6 @@ from exwarp_cli.research.training.outcome_tables import (
     measure_view,
 )
 from exwarp_cli.research.training.scene_clip import SceneClip
-from exwarp_cli.synthesis import trajectory
 from exwarp_cli.synthesis.methods import METHODS
 from tests.matrix import FULL, spread
 from tests.reference.quality import psnr_db, srgb_255
@@ -53,14 +52,9 @@ SHIFTED = [view for view in VIEWS if view.variant == Variant(2)]
 
 
 @pytest.fixture(scope="module", autouse=True)
-def threads():
-    """Measuring is done on one thread; what follows gets all of them back.
-
-    Small objects are not followed, which takes most of the time.
-    """
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trajectory, "MIN_OBJECT_PIXELS", 400)
-        yield
+def threads(loose_objects):
+    """Measuring is done on one thread; what follows gets all of them back."""
+    yield
     outcome_tables.extrapolator.cache_clear()
     _row_bands.set_threads(None)
 

@@ -17,6 +17,7 @@ from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.motion_fields import SlotField
 from exwarp_cli.synthesis.source_bounds import hold_within, sources_between
 from exwarp_cli.synthesis.warp import Mover, blend_by_depth
+from tests.matrix import combinations, spread
 from tests.reference import extremes as naive
 
 K = 3
@@ -133,7 +134,7 @@ class TestExtrapolation:
         made = METHODS[name].predict(replace(causal), slot).pixels
         assert (made >= least - ROUNDING).all() and (made <= greatest + ROUNDING).all()
 
-    @pytest.mark.parametrize("slot", [2, 3])
+    @pytest.mark.parametrize("slot", spread([3, 2], 1))
     def test_what_the_key_frame_shows_stays_in_its_5x5_pixels(self, causal, slot):
         made = replace(causal).extrapolated(slot)
         seen, least, greatest = key_bounds(causal, slot)
@@ -142,7 +143,7 @@ class TestExtrapolation:
         ends = (made == least) | (made == greatest)
         assert ends[..., :3][seen].mean() > 0.9, "a wild network is held nearly everywhere"
 
-    @pytest.mark.parametrize("slot", [2, 3])
+    @pytest.mark.parametrize("slot", spread([2, 3], 1))
     def test_holes_stay_within_what_fills_them_and_the_older_frames(self, causal, slot):
         def levels(pixels: Float32, age: int) -> Float32:
             """1 to 1.5 in the key frame; 1.8 and 2 in the older ones."""
@@ -195,7 +196,7 @@ class TestAlpha:
         dark = clear & seen & (greatest[..., :3] == 0).all(axis=-1)
         assert dark.any() and (made[dark] == 0).all()
 
-    @pytest.mark.parametrize("alpha", [0.0, 0.5, 1.0])
+    @pytest.mark.parametrize("alpha", spread([0.0, 0.5, 1.0], 2))
     def test_an_alpha_that_is_the_same_everywhere_is_no_matte(self, causal, alpha):
         """What is black beside the object may take its light."""
         flat = replace(changed(causal, with_alpha(alpha)), extrapolator=Bright())
@@ -208,8 +209,7 @@ class TestAlpha:
 class TestOtherLight:
     """Key frames of a fade to black, or beside a flash."""
 
-    @pytest.mark.parametrize("light", [0.0, 0.02])
-    @pytest.mark.parametrize("slot", [2, 3])
+    @pytest.mark.parametrize(("light", "slot"), combinations([0.0, 0.02], [2, 3]))
     def test_a_dark_key_frame_makes_dark_frames(self, causal, light, slot):
         dark = changed(causal, lit(light, older=False))
         assert dark.back(slot).hole.any()
@@ -233,7 +233,7 @@ class TestInterpolation:
         ahead = footage.interval(K, request.param)
         return replace(ahead, interpolator=WildBetween())
 
-    @pytest.mark.parametrize("slot", [1, 2, 3])
+    @pytest.mark.parametrize("slot", spread([1, 2, 3], 1))
     def test_along_motion_it_stays_in_the_5x5_pixels_of_both_key_frames(self, between, slot):
         made = METHODS["onnx"].predict(between, slot).pixels
         ends, views = [], []
@@ -250,7 +250,7 @@ class TestInterpolation:
         seen = views[0] | views[1]
         assert (made >= least)[seen].all() and (made <= greatest)[seen].all()
 
-    @pytest.mark.parametrize("slot", [1, 2, 3])
+    @pytest.mark.parametrize("slot", spread([3, 1, 2], 1))
     def test_without_motion_it_stays_in_the_range_of_both_key_frames(self, between, slot):
         bare = replace(
             between, slots=(),
