@@ -12,6 +12,7 @@ from exwarp_cli.errors import MotionError
 from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.synthesis.calibration import calibrate
 from exwarp_cli.synthesis.calibration_samples import MotionFrame
+from tests.matrix import combinations, spread
 from tests.unit.motion_pairs import (
     BLENDER,
     COLOUR_ONLY,
@@ -46,8 +47,7 @@ def at_even_speed(truth: MotionConvention) -> list[MotionFrame]:
 
 
 class TestRecovery:
-    @pytest.mark.parametrize("signs", SIGNS)
-    @pytest.mark.parametrize("scale", SCALES.values(), ids=SCALES)
+    @pytest.mark.parametrize(("scale", "signs"), combinations(list(SCALES.values()), SIGNS))
     def test_every_sign_and_scale(self, signs, scale):
         truth = MotionConvention(AxisMap(0, 1, signs[0] * scale[0], signs[1] * scale[1]))
         found = calibrate(pairs(truth)[:1], None, XY)
@@ -77,20 +77,20 @@ class TestRecovery:
         assert found.convention == truth
 
     @pytest.mark.parametrize(
-        "without",
-        [POSITION_ONLY, COLOUR_ONLY, {"position": None}],
-        ids=["positions", "colour", "depth and colour"],
+        ("without", "truth"),
+        combinations(
+            [POSITION_ONLY, COLOUR_ONLY, {"position": None}], [BLENDER, PRESETS["forward+backward"]]
+        ),
     )
-    @pytest.mark.parametrize("truth", [BLENDER, PRESETS["forward+backward"]])
     def test_whatever_there_is_to_judge_by(self, without, truth):
         assert calibrate(pairs(truth, 4, **without)[:1], None, XYZW).convention == truth
 
-    @pytest.mark.parametrize("truth", [BLENDER, PRESETS["forward+backward"]])
+    @pytest.mark.parametrize("truth", spread([BLENDER, PRESETS["forward+backward"]], 1))
     def test_depth_alone_confirms_what_the_names_say(self, truth):
         found = calibrate(pairs(truth, 4, **DEPTH_ONLY), truth, XYZW)
         assert (found.convention, found.source) == (truth, "calibrated")
 
-    @pytest.mark.parametrize("truth", [BLENDER, PRESETS["forward+backward"]])
+    @pytest.mark.parametrize("truth", spread([PRESETS["forward+backward"], BLENDER], 1))
     def test_depth_alone_on_plain_walls_is_too_little_to_contradict_them(self, truth):
         wrong = both(AxisMap(0, 1, 1, 1), AxisMap(2, 3, 1, 1))
         with pytest.raises(MotionError, match=r"names say previous=X,Y next=Z,W.*give --motion"):
@@ -134,8 +134,9 @@ class TestRecovery:
 class TestFreeScale:
     """Vectors normalised by what only the artist knows."""
 
-    @pytest.mark.parametrize("scale", [37.0, 150.0, 0.13, 0.9 * WIDTH / 2])
-    @pytest.mark.parametrize("aspect", [1.0, HEIGHT / WIDTH])
+    @pytest.mark.parametrize(
+        ("scale", "aspect"), combinations([37.0, 150.0, 0.13, 0.9 * WIDTH / 2], [1, HEIGHT / WIDTH])
+    )
     def test_it_is_fitted_and_it_is_said(self, scale, aspect):
         truth = AxisMap(0, 1, scale, -scale * aspect)
         found = calibrate(pairs(MotionConvention(None, truth)), None, XY)

@@ -10,6 +10,7 @@ import pytest
 from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.synthesis.calibration import calibrate
 from exwarp_cli.synthesis.calibration_samples import FrameSamples, MotionFrame
+from tests.matrix import combinations
 from tests.unit.motion_pairs import BLENDER, XYZW, both, pairs_of, raw_of
 from tests.unit.scenes import town
 
@@ -39,9 +40,10 @@ WITHOUT = {
 }
 
 
-@pytest.mark.parametrize("without", WITHOUT.values(), ids=WITHOUT)
-@pytest.mark.parametrize("slower", [1.0, 4.0])
-@pytest.mark.parametrize("noise", [0.0, 0.03, 0.1])
+@pytest.mark.parametrize(
+    ("without", "slower", "noise"),
+    combinations(list(WITHOUT.values()), [4.0, 1.0], [0.03, 0.1, 0.0]),
+)
 class TestBothDirectionsSpanTheSame:
     def test_vectors_over_one_frame_of_the_scene(self, without, slower, noise):
         found = calibrate(stepped(1 / STEP, slower, noise, **without), BLENDER, XYZW, step=STEP)
