@@ -10,6 +10,7 @@ from exwarp_cli.models.policy_files import load_policy
 from exwarp_cli.pipeline.predictor import sample_states
 from tests.hardware import designs
 from tests.hardware.designs import CACHE, DEFAULT, REFILLED, extreme, result, run, tied, write
+from tests.matrix import FULL
 from tests.unit.mlp_cases import network
 
 pytestmark = [
@@ -19,6 +20,9 @@ pytestmark = [
         reason=f"wants {', '.join(designs.missing_tools())}; install Debian's packages",
     ),
 ]
+
+VECTORS = 4 if FULL else 1
+"""Of the shipped network, each of which takes a second or two."""
 
 MACHINES = {
     "paper": DEFAULT,
@@ -35,8 +39,8 @@ def expected(array: MacArray, sizes: tuple[int, ...], vectors: int) -> str:
 @pytest.mark.parametrize("name", MACHINES)
 def test_the_shipped_network_equals_the_integer_kernel_and_the_cycle_model(tmp_path, name):
     array, shipped = MACHINES[name], load_policy(None).network
-    write(tmp_path, shipped, array, 4)
-    assert result(tmp_path, "make") == expected(array, PAPER_SIZES, 4)
+    write(tmp_path, shipped, array, VECTORS)
+    assert result(tmp_path, "make") == expected(array, PAPER_SIZES, VECTORS)
 
 
 SHAPES = {
@@ -109,14 +113,15 @@ def test_the_text_has_no_lint(tmp_path, array):
 
 
 def test_verilator_says_the_same(tmp_path):
-    write(tmp_path, load_policy(None).network, DEFAULT, 100)
-    assert result(tmp_path, "make", "verilator") == expected(DEFAULT, PAPER_SIZES, 100)
+    array, sizes = SHAPES["refilled, uneven"]
+    write(tmp_path, network(4, sizes), array, 100)
+    assert result(tmp_path, "make", "verilator") == expected(array, sizes, 100)
 
 
 def test_memories_become_block_ram(tmp_path):
     """A machine with the paper's memories and few units, which is quickly synthesised."""
     sizes = (44, 64, 64, 2)
-    write(tmp_path, network(1, sizes), MacArray(2, 2, cache_bytes=CACHE), 1)
+    write(tmp_path, network(1, sizes), MacArray(1, 1, cache_bytes=CACHE), 1)
     script = (
         "read_verilog -I. exwarp_predictor.v exwarp_core.v; "
         "synth_ecp5 -top exwarp_predictor; tee -o cells.txt stat"

@@ -17,7 +17,7 @@ from exwarp_cli.domain.network_api import CANDIDATES, LOOKAHEAD_INTERFACE, Netwo
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.models.picture_network import load_lookahead
-from exwarp_cli.research.training import lookahead_samples
+from exwarp_cli.research.training import lookahead_samples, lookahead_training
 from exwarp_cli.research.training.lookahead_samples import (
     SAMPLE_ARRAYS,
     Samples,
@@ -190,7 +190,10 @@ class TestTraining:
         with pytest.raises(LayoutError, match="another network than one of 8 channels"):
             train(scenes, tmp_path / "wide", cache, wider, start=start)
 
-    def test_the_model_answers_as_the_network_held_back(self, scenes, cache, samples, tmp_path):
+    def test_the_model_answers_as_the_network_held_back(
+        self, scenes, cache, samples, tmp_path, monkeypatch
+    ):
+        monkeypatch.setattr(lookahead_training, "GROWTH", (1,))  # what is exported takes long
         settings = replace(TINY, steps=2)
         model = train(scenes, tmp_path / "run", cache, settings)
         training = LookAheadTraining(tmp_path / "run", _settings_of(tmp_path / "run"), quiet)
