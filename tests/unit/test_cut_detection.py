@@ -13,6 +13,7 @@ from exwarp_cli.domain.timeline import CutOption, parse_cuts
 from exwarp_cli.errors import MissingFrameError, UsageError
 from exwarp_cli.synthesis import cut_detection
 from exwarp_cli.synthesis.cut_detection import CutEvidence, is_cut_between, make_thumbnail
+from tests.matrix import combinations
 from tests.unit.scenes import Rectangle, Scene, town, vec
 
 GEOMETRY = ("depth", "normal", "position", "stencil")
@@ -67,8 +68,9 @@ def moved(frame: KeyFrame, **vectors: np.ndarray) -> KeyFrame:
     return replace(frame, gbuffer=replace(frame.gbuffer, **vectors))
 
 
-@pytest.mark.parametrize("missing", KNOWN.values(), ids=KNOWN)
-@pytest.mark.parametrize("scene", [town(), town().still(), shot(1)], ids=["town", "still", "other"])
+@pytest.mark.parametrize(
+    ("missing", "scene"), combinations(list(KNOWN.values()), [town(), town().still(), shot(1)])
+)
 def test_neighbours_are_no_cut(scene: Scene, missing: tuple[str, ...]) -> None:
     for time in (0, 3):
         found = is_cut(key(scene, time, missing), key(scene, time + 1, missing))
@@ -92,8 +94,9 @@ def test_another_camera_in_the_same_scene_is_a_cut(missing: tuple[str, ...]) -> 
     assert found.found, found
 
 
-@pytest.mark.parametrize("factor", [0.05, 0.3, 4.0, 30.0])
-@pytest.mark.parametrize("missing", KNOWN.values(), ids=KNOWN)
+@pytest.mark.parametrize(
+    ("factor", "missing"), combinations([0.05, 0.3, 4.0, 30.0], list(KNOWN.values()))
+)
 def test_flashes_and_fades_are_no_cut(missing: tuple[str, ...], factor: float) -> None:
     before, after = key(town(), 0, missing), key(town(), 1, missing)
     assert not is_cut(before, shown(after, factor * after.image.pixels)).found

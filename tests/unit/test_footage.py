@@ -14,6 +14,7 @@ from exwarp_cli.errors import InputError, MissingFrameError
 from exwarp_cli.io.dataset import open_scene
 from exwarp_cli.research.training.augmentation import Variant, mirror, reverse_time
 from exwarp_cli.research.training.scene_clip import SceneClip
+from tests.matrix import combinations, spread
 from tests.unit.analytic_scene import INSTANTS, STEP, mirror_image, surface, write_scene
 from tests.unit.scenes import SKY, View, town
 
@@ -140,19 +141,18 @@ def assert_shows(footage: SceneClip, k: int) -> None:
         assert moving < 0.1, (variant, i)
 
 
-@pytest.mark.parametrize(
-    "variant",
-    [
-        *(Variant(phase) for phase in range(4)),
-        Variant(backwards=True),
-        Variant(2, mirror=True),
-        Variant(3, mirror=True, backwards=True),
-        Variant(speed=2),
-        Variant(5, backwards=True, speed=2),
-        Variant(7, mirror=True, speed=2),
-    ],
-    ids=str,
-)
+VARIANTS = [
+    *(Variant(phase) for phase in range(4)),
+    Variant(backwards=True),
+    Variant(2, mirror=True),
+    Variant(3, mirror=True, backwards=True),
+    Variant(speed=2),
+    Variant(5, backwards=True, speed=2),
+    Variant(7, mirror=True, speed=2),
+]
+
+
+@pytest.mark.parametrize("variant", spread(VARIANTS, 5), ids=str)
 def test_every_variant_shows_the_scene(folder, variant):
     footage = SceneClip(open_scene(folder), variant)
     assert_shows(footage, footage.intervals[-1])
@@ -180,8 +180,7 @@ def test_motion_beyond_the_render_is_unknown_unless_rendered(folder):
     assert turned.slot(0, 1).gbuffer.to_previous is not None
 
 
-@pytest.mark.parametrize("backwards", [False, True])
-@pytest.mark.parametrize("phase", range(4))
+@pytest.mark.parametrize(("backwards", "phase"), combinations([False, True], list(range(4))))
 def test_where_every_instant_is_a_key_frame_too_motion_is_that_of_the_render(
     everywhere, phase, backwards
 ):
@@ -199,8 +198,10 @@ def test_where_every_instant_is_a_key_frame_too_motion_is_that_of_the_render(
             assert gap.max() < 0.2
 
 
-@pytest.mark.parametrize("setting", ["key", "slot"])
-@pytest.mark.parametrize("variant", [Variant(), Variant(2, True, True), Variant(1)], ids=str)
+@pytest.mark.parametrize(
+    ("setting", "variant"),
+    combinations(["key", "slot"], [Variant(), Variant(2, True, True), Variant(1)]),
+)
 def test_an_interval_is_ready_for_synthesis(folder, variant, setting):
     footage = SceneClip(open_scene(folder), variant)
     interval = footage.interval(1, setting)

@@ -16,6 +16,7 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import EXWARP, METHODS, DecisionSource, Predicted
 from exwarp_cli.synthesis.motion_fields import settle_motion
 from exwarp_cli.synthesis.warp import Warped, blend_by_depth, fill_holes, fill_nonfinite
+from tests.matrix import combinations
 from tests.unit.scenes import View, town
 
 SLOTS = (1, 2, 3)
@@ -79,8 +80,7 @@ class TestRegistry:
         assert method.interpolates is (method.name == "onnx")
         assert (method.predict is None) is (method.judge is not None)
 
-    @pytest.mark.parametrize("name", ALONE)
-    @pytest.mark.parametrize("slot", SLOTS)
+    @pytest.mark.parametrize(("name", "slot"), combinations(ALONE, SLOTS))
     def test_every_frame_is_whole(self, name, slot):
         given = interval(METHODS[name].lookahead)
         found = predict(name, given, slot)
@@ -109,8 +109,7 @@ class TestQuality:
         assert s6 < 0.5 * hold and softsplat < 0.6 * blend
         assert softsplat < s6
 
-    @pytest.mark.parametrize("name", ["s6", "softsplat"])
-    @pytest.mark.parametrize("slot", SLOTS)
+    @pytest.mark.parametrize(("name", "slot"), combinations(["s6", "softsplat"], SLOTS))
     def test_inside_surfaces_only_resampling_is_lost(self, name, slot):
         seen = view(slot / 4)
         inside = seen.inside(4) & (seen.source_surface(view(0.0)) == seen.surface)
@@ -169,8 +168,7 @@ class TestValues:
             found, predict(name, interval(), 2).pixels[..., :3], rtol=0, atol=1e-6
         )
 
-    @pytest.mark.parametrize("name", ALONE)
-    @pytest.mark.parametrize("bad", [np.nan, np.inf])
+    @pytest.mark.parametrize(("name", "bad"), combinations(ALONE, [np.nan, np.inf]))
     def test_broken_pixels_are_mended_and_do_not_spread(self, name, bad):
         pixels = key(0).image.pixels.copy()
         pixels[60, 60] = bad
@@ -272,8 +270,7 @@ class TestSlotGeometry:
         ]
         return Interval(frames[0], frames[1] if lookahead else None, buffers)
 
-    @pytest.mark.parametrize("name", ["s6", "softsplat"])
-    @pytest.mark.parametrize("slot", SLOTS)
+    @pytest.mark.parametrize(("name", "slot"), combinations(["s6", "softsplat"], SLOTS))
     def test_both_settings_show_the_same_inside_surfaces(self, name, slot):
         seen = view(slot / 4)
         inside = seen.inside(4) & (seen.source_surface(view(0.0)) == seen.surface)

@@ -26,6 +26,8 @@ SIZE = (64, 40)
 DISPLAY = Window(0, 0, *SIZE)
 BOX, STILL = 3, 10
 
+pytestmark = pytest.mark.usefixtures("loose_objects")
+
 
 @functools.cache
 def view(time: float) -> View:
