@@ -33,6 +33,8 @@ from exwarp_cli.research.bench.systems import BenchSettings, makers_of, pictures
 
 SYSTEMS = ("exwarp", "s1", "s6", "softsplat")
 
+pytestmark = pytest.mark.usefixtures("unwritten_plots")
+
 
 def score(psnr: float) -> dict[str, Any]:
     rest = dict.fromkeys(("flip", "hdr_flip", "vmaf", "flicker", "pulse"))

@@ -22,6 +22,7 @@ from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.exr.scanlines import LINES, REQUIRED
 from exwarp_cli.io.frames import join_planes
 from exwarp_cli.runtime import cores
+from tests.matrix import FULL
 from tests.unit.exr_files import (
     any_bits,
     box,
@@ -229,7 +230,7 @@ class TestWhatIsLeftToOpenImageIO:
 class TestDamage:
     """Whatever is wrong with a file: OpenImageIO's pixels, or its error in the same words."""
 
-    @settings(SETTINGS, max_examples=300)
+    @settings(SETTINGS, max_examples=300 if FULL else 80)
     @given(PARTS, st.integers(0, 2**32 - 1))
     def test_flipped_bytes(self, tmp_path, parts, seed):
         rng = np.random.default_rng(seed)

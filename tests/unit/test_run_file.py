@@ -31,6 +31,7 @@ from exwarp_cli.domain.tiles import Risk, TileMakers
 from exwarp_cli.domain.timeline import Cut
 from exwarp_cli.report.run_file import format_run, parse_run
 from exwarp_cli.report.schema import run_document
+from tests.matrix import FULL
 from tests.unit.sample_runs import interval, path_run, run
 
 numbers = st.integers(-(10**6), 10**6)
@@ -122,7 +123,7 @@ def written_and_read(made: RunSummary) -> RunSummary:
     return parse_run(format_run(made, REPORT), REPORT)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150 if FULL else 40, deadline=None)
 @given(made=runs)
 def test_every_field_comes_back(made: RunSummary) -> None:
     found = written_and_read(made)

@@ -13,6 +13,7 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.motion_fields import settle_motion
 from exwarp_cli.synthesis.sub_intervals import sub_slots, vector_spans
+from tests.matrix import combinations
 from tests.unit.scenes import View, town
 
 STEP = 0.25
@@ -67,8 +68,7 @@ def test_vectors_that_stand_still_may_lead_over_any_time():
     assert vector_spans(found, STEP) == {2: 1.0}
 
 
-@pytest.mark.parametrize("span", [1.0, STEP])
-@pytest.mark.parametrize("slots", [(1,), (2,), (3,), (1, 3)])
+@pytest.mark.parametrize(("span", "slots"), combinations([1.0, STEP], [(1,), (2,), (3,), (1, 3)]))
 def test_slots_beside_a_rendered_one_are_better(slots, span):
     found = interval(*slots, span=span)
     subs = sub_slots(found, vector_spans(found, STEP))

@@ -178,7 +178,7 @@ class TestTraining:
         errors = np.tile([100.0, 130.0, 150.0, 180.0, 180.0], (len(holes), 1))
         errors[holes] = [100.0, 110.0, 150.0, 160.0, 20.0]
         delayed = replace(tables[0], errors=errors)
-        margins = choice_margins(train_tiles([delayed], replace(SETTINGS, steps=500)), delayed)
+        margins = choice_margins(train_tiles([delayed], replace(SETTINGS, steps=300)), delayed)
         assert margins[holes, 0].min() > 0 > margins[~holes, 0].max()
         assert (margins[holes, 1] < 0).all()
 
