@@ -12,6 +12,7 @@ from exwarp_cli.errors import MotionError
 from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.synthesis.calibration import calibrate
 from exwarp_cli.synthesis.calibration_samples import FrameSamples, MotionFrame
+from tests.matrix import spread
 from tests.unit.motion_pairs import (
     BLENDER,
     COLOUR_ONLY,
@@ -126,7 +127,7 @@ class TestHalfWritten:
 
 
 class TestErrors:
-    @pytest.mark.parametrize("guess", [None, BLENDER])
+    @pytest.mark.parametrize("guess", spread([BLENDER, None], 1))
     def test_garbage_vectors(self, guess):
         rng = np.random.default_rng(5)
         frames = [
@@ -142,7 +143,7 @@ class TestErrors:
         with pytest.raises(MotionError, match="no reading of the motion channels explains"):
             calibrate(pairs_of(frames), guess, XYZW)
 
-    @pytest.mark.parametrize("letters", [("R", "G"), ("R", "G", "B"), ("R", "G", "A")])
+    @pytest.mark.parametrize("letters", spread([("R", "G"), ("R", "G", "B"), ("R", "G", "A")], 2))
     def test_garbage_between_0_and_1(self, letters):
         rng = np.random.default_rng(8)
         frames = [

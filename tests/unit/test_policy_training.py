@@ -189,7 +189,7 @@ class TestReport:
             return quantise([np.round(16 * w) / 16 for w in weights], biases, states)
 
         monkeypatch.setattr("exwarp_cli.research.training.policy_training.quantise", crude)
-        settings = replace(SETTINGS, steps=60, seed=5)
+        settings = replace(SETTINGS, steps=30, seed=5)
         report = train_policy(tables, tmp_path, settings, lambda line: None)
         shares = set()
         for k, table in enumerate(tables):

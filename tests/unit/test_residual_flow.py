@@ -13,6 +13,7 @@ from exwarp_cli.synthesis.history import older_key_frames
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.layer_retiming import make_retimer
 from exwarp_cli.synthesis.methods import METHODS
+from tests.matrix import combinations
 
 HEIGHT, WIDTH = 72, 112
 WINDOW = Window(0, 0, WIDTH, HEIGHT)
@@ -62,8 +63,7 @@ def error(found: Float32, slot: int, step: Pair) -> float:
     return float(np.abs(found - truth).mean())
 
 
-@pytest.mark.parametrize("angle", range(0, 360, 30))
-@pytest.mark.parametrize("slot", [1, 2, 3])
+@pytest.mark.parametrize(("angle", "slot"), combinations(list(range(0, 360, 30)), [1, 2, 3]))
 def test_a_shadow_on_still_ground_goes_on_at_its_speed(angle, slot):
     turned = math.radians(angle)
     step = (8 * math.cos(turned), 8 * math.sin(turned))

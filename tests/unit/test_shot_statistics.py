@@ -122,7 +122,7 @@ def test_sampling_is_bilinear_and_ends_at_the_edge(shots):
     assert np.isnan(found[2:]).all()
 
 
-def test_a_rendered_shot_is_measured_and_summed_up(shots, tmp_path):
+def test_a_rendered_shot_is_measured_and_summed_up(shots, loose_objects, tmp_path):
     row = shots.measure(open_scene(SHOT))
     assert row["shot"] == "variety-0074" and row["engine"] == "Cycles"
     assert row["motion_p99_px"] >= row["motion_median_px"] > 0
