@@ -14,7 +14,7 @@ from tests.matrix import FULL
 CALM = tuple(HealthCheck)
 
 
-@settings(max_examples=120 if FULL else 40, derandomize=True, suppress_health_check=CALM)
+@settings(max_examples=120 if FULL else 30, derandomize=True, suppress_health_check=CALM)
 @given(st.data())
 def test_in_process(data):
     with drawn(data.draw) as case:

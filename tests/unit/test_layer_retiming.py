@@ -23,6 +23,7 @@ from exwarp_cli.synthesis.layer_retiming import (
 )
 from exwarp_cli.synthesis.methods import METHODS, Predicted
 from exwarp_cli.synthesis.motion_fields import depth_of, settle_motion
+from tests.matrix import combinations
 from tests.unit.scenes import SKY, View, town
 
 SLOTS = (1, 2, 3)
@@ -94,8 +95,9 @@ def at_least_3d(values: np.ndarray) -> Float32:
 
 
 class TestColour:
-    @pytest.mark.parametrize("name", ["s6", "softsplat", "blend", "hold"])
-    @pytest.mark.parametrize("slot", SLOTS)
+    @pytest.mark.parametrize(
+        ("name", "slot"), combinations(["s6", "softsplat", "blend", "hold"], SLOTS)
+    )
     def test_the_beauty_as_a_layer_is_the_beauty(self, name, slot):
         made, shown = retimed(name, slot)
         found = made.colour(key(0).image.pixels, key(1).image.pixels)
@@ -167,8 +169,7 @@ class TestManner:
 
 
 class TestData:
-    @pytest.mark.parametrize("name", ["s6", "softsplat"])
-    @pytest.mark.parametrize("slot", SLOTS)
+    @pytest.mark.parametrize(("name", "slot"), combinations(["s6", "softsplat"], SLOTS))
     def test_ids_are_those_of_the_surfaces(self, name, slot):
         made, _ = retimed(name, slot)
         found, true = made.data(*pair(name, "stencil")), view(slot / 4).gbuffer().stencil
@@ -194,8 +195,7 @@ class TestData:
         sides = np.array([pixels[tuple(p)] for p in found.reshape(-1, 4)]).reshape(80, 128)
         np.testing.assert_array_equal(sides, made.sources.later)
 
-    @pytest.mark.parametrize("name", ["s6", "softsplat"])
-    @pytest.mark.parametrize("slot", SLOTS)
+    @pytest.mark.parametrize(("name", "slot"), combinations(["s6", "softsplat"], SLOTS))
     def test_normals_keep_their_length(self, name, slot):
         made, _ = retimed(name, slot)
         normals = made.data(*pair(name, "normal"))

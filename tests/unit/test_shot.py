@@ -16,6 +16,7 @@ from exwarp_cli.io.cryptomatte import IdReading, hash_name, surface_id
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.frames import read_image, read_raw
 from exwarp_cli.io.shot import open_shot, open_views
+from tests.matrix import spread
 from tests.stereo_layouts import LAYOUTS
 from tests.stereo_shots import arguments, eyes_at, write_stereo
 from tests.unit.cryptomatte_files import Style, write_cryptomatte
@@ -40,7 +41,7 @@ def stereo(request, tmp_path_factory):
 
 
 class TestStereoLayouts:
-    @pytest.mark.parametrize("view", [None, "left", "right"])
+    @pytest.mark.parametrize("view", spread([None, "left", "right"], 2))
     def test_each_view_is_read(self, stereo, view):
         layout, sequence, aovs = stereo
         shot = open_shot(sequence, view, parse_aovs(aovs))

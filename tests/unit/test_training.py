@@ -63,7 +63,7 @@ TINY = ExtrapolatorSettings(
 def data(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("data")
     for name in ("first", "second"):
-        write_scene(folder / name, scene=name, role="training")
+        write_scene(folder / name, instants=9, scene=name, role="training")
     return folder
 
 

@@ -33,7 +33,8 @@ TINY = ExtrapolatorSettings(
 def scenes(tmp_path_factory) -> list[RenderedScene]:
     root = tmp_path_factory.mktemp("data")
     return [
-        open_scene(write_scene(root / name, scene=name, role="training")) for name in ("one", "two")
+        open_scene(write_scene(root / name, instants=9, scene=name, role="training"))
+        for name in ("one", "two")
     ]
 
 
