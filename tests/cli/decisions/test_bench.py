@@ -92,7 +92,7 @@ def line(uneven, truth, network, policies) -> Callable[[str, Path], tuple[object
 
     def words(setting: str, out: Path) -> tuple[object, ...]:
         more = ("--extrapolator", network, "--policy", policies("watching"))
-        more += ("--systems", "exwarp,oracle,s1,s2,s6,hold,softsplat")
+        more += ("--systems", "exwarp,oracle,s1,s2,s6,hold,softsplat,lookahead")
         more += ("--frames", {"key": "1-6", "slot": "2-4"}[setting])
         return ("bench", *uneven[setting], "--ground-truth", truth, "-o", out, *QUICK, *more)
 
@@ -127,8 +127,9 @@ def test_numbers_are_those_of_upsample(whole, judged, uneven, truth, tmp_path):
 
 def test_so_are_those_of_each_frame_with_gbuffers_of_slots(whole, judged, uneven, truth, tmp_path):
     done = {name: judged(name, "slot").rows for name in ("s2", "s6", "oracle", "watching")}
-    given = ("-m", "softsplat", "--ground-truth", truth, "--metrics", "psnr,ssim")
-    done["softsplat"] = take(uneven["slot"], tmp_path / "softsplat", *given).rows
+    given = ("--ground-truth", truth, "--metrics", "psnr,ssim")
+    for name in ("softsplat", "lookahead"):
+        done[name] = take(uneven["slot"], tmp_path / name, "-m", name, *given).rows
     for name, theirs in done.items():
         for part in parts_of(whole("slot")):
             slots = part["systems"]["exwarp" if name == "watching" else name]
