@@ -10,9 +10,10 @@ import pytest
 from hypothesis import settings
 
 from exwarp_cli.runtime import cores
+from tests.matrix import FULL
 
 # A busy machine is no defect: examples may take any time.
-settings.register_profile("exwarp", deadline=None)
+settings.register_profile("exwarp", deadline=None, max_examples=100 if FULL else 25)
 settings.load_profile("exwarp")
 
 # A shell ignores interruptions in what it runs in the background, and so would all that is started
