@@ -1,20 +1,17 @@
-"""Reading plain video: rates, times, colour, any start, and files that are not what they seem."""
+"""Reading plain video: rates, times, colour, and any start."""
 
 from __future__ import annotations
 
-import subprocess
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
-import imageio_ffmpeg
 import numpy as np
 import pytest
 
-from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.errors import InputError
 from exwarp_cli.io import video_timing
 from exwarp_cli.io.display_colour import MATRICES, to_display
-from exwarp_cli.io.ffmpeg import EXACT_SCALING, FfmpegError, FfmpegReader
+from exwarp_cli.io.ffmpeg import EXACT_SCALING, FfmpegError
 from exwarp_cli.io.video_reader import ClipReader, is_clip, open_clip
 from exwarp_cli.io.video_timing import (
     UNKNOWN_TIMES,
@@ -26,38 +23,8 @@ from exwarp_cli.io.video_timing import (
     read_packets,
 )
 from exwarp_cli.io.video_writer import VideoWriter
-from tests.matrix import combinations, spread
-
-SIZE = (48, 32)
-H264 = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-g", "8", "-bf", "2")
-NTSC = "24000/1001"
-STEADY = ("-sc_threshold", 10**9)
-"""No key frames but where a group begins."""
-
-PALETTE = ",split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1"
-"""Filters for GIF: its usual palette has 256 colours, none of them the wanted one."""
-
-
-def ffmpeg(*arguments: object) -> subprocess.CompletedProcess[bytes]:
-    program = imageio_ffmpeg.get_ffmpeg_exe()
-    command = [program, "-v", "error", "-nostdin", "-y", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, check=True)
-
-
-def make(path: Path, *options: str, rate: str = NTSC, frames: int = 30, **more: str) -> Path:
-    width, height = SIZE
-    sound = ("-f", "lavfi", "-i", "sine=d=1") if "audio" in more else ()
-    picture = f"testsrc2=s={width}x{height}:r={rate}"
-    coded = options or H264
-    ffmpeg("-f", "lavfi", "-i", picture, *sound, "-frames:v", frames, *coded, path)
-    return path
-
-
-def shown(path: Path, pixels: str = "rgb24") -> np.ndarray:
-    """What ffmpeg itself shows."""
-    scale = "scale=in_color_matrix=smpte170m:flags=accurate_rnd+full_chroma_int"
-    out = ("-fps_mode", "passthrough", "-f", "rawvideo", "-pix_fmt", pixels, "-")
-    return np.frombuffer(ffmpeg("-i", path, "-vf", scale, *out).stdout, np.uint8)
+from tests.cli.pictures import ffmpeg
+from tests.unit.clip_files import H264, PALETTE, SIZE, STEADY, make, shown
 
 
 def ticks(*times: int, tick: Fraction = Fraction(1, 1000)) -> Packets:
@@ -456,186 +423,12 @@ class TestFrames:
         assert again.look.colour.matrix == matrix == clip.look.colour.matrix
         assert again.look.colour.full_range == clip.look.colour.full_range == (span == "pc")
         planes = [
-            np.frombuffer(ffmpeg("-i", p, "-f", "rawvideo", "-").stdout, np.uint8).astype(int)
+            np.frombuffer(ffmpeg("-i", p, "-f", "rawvideo", "-"), np.uint8).astype(int)
             for p in (path, copy)
         ]
         assert np.abs(planes[0] - planes[1]).max() <= (span == "pc")  # steps of Y'CbCr
         away = to_display(next(again.frames())).astype(int) - (0x30, 0xA0, 0xD0)
         assert np.abs(away).max() <= 6  # another matrix: 13 and more
-
-
-def onset(path: Path) -> float:
-    """Seconds from the first picture to the first loud sample, as players show it."""
-    silence = ("-af", "aresample=async=1:first_pts=0", "-ar", "48000", "-ac", "1", "-f", "f32le")
-    samples = np.frombuffer(ffmpeg("-i", path, "-map", "0:a", *silence, "-").stdout, "<f4")
-    return float(np.argmax(np.abs(samples) > 0.02)) / 48000
-
-
-class TestSound:
-    """A tone begins 0.5 s after the beginning of the sound track."""
-
-    BEEP = "sine=f=440:r=48000:d=1.5,adelay=500"
-
-    def source(self, path: Path, picture_late: str = "0", sound_late: str = "0") -> Path:
-        """2 s with the streams offset against each other."""
-        picture = f"testsrc2=s={SIZE[0]}x{SIZE[1]}:r=25:d=2"
-        coded = (
-            "-c:v",
-            "mpeg2video",
-            "-q:v",
-            "2",
-            "-g",
-            "8",
-            "-fps_mode",
-            "passthrough",
-            "-c:a",
-            "mp2",
-        )
-        ffmpeg("-itsoffset", picture_late, "-f", "lavfi", "-i", picture,
-               "-itsoffset", sound_late, "-f", "lavfi", "-i", self.BEEP, *coded, path)  # fmt: skip
-        return path
-
-    @staticmethod
-    def copied(path: Path, start: int = 0) -> Path:
-        """The clip from a frame on, written as a video."""
-        clip, copy = open_clip(path), path.with_name("copy.mp4")
-        look = replace(clip.look, sound=clip.sound(start, clip.count))
-        with VideoWriter(copy, clip.width, clip.height, clip.rate, look) as video:
-            for frame in clip.frames(start):
-                video.write(to_display(frame))
-        return copy
-
-    OFFSETS = (
-        ({}, 0, 0.5),
-        ({"sound_late": "0.3"}, 0, 0.8),
-        ({"picture_late": "0.3"}, 0, 0.2),
-        ({"sound_late": "0.3"}, 5, 0.6),
-        ({"picture_late": "0.13"}, 5, 0.17),
-    )
-
-    @pytest.mark.parametrize(
-        ("suffix", "offset"), combinations([".ts", ".mts", ".mpg", ".mp4", ".mkv"], OFFSETS)
-    )
-    def test_it_keeps_its_offset_to_the_picture(self, tmp_path, suffix, offset):
-        late, start, expected = offset
-        path = self.source(tmp_path / f"a{suffix}", **late)
-        assert abs(onset(self.copied(path, start)) - expected) < 0.03
-
-
-class TestDamage:
-    """Some bytes in the middle of the file are wrong."""
-
-    NOISY = ("-vf", "scale=160:96,noise=alls=20:allf=t")
-    MPEG2 = ("-c:v", "mpeg2video", "-bf", "2", "-g", "10")
-    AVC = (*H264[:4], "-g", "10", "-bf", "2")
-    CASES = (
-        ("a.ts", MPEG2, 200),
-        ("a.mpg", MPEG2, 200),
-        ("b.ts", AVC, 2000),
-        ("a.avi", ("-c:v", "mpeg4", "-bf", "2", "-g", "10", "-q:v", "4"), 200),
-        ("a.mkv", AVC, 3000),  # a damaged B-frame of H.264 alone may decode without an error
-        ("a.mp4", AVC, 3000),
-    )
-
-    @pytest.fixture(params=CASES, ids=lambda case: case[0])
-    def videos(self, request, tmp_path) -> tuple[Path, Path]:
-        """A video of 60 frames, with groups of 10 to 12 pictures, and a damaged copy."""
-        name, coded, size = request.param
-        good = make(tmp_path / name, *self.NOISY, *coded, rate="25", frames=60)
-        data = bytearray(good.read_bytes())
-        noise = np.random.default_rng(1).integers(0, 256, size, np.uint8).tobytes()
-        data[len(data) // 2 : len(data) // 2 + size] = noise
-        bad = tmp_path / f"bad{good.suffix}"
-        bad.write_bytes(data)
-        return good, bad
-
-    def test_loses_its_group_of_pictures_alone(self, videos, monkeypatch):
-        good, bad = videos
-        whole, clip, runs = list(open_clip(good).frames()), open_clip(bad), []
-        lost = []
-
-        class Counted(FfmpegReader):
-            def __init__(self, options) -> None:
-                runs.append(options)
-                super().__init__(options)
-
-        monkeypatch.setattr("exwarp_cli.io.video_reader.FfmpegReader", Counted)
-        assert clip.count == 60
-        with ClipReader(clip) as reader:
-            for index in range(clip.count):
-                try:
-                    assert np.array_equal(reader.read(index), whole[index]), index
-                except DamagedFileError as error:
-                    assert f"frame {index + 1} of 60 is damaged" in str(error)
-                    assert "0x" not in str(error)
-                    lost.append(index)
-        assert 0 < len(lost) <= 14 and lost == list(range(lost[0], lost[-1] + 1))
-        assert len(runs) == 2  # up to the damage, and over it
-        with ClipReader(clip) as reader:
-            after = lost[-1] + 1
-            assert np.array_equal(reader.read(after), whole[after])
-            with pytest.raises(DamagedFileError, match=f"frame {lost[0] + 1} of 60"):
-                reader.read(lost[0])
-        for index in spread(lost, 3):  # read first, it is no less damaged
-            with (
-                ClipReader(clip) as reader,
-                pytest.raises(DamagedFileError, match=f"frame {index + 1} of 60"),
-            ):
-                reader.read(index)
-
-
-class TestBadFiles:
-    def test_no_file(self, tmp_path):
-        with pytest.raises(InputError, match="there is no video"):
-            open_clip(tmp_path / "a.mp4")
-
-    def test_no_video(self, tmp_path):
-        path = tmp_path / "a.mp4"
-        path.write_bytes(b"nothing of the kind" * 100)
-        with pytest.raises(DamagedFileError, match=r"cannot read the video .*; export it again"):
-            open_clip(path)
-
-    def test_sound_alone(self, tmp_path):
-        path = tmp_path / "a.m4v"
-        ffmpeg("-f", "lavfi", "-i", "sine=d=0.1", "-f", "mp4", path)
-        with pytest.raises(InputError, match="holds no picture, only sound; name a video"):
-            open_clip(path)
-
-    @pytest.mark.parametrize("suffix", ["gif", "apng", "y4m", "flv", "wmv", "m2ts"])
-    def test_other_kinds_of_video_are_read(self, tmp_path, suffix):
-        path = tmp_path / f"a.{suffix}"
-        colour = "color=0x2060C0:s=48x32:r=25" + (PALETTE if suffix == "gif" else "")
-        ffmpeg("-f", "lavfi", "-i", colour, "-frames:v", 5, path)
-        clip = open_clip(path)
-        assert is_clip(str(path)) and (clip.count, clip.rate) == (5, 25)
-        for frame in clip.frames():
-            away = to_display(frame).astype(int) - (0x20, 0x60, 0xC0)
-            assert np.abs(away).max() <= 8  # a palette, or coarse 4:2:0
-
-    def test_the_end_of_a_truncated_file_is_reported(self, tmp_path):
-        path = make(tmp_path / "a.mp4", *H264, "-movflags", "+faststart")
-        clip, data = open_clip(path), path.read_bytes()
-        path.write_bytes(data[: len(data) * 2 // 3])
-        with pytest.raises(DamagedFileError, match=r"cannot read the video .*: ffmpeg says"):
-            list(clip.frames())
-
-    def test_a_file_with_fewer_frames_than_packets(self, tmp_path):
-        clip = open_clip(make(tmp_path / "a.mp4", frames=5))
-        longer = replace(clip, pacing=Pacing(clip.rate, tuple(range(8))))
-        with pytest.raises(DamagedFileError, match="it ends after 5 of 8 frames"):
-            list(longer.frames())
-
-    @pytest.mark.parametrize(("transfer", "name"), [("smpte2084", "PQ"), ("arib-std-b67", "HLG")])
-    def test_hdr(self, tmp_path, transfer, name):
-        path = make(tmp_path / "a.mp4", "-vf", f"setparams=color_trc={transfer}", *H264, frames=1)
-        with pytest.raises(InputError, match=rf"HDR \({name}\)"):
-            open_clip(path)
-
-    def test_fields(self, tmp_path):
-        path = make(tmp_path / "a.mp4", "-vf", "interlace", *H264, "-flags", "+ildct", frames=4)
-        wanted = r"is interlaced, .*--scan deinterlace, or --scan progressive"
-        with pytest.raises(InputError, match=wanted):
-            open_clip(path)
 
 
 class TestFields:
