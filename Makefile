@@ -1,6 +1,6 @@
 # make test     lint, types, layers and all tests, in a virtual environment made on first use
-# make test-full  the same, with every combination in place of a spread of them (see tests/matrix.py)
 # make check    the same without the tests
+# make test-full  make test with every combination in place of a spread of them; see tests/matrix.py
 # make golden   run 80 commands, and compare all that they write with what the base commit wrote
 #               (2 to 4 minutes); OPTIONS='--pixels' or '--threads 5'; see tests/golden/golden.py
 # make faults   kill runs, fill disks and spoil inputs, thousands of times (about 80 minutes; the

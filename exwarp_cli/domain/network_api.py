@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+
 from exwarp_cli.domain.frame import Float32
 
 TIME_INPUT = "time"  # the scalar input, float32 [1]; a network may do without it
@@ -35,6 +37,11 @@ class NetworkInterface:
     def channels(self) -> int:
         """Channels of all picture inputs together."""
         return sum(self.inputs.values())
+
+    def split(self, planes: Float32) -> dict[str, Float32]:
+        """Return planes [channels, H, W] by input, as views."""
+        ends = np.cumsum(list(self.inputs.values()))[:-1]
+        return dict(zip(self.inputs, np.split(planes, ends), strict=True))
 
 
 @dataclass(frozen=True)

@@ -276,16 +276,15 @@ class Probe:
         for index, each in enumerate(self.observables):
             values = np.ascontiguousarray(each.values[part])
             tolerance = np.ascontiguousarray(each.tolerance[part])
-            if values.shape[1] > 1:
+            if self.resting or values.shape[1] > 1:
                 gather.write_shifted_losses(
                     xy, shifts, each.image, values, tolerance, index, losses
                 )
                 continue
             sampled = np.empty((len(shifts) * len(xy), 1))
             gather.sample_points(each.image, (xy + shifts).reshape(-1, 2), sampled)
-            depths, wanted = sampled.reshape(len(shifts), -1), values[:, 0]
-            if not self.resting:
-                wanted = _depths_later(wanted, depths, xy, tolerance)
+            depths = sampled.reshape(len(shifts), -1)
+            wanted = _depths_later(values[:, 0], depths, xy, tolerance)
             with np.errstate(invalid="ignore"):
                 gaps = np.abs(depths - wanted) / tolerance
             losses[:, index] = np.where(gaps < 1, gaps, 1.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.network_api import (
-    EXTRAPOLATOR_INPUTS,
+    EXTRAPOLATOR_INTERFACE,
     HISTORY_FRAMES,
     ExtrapolatorInputs,
     NetworkInputs,
@@ -84,7 +84,7 @@ class SlotInputs:
             (span.start or 0, size if span.stop is None else span.stop)
             for span, size in zip((rows, columns), self.shape, strict=True)
         )
-        shape = sum(EXTRAPOLATOR_INPUTS.values()), bottom - top, right - left
+        shape = EXTRAPOLATOR_INTERFACE.channels, bottom - top, right - left
         out = np.empty(shape, np.float32) if room is None else room
         surface = (
             _plane(self.surface.depth),
@@ -100,9 +100,7 @@ class SlotInputs:
         )
         self.scratch.page_out()  # before the network takes its memory
         _row_bands.run_bands(_encode_colour, (out.reshape(len(out), -1),), _row_bands.threads())
-        ends = np.cumsum(list(EXTRAPOLATOR_INPUTS.values()))[:-1]
-        warped, mask, features, history = np.split(out, ends)
-        return NetworkInputs(warped, mask, features, history, self.time)
+        return NetworkInputs(**EXTRAPOLATOR_INTERFACE.split(out), time=self.time)
 
     def _all(self) -> NetworkInputs:
         return self.part(slice(None), slice(None))

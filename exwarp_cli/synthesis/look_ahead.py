@@ -170,8 +170,7 @@ class Candidates:
         planes = room
         if planes is None or planes.shape[1:] != size:
             planes = np.empty((LOOKAHEAD_INTERFACE.channels, *size), np.float32)
-        ends = np.cumsum(list(LOOKAHEAD_INTERFACE.inputs.values()))[:-1]
-        pictures = dict(zip(LOOKAHEAD_INTERFACE.inputs, np.split(planes, ends), strict=True))
+        pictures = LOOKAHEAD_INTERFACE.split(planes)
         for i, picture in enumerate((self._mixed, *(side.pixels for side in self._sides))):
             colour = np.ascontiguousarray(picture[rows, columns, :3])
             shown = linear_to_srgb(colour) if self._linear else colour

@@ -415,7 +415,7 @@ def _turn_vector(rotation: F64) -> F64:
     skew = rotation - rotation.T
     twice_sine = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
     angle = float(np.arctan2(np.linalg.norm(twice_sine), np.trace(rotation) - 1))
-    turn: F64 = twice_sine / (2 * np.sinc(angle / np.pi))
+    turn: F64 = twice_sine / (2 * _sinc(angle))
     return turn
 
 

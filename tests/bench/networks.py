@@ -11,6 +11,7 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,11 +24,15 @@ from exwarp_cli.domain.network_api import (
     NetworkPictures,
 )
 from exwarp_cli.models.picture_network import (
-    OnnxExtrapolator,
-    OnnxLookAhead,
+    PictureNetwork,
     load_extrapolator,
     load_lookahead,
 )
+
+NETWORKS: dict[str, tuple[Callable[..., PictureNetwork], NetworkInterface]] = {
+    "lookahead": (load_lookahead, LOOKAHEAD_INTERFACE),
+    "extrapolator": (load_extrapolator, EXTRAPOLATOR_INTERFACE),
+}
 
 SIZES = ((854, 480), (1920, 1080), (3840, 2160))
 
@@ -44,20 +49,13 @@ class Noise:
         if room is None:
             room = np.empty((self.interface.channels, *size), np.float32)
         np.random.default_rng(0).random(out=room, dtype=np.float32)
-        first, pictures = 0, {}
-        for name, channels in self.interface.inputs.items():
-            pictures[name] = room[first : first + channels]
-            first += channels
-        return NetworkPictures(pictures, 0.5)
+        return NetworkPictures(self.interface.split(room), 0.5)
 
 
 def measure(name: str, width: int, height: int, threads: int) -> None:
     """Print the seconds of a frame, and by how many MB the peak rose meanwhile."""
-    network: OnnxExtrapolator | OnnxLookAhead
-    if name == "extrapolator":
-        network, interface = load_extrapolator(None, threads, "cpu"), EXTRAPOLATOR_INTERFACE
-    else:
-        network, interface = load_lookahead(None, threads, "cpu"), LOOKAHEAD_INTERFACE
+    load, interface = NETWORKS[name]
+    network = load(None, threads, "cpu")
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     begin = time.perf_counter()
     for _ in network.answers(Noise((height, width), interface)):
@@ -77,7 +75,7 @@ def main() -> None:
         measure(name, int(width), int(height), options.threads)
         return
     print("| network | size | s a frame | MB |\n|---|---|---:|---:|", flush=True)
-    for name in ("lookahead", "extrapolator"):
+    for name in NETWORKS:
         for width, height in SIZES:
             more = ["--threads", options.threads, "--only", name, width, height]
             command = [sys.executable, "-m", "tests.bench.networks", *map(str, more)]
