@@ -8,7 +8,7 @@ import pickle
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 from unittest.mock import MagicMock
 
 import pytest
@@ -19,6 +19,7 @@ from exwarp_cli.pipeline import motion_convention
 from exwarp_cli.runtime.compilation import COMPILED, COMPILING
 from tests.cli import shots
 from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS
+from tests.plots import leave_plots_out
 from tests.unit.tiny_models import convolution, save
 
 
@@ -49,15 +50,6 @@ def without_compilation(text: str) -> str:
     """Drop the lines about compilation, which depend on what the disk cache holds."""
     starts = (f"exwarp: {COMPILING}", f"exwarp: {COMPILED}")
     return "".join(line for line in text.splitlines(keepends=True) if not line.startswith(starts))
-
-
-def leave_plots_out(patch: pytest.MonkeyPatch) -> None:
-    """Paint the plots of pages without writing them, which takes most of a second a run."""
-
-    def savefig(self: object, file: TextIO, **_: object) -> None:
-        file.write('<svg viewBox="0 0 1 1"></svg>')
-
-    patch.setattr("matplotlib.figure.Figure.savefig", savefig)
 
 
 @pytest.fixture(autouse=True)

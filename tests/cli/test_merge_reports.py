@@ -16,6 +16,7 @@ from exwarp_cli.domain.timeline import parse_frames, ranges
 from exwarp_cli.report.folder import chunk_folder
 from exwarp_cli.report.gallery import OUTPUT, TRUTH
 from tests.cli import shots
+from tests.cli.conftest import run_quietly
 from tests.cli.documents import strict
 from tests.cli.reports import album, rows, unmeasured
 from tests.cli.shots import VECTORS
@@ -119,8 +120,7 @@ def single(shot, options, tmp_path_factory) -> Callable[[str], Path]:
             root = tmp_path_factory.mktemp("single")
             done[name] = root / "report"
             where = (shot["keys"], "-o", root / "out", "--report", done[name], *VECTORS)
-            command = ("upsample", *where, *options(name), "--progress", "none", "--threads", 1)
-            assert cli.run([str(word) for word in command]) == 0
+            run_quietly("upsample", *where, *options(name))
         return done[name]
 
     return run

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli import cli
 from tests.cli import shots
+from tests.cli.conftest import run_quietly
 from tests.cli.street import Street
 from tests.matrix import combinations
 from tests.unit.producer_files import PRODUCERS as PRODUCERS_AS_WRITTEN
@@ -99,7 +99,7 @@ def mean_psnr(folder: Path, base: str, first: int, intervals: int = 2) -> float:
 def held(plain_shot, tmp_path_factory) -> float:
     """The score of repeating key frames, which is the same for all."""
     out = tmp_path_factory.mktemp("held") / "out"
-    assert cli.run(["upsample", str(plain_shot), "-o", str(out), "-m", "hold"]) == 0
+    run_quietly("upsample", plain_shot, "-o", out, "-m", "hold")
     return mean_psnr(out, "shot.", 1)
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import imageio_ffmpeg
 import pytest
 
-from exwarp_cli import cli
 from exwarp_cli.io.files import TEMPORARY_SUFFIX, host_name
 from exwarp_cli.pipeline import frame_writer
 from tests.blender_layers import layer
 from tests.cli import shots
+from tests.cli.conftest import run_quietly
 from tests.cli.street import Street
 
 SMALL = Street(48, 27)
@@ -31,8 +31,7 @@ def five(tmp_path_factory) -> Path:
 def finished(plain_shot, tmp_path_factory) -> Path:
     """The frames of a whole run; read only."""
     out = tmp_path_factory.mktemp("finished") / "out"
-    command = ("upsample", plain_shot, "-o", out, *OPTIONS, "--threads", 1)
-    assert cli.run([str(word) for word in command]) == 0
+    run_quietly("upsample", plain_shot, "-o", out, *OPTIONS)
     return out
 
 

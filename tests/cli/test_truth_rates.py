@@ -10,8 +10,8 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from exwarp_cli import cli
 from tests.cli import shots
+from tests.cli.conftest import run_quietly
 from tests.cli.shots import FORWARD, SMALL
 from tests.matrix import combinations
 
@@ -63,8 +63,7 @@ def right(keys, tmp_path_factory) -> Callable[[int], dict[int, float]]:
         if factor not in done:
             root = tmp_path_factory.mktemp("right")
             truth = ("--ground-truth", truth_at(root / "truth", factor), "--factor", factor)
-            command = (*SCORED, keys, "-o", root / "out", *truth, "--report", root / "report")
-            assert cli.run([str(word) for word in command]) == 0
+            run_quietly(*SCORED, keys, "-o", root / "out", *truth, "--report", root / "report")
             done[factor] = rows(root / "report")
         return done[factor]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TextIO
 
 import pytest
 
@@ -25,13 +24,3 @@ def loose_objects() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trajectory, "MIN_OBJECT_PIXELS", 10**9)
         yield
-
-
-@pytest.fixture
-def unwritten_plots(monkeypatch) -> None:
-    """Paint the plots of pages without writing them, which takes most of a second a page."""
-
-    def savefig(self: object, file: TextIO, **_: object) -> None:
-        file.write('<svg viewBox="0 0 1 1"></svg>')
-
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", savefig)

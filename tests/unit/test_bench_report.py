@@ -30,10 +30,14 @@ from exwarp_cli.research.bench.bench_tables import make_tables
 from exwarp_cli.research.bench.benchmark import Benchmark, Measured
 from exwarp_cli.research.bench.subjects import Subject
 from exwarp_cli.research.bench.systems import BenchSettings, makers_of, pictures_of
+from tests.plots import leave_plots_out
 
 SYSTEMS = ("exwarp", "s1", "s6", "softsplat")
 
-pytestmark = pytest.mark.usefixtures("unwritten_plots")
+
+@pytest.fixture(autouse=True)
+def unwritten_plots(monkeypatch):
+    leave_plots_out(monkeypatch)
 
 
 def score(psnr: float) -> dict[str, Any]:

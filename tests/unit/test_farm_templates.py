@@ -7,7 +7,7 @@ from pathlib import Path
 import onnx
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from openjd.model import create_job, decode_job_template, preprocess_job_parameters
 
@@ -15,7 +15,6 @@ from exwarp_cli.errors import InputError, OutputExistsError, UsageError
 from exwarp_cli.farm.farm_job import FarmJob, OptionValue
 from exwarp_cli.farm.openjd import JobTemplate, Workers, job_template, write_bundle, yaml_text
 from exwarp_cli.farm.path_options import PathOption, locate
-from tests.matrix import FULL
 from tests.unit.tiny_models import convolution
 
 ROOT = Path("/shots")
@@ -51,7 +50,6 @@ def words_of(template: JobTemplate) -> list[str]:
     return words
 
 
-@settings(max_examples=100 if FULL else 25)
 @given(TEXTS)
 def test_any_text_comes_through(text):
     made = job_template(job(OptionValue("dynamic", "--dynamic", text)), Workers(), ROOT)
@@ -69,7 +67,6 @@ def test_braces_come_through(text):
         assert words[words.index("--x") + 1] == text
 
 
-@settings(max_examples=100 if FULL else 25)
 @given(TEXTS)
 def test_any_title_is_a_name(title):
     words_of(job_template(job(title=title), Workers(), ROOT))
