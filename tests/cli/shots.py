@@ -198,6 +198,12 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in names(folder)}
 
 
+def require_part(folder: Path, whole: Path, count: int) -> None:
+    """Judge that a folder holds so many of a whole run's files, and no others."""
+    found = contents(folder)
+    assert len(found) == count and found.items() <= contents(whole).items()
+
+
 def reads_of(monkeypatch: pytest.MonkeyPatch, module: ModuleType) -> Counter[Path]:
     """Return how often a module reads each frame's file, counted from now on."""
     reads: Counter[Path] = Counter()

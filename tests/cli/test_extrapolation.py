@@ -271,10 +271,7 @@ class TestHistory:
         alone.mkdir()
         shutil.copy(keys / "shot.0001.exr", alone)
         one = make("one", "s3", shot=(alone, *rest))
-        assert (
-            shots.contents(one).items() <= shots.contents(make("all", "s3", "--frames", 1)).items()
-        )
-        assert len(shots.names(one)) == 4
+        shots.require_part(one, make("all", "s3", "--frames", 1), 4)
 
     def test_nothing_comes_from_the_future(self, make, shot, tmp_path):
         keys, *rest = shot["key"]
@@ -283,8 +280,7 @@ class TestHistory:
         for number in (1, 2, 3):
             shutil.copy(keys / f"shot.{number:04d}.exr", some)
         three = make("three", "s3", shot=(some, *rest))
-        whole = make("whole", "s3", "--frames", "1-3")
-        assert shots.contents(three).items() <= shots.contents(whole).items()
+        shots.require_part(three, make("whole", "s3", "--frames", "1-3"), 12)
 
     @pytest.mark.parametrize(("setting", "each"), [("key", 1), ("slot", 2)])
     def test_every_file_is_read_once(self, make, monkeypatch, setting, each):

@@ -82,6 +82,7 @@ def test_light_goes_on_after_the_second_key_frame(keys, upsample, rest, tmp_path
 @pytest.mark.parametrize(
     ("method", "setting", "options"),
     [
+        ("s6", "key", ()),
         ("s6", "key", ("--layers", "all")),
         ("s6", "slot", ()),
         ("s5", "key", ()),

@@ -11,9 +11,10 @@ from pathlib import Path
 import OpenEXR
 import pytest
 
-from exwarp_cli import cli
 from tests.cli import pictures, shots
+from tests.cli.conftest import run_quietly
 from tests.cli.street import Street
+from tests.matrix import spread
 
 HOW = ("-m", "softsplat", *shots.FORWARD)
 ATTRIBUTE = b"exwarp:keyFrames\0string\0"
@@ -29,8 +30,7 @@ def keys(plain_shot, tmp_path) -> Path:
 def finished(plain_shot, tmp_path_factory) -> Path:
     """The frames of a whole run; read only."""
     out = tmp_path_factory.mktemp("finished") / "out"
-    command = ("upsample", plain_shot, "-o", out, *HOW, "--threads", 1)
-    assert cli.run([str(word) for word in command]) == 0
+    run_quietly("upsample", plain_shot, "-o", out, *HOW)
     return out
 
 
@@ -160,7 +160,9 @@ class TestReplaced:
         self.again(upsample, keys, out)
         assert shots.contents(out) == self.fresh(upsample, keys, tmp_path)
 
-    @pytest.mark.parametrize("split", [("1", "2-3"), ("3", "2", "1")])
+    @pytest.mark.parametrize(
+        "split", spread([("3", "2", "1"), ("1", "2", "3"), ("1-3",), ("1", "2-3"), ("2-3", "1")], 2)
+    )
     def test_any_split_replaces_the_same(self, upsample, keys, out, tmp_path, split):
         for number in (1, 2, 3):
             render_again(keys, number)

@@ -58,11 +58,13 @@ class TestFaults:
         assert shots.contents(out) == undisturbed
 
     @pytest.mark.parametrize("most", [700, 3000, 5000] if FULL else [3000])
-    def test_files_may_not_be_large(self, keys, rendered, tmp_path, most):
+    def test_files_may_not_be_large(self, keys, rendered, undisturbed, tmp_path, most):
         out = tmp_path / "out"
         run("upsample", keys, "-o", out, *PLAIN, largest_file=most).judge(OUTPUT)
         require_whole(out, rendered)
         require_no_leftovers(out)
+        run("upsample", keys, "-o", out, *PLAIN, "--skip-existing").judge(0)
+        assert shots.contents(out) == undisturbed
 
     def test_a_report_finds_no_room(self, keys, undisturbed, shim, tmp_path):
         out, report = tmp_path / "out", tmp_path / "report"

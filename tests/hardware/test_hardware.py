@@ -113,8 +113,8 @@ def test_the_text_has_no_lint(tmp_path, array):
 
 
 def test_verilator_says_the_same(tmp_path):
-    array, sizes = SHAPES["refilled, uneven"]
-    write(tmp_path, network(4, sizes), array, 100)
+    array, sizes = (DEFAULT, PAPER_SIZES) if FULL else SHAPES["refilled, uneven"]
+    write(tmp_path, load_policy(None).network if FULL else network(4, sizes), array, 100)
     assert result(tmp_path, "make", "verilator") == expected(array, sizes, 100)
 
 

@@ -11,6 +11,7 @@ import pytest
 from exwarp_cli import cli
 from exwarp_cli.report.gallery import TRUTH
 from tests.cli import shots
+from tests.matrix import spread
 from tests.web.conftest import NAME, STREET
 
 SYSTEMS = ["s6", "softsplat", "hold"]
@@ -102,7 +103,7 @@ def test_holes_and_errors_are_laid_over(seen):
 
 
 def test_light_dark_and_narrow(visit, folder, artefacts):
-    for scheme, width in (("light", 1200), ("dark", 400)):
+    for scheme, width in spread([("light", 1200), ("dark", 1200), ("dark", 400)], 2):
         seen = visit(width, page=folder / "report.html", color_scheme=scheme)
         assert seen.page.evaluate("document.documentElement.scrollWidth") == width
         path = artefacts / f"bench-{scheme}-{width}.png"

@@ -267,8 +267,9 @@ def test_light_dark_and_narrow(visit, artefacts):
     seen = visit(color_scheme="dark")
     seen.page.locator("#theme").click()
     assert seen.page.evaluate("getComputedStyle(document.body).backgroundColor") == grounds["light"]
-    seen = visit(360)
-    assert seen.page.evaluate("document.documentElement.scrollWidth") == 360
+    for width in spread([360, 400], 1):
+        seen = visit(width)
+        assert seen.page.evaluate("document.documentElement.scrollWidth") == width
     seen.page.screenshot(path=artefacts / "report-narrow.png", full_page=True)
     for name in ("light", "dark", "narrow"):
         assert (artefacts / f"report-{name}.png").stat().st_size > 10_000
