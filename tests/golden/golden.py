@@ -57,7 +57,7 @@ SILENCED = ("upsample", "features", "compare", "bench", "merge-reports")
 """Commands that get --threads and --progress none."""
 
 MEASURED = re.compile(
-    r"_ms$|^timing|^wall_s$|^seconds|^throughput$|^generated_frame_s$|^saved_s|^render_s$"
+    r"_ms$|^timing|^wall_s|^seconds|^throughput$|^generated_frame_s$|^saved_s|^render_s$"
     r"|^elapsed|^eta|^remaining|^machine$|^host|^runtime$|^memory|^report_sha256$"
 )
 """Keys of documents and columns of tables whose values are times, depend on them, or tell of the
