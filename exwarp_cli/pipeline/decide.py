@@ -167,11 +167,13 @@ def make_selector(
     display = source.keys.display
     if method.path is not None:
         return FixedPath(method.path) if source.allows_decisions else None
-    if policy is not None and policy.of_tiles:
+    if method.judge is None:
+        return None
+    if policy is None:
+        return OraclePath(method.judge, display)
+    if policy.of_tiles:
         return TilePaths(policy, effort)
-    if policy is not None:
-        return PolicyPath(LearnedPolicy(policy.network), Observer(display, source.setting))
-    return None if method.judge is None else OraclePath(method.judge, display)
+    return PolicyPath(LearnedPolicy(policy.network), Observer(display, source.setting))
 
 
 def only_warps(plan: Plan | TilePlan) -> Plan | TilePlan:

@@ -70,6 +70,7 @@ class Fingerprinter:
         keys: Iterable[int],
         instants: Iterable[Slot],
         surroundings: Collection[str] = (),
+        extrapolates: bool = True,
     ) -> dict[int, str]:
         """Digest what each slot's frame depends on: sources, settings, version and networks.
 
@@ -83,6 +84,8 @@ class Fingerprinter:
             Whose G-buffers are used beside those of `keys`; in the key setting key frames all.
         surroundings
             What cuts, holds, windows and trials around the interval change.
+        extrapolates
+            Whether the network that extrapolates, if there is one, may make the frames.
         """
         source, timeline = self.source, self.source.timeline
         keys, instants = tuple(keys), tuple(instants)
@@ -110,11 +113,11 @@ class Fingerprinter:
             facts["layers"] = list(self.layers)
         if surroundings:
             facts["cuts"] = list(surroundings)
-        if self.network is not None:
+        if self.network is not None and extrapolates:
             facts["network"] = [self.network.sha256, self.network.device]
         if self.interpolator is not None:
             facts["interpolator"] = self.interpolator.identity
-        if self.policy is not None:
+        if self.policy is not None and extrapolates:
             facts["policy"] = self.policy
         if self.method.needs_truth and self.truth is not None:
             sequence, frame_of = self.truth

@@ -38,7 +38,7 @@ from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
 from exwarp_cli.synthesis.history import OlderKeyFrame
 from exwarp_cli.synthesis.holds import adapt_motion_to_holds
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import DecisionSource
+from exwarp_cli.synthesis.methods import DecisionSource, Method
 from exwarp_cli.synthesis.motion_fields import find_moving, moving_ids, select_ids, settle_motion
 from exwarp_cli.synthesis.sub_intervals import SubSlot, sub_slots, vector_spans
 from exwarp_cli.synthesis.trajectory import displacement, span_motion
@@ -266,6 +266,33 @@ class IntervalBuilder:
             }
 
 
+class IntervalJudge:
+    """Decides how intervals of one method are made: by its gate, and by what selects their path."""
+
+    def __init__(self, job: Job, method: Method) -> None:
+        source, self.method = job.source, method
+        self._selector = make_selector(method, source, job.policy, job.settings.spent)
+        self.gate: Gate | None = None
+        if job.is_gated:
+            trial_builder = IntervalBuilder(
+                source.keys.display, job.network, job.interpolator, source.estimated,
+                scratch=source.scratch,
+            )  # fmt: skip
+            self.gate = Gate(method, trial_builder, source.keys.display)
+
+    def select_path(self, inputs: IntervalInputs, interval: Interval) -> Choice | None:
+        """Decide an interval's path; None where it is held, and nothing is to be decided.
+
+        A policy looks at it all the same.
+        """
+        if self._selector is None:
+            return None
+        if interval.held and self.method.judge is not DecisionSource.POLICY:
+            return None
+        choice = self._selector.select(inputs, interval)
+        return None if interval.held else choice
+
+
 class IntervalPreparer:
     """Builds the intervals of a run in order, and decides how their slots are made."""
 
@@ -281,15 +308,13 @@ class IntervalPreparer:
         self._job, self._reader, self._builder = job, reader, builder
         self._writer, self._progress, self._has_layers = writer, progress, has_layers
         self._timeline = job.source.timeline
-        self._selector = make_selector(job.method, job.source, job.policy, job.settings.spent)
-        self._gate: Gate | None = None
-        if job.is_gated:
-            source = job.source
-            trial_builder = IntervalBuilder(
-                source.keys.display, job.network, job.interpolator, source.estimated,
-                scratch=source.scratch,
-            )  # fmt: skip
-            self._gate = Gate(job.method, trial_builder, source.keys.display)
+        # Of intervals with a next key frame, or of all; and of those without, if others make them.
+        self._judge = self._last_judge = IntervalJudge(job, job.method)
+        if job.method.tail is not None:
+            self._last_judge = IntervalJudge(job, job.method.tail)
+            self._last_builder = IntervalBuilder(
+                job.source.keys.display, job.network, scratch=job.source.scratch
+            )
         self._broken: dict[int, int] = {}
 
     def prepare(self, inputs: IntervalInputs) -> tuple[PreparedInterval, IntervalInputs]:
@@ -306,8 +331,9 @@ class IntervalPreparer:
             written = PreparedInterval(None, None, frozenset(slots), {}, {})
             return written, inputs.without_geometry()
         timing_ms: dict[str, float] = {}
-        if self._gate is not None and inputs.trial is not None:
-            self._gate.receive(inputs.trial)
+        judge = self._judge if inputs.following is not None else self._last_judge
+        if judge.gate is not None and inputs.trial is not None:
+            judge.gate.receive(inputs.trial)
         with record_time(timing_ms, "geometry", len(slots)):
             interval = self._builder.build(inputs)
         number, recipes = self._timeline.number, inputs.metadata.recipes
@@ -319,11 +345,13 @@ class IntervalPreparer:
         )
         has_missing = len(existing) < len(slots)
         choice, trial = None, None
+        if judge is not self._judge and (inputs.rendered.frames or not interval.has_motion):
+            judge = self._judge  # which warps
         if has_missing and not interval.held:
-            trial = self._try_network(inputs, timing_ms)
+            trial = self._try_network(judge, inputs, timing_ms)
         # A policy looks at every interval: the states of later ones hold what it saw.
-        if slots and (has_missing or self._job.method.judge is DecisionSource.POLICY):
-            choice = self._select_path(inputs, interval)
+        if slots and (has_missing or judge.method.judge is DecisionSource.POLICY):
+            choice = judge.select_path(inputs, interval)
         if trial is not None and not trial.pays:
             interval = replace(interval, interpolator=None)
             choice = None if choice is None else replace(choice, plan=only_warps(choice.plan))
@@ -331,8 +359,7 @@ class IntervalPreparer:
             timing_ms |= {step: ms / len(slots) for step, ms in choice.timing_ms.items()}
         extrapolates = choice is not None and choice.plan.extrapolates
         if extrapolates and inputs.lacks_history:
-            inputs = self._reader.add_history(inputs)
-            interval = self._builder.add_history(interval, inputs)
+            interval, inputs = self._add_history(judge, interval, inputs)
         elif not (extrapolates or inputs.slots or inputs.truth.frames or self._has_layers):
             interval = interval.bare()  # slots are warped from the key frame
         self._broken = count_broken(inputs, self._broken) if has_missing else {}
@@ -342,25 +369,24 @@ class IntervalPreparer:
         )
         return prepared, inputs.without_geometry()
 
-    def _try_network(self, inputs: IntervalInputs, timing_ms: dict[str, float]) -> Trial | None:
+    def _add_history(
+        self, judge: IntervalJudge, interval: Interval, inputs: IntervalInputs
+    ) -> tuple[Interval, IntervalInputs]:
+        """Read what only extrapolation needs; return the interval with it, and its inputs."""
+        inputs = self._reader.add_history(inputs)
+        if judge is self._judge:
+            return self._builder.add_history(interval, inputs), inputs
+        return self._last_builder.build(inputs), inputs
+
+    def _try_network(
+        self, judge: IntervalJudge, inputs: IntervalInputs, timing_ms: dict[str, float]
+    ) -> Trial | None:
         """Return what the gate decides by; None where no network would make the frames."""
-        ends_shot = self._job.method.lookahead and inputs.following is None
-        if self._gate is None or inputs.trial is None or ends_shot:
+        ends_shot = judge.method.lookahead and inputs.following is None
+        if judge.gate is None or inputs.trial is None or ends_shot:
             return None
         with record_time(timing_ms, "gate", len(self._timeline.made_of(inputs.key))):
-            return self._gate.decide(inputs.trial)
-
-    def _select_path(self, inputs: IntervalInputs, interval: Interval) -> Choice | None:
-        """Decide an interval's path; None where it is held, and nothing is to be decided.
-
-        A policy looks at it all the same.
-        """
-        if self._selector is None:
-            return None
-        if interval.held and self._job.method.judge is not DecisionSource.POLICY:
-            return None
-        choice = self._selector.select(inputs, interval)
-        return None if interval.held else choice
+            return judge.gate.decide(inputs.trial)
 
     def _split(self, interval: Interval, inputs: IntervalInputs) -> Mapping[int, SubSlot]:
         """Return how slots beside rendered frames are made, and say where these are of no use."""
@@ -375,7 +401,7 @@ class IntervalPreparer:
                 f"--rendered has no vectors like the key frames' in {ranges(numbers)}: frames "
                 "beside are made from key frames alone"
             )
-        if self._gate is not None and interval.following is None:
+        if self._judge.gate is not None and interval.following is None:
             interval = replace(interval, interpolator=None)  # the gate tried nothing here
         return sub_slots(interval, spans)
 
@@ -387,7 +413,7 @@ def make_builders(job: Job) -> list[IntervalBuilder]:
     return [
         IntervalBuilder(
             source.keys.display,
-            job.network,
+            job.network if method.extrapolates else None,
             job.interpolator,
             source.estimated,
             warps_alone,

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import takewhile
 
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
@@ -176,12 +177,18 @@ class IntervalReader:
             self._observes, None if leader is None else leader.store,
         )  # fmt: skip
         self.shots = self.store.shots
-        self.trials: TrialReader | None = None
+        # Of intervals with a next key frame, or of all; then of those without, if others make them.
+        self.trials: tuple[TrialReader, ...] = ()
         if leader is not None:
             self.trials = leader.trials
             self.fingerprinter.share_digests(leader.fingerprinter)
         elif method.gated and settings.gate:
-            self.trials = TrialReader(source, method, self.store, self._history, self._reads_late)
+            first = TrialReader(source, method, self.store, self._history, self._reads_late)
+            self.trials = (first,)
+            if method.tail is not None:
+                history = partial(self._history, ahead=False)
+                last = TrialReader(source, method.tail, self.store, history, reads_late=True)
+                self.trials = first, last
         if keep_going:
             self.fingerprinter.reading = self.store.reading
         self._regions = Regions(source.keys.display, self.store.get_window)
@@ -232,9 +239,10 @@ class IntervalReader:
             key, frame.image, None if following is None else following.image
         )
         slots = tuple(map(store.get_slot, store.slots_after(key)))
+        lacks_history = self._reads_late or (self._method.tail is not None and not lookahead)
         history = tuple(
             HistoryFrame(store.get_in_shot(i), store.get_way_back(i), self.shots.repeats(i + 1))
-            for i in self._history(key)[: WARPED_BACK if self._reads_late else None]
+            for i in self._history(key)[: WARPED_BACK if lacks_history else None]
         )
         observed = self._observe(key)
         older_key = self._older_key(key, lookahead)
@@ -249,7 +257,7 @@ class IntervalReader:
             following,
             slots,
             history,
-            self._reads_late,
+            lacks_history,
             observed,
             truth,
             layers,
@@ -261,9 +269,14 @@ class IntervalReader:
             after_hold=self.shots.repeats(key),
             rendered=self._read_rendered(key),
         )
-        if self.trials is not None and self._contents[0].leads:
-            inputs = replace(inputs, trial=self.trials.read(key, inputs))
+        trials = self._trials_at(key)
+        if trials is not None and self._contents[0].leads:
+            inputs = replace(inputs, trial=trials.read(key, inputs))
         return inputs
+
+    def _trials_at(self, key: int) -> TrialReader | None:
+        """Return what reads the trial of an interval; None where nothing is tried."""
+        return self.trials[0 if self._looks_ahead(key) else -1] if self.trials else None
 
     def add_history(self, inputs: IntervalInputs) -> IntervalInputs:
         """Return an interval with its older key frames, and the surface of its key frame.
@@ -276,7 +289,9 @@ class IntervalReader:
             When a file cannot be read.
         """
         assert inputs.frame is not None
-        frame = self.store.get_complete(inputs.key, inputs.frame)
+        # Look-ahead methods read no normals either.
+        known = inputs.frame if self._method.tail is None else None
+        frame = self.store.get_complete(inputs.key, known)
         history = tuple(
             HistoryFrame(self.store.get_complete(i), (), self.shots.repeats(i + 1))
             for i in self._history(inputs.key)
@@ -306,7 +321,8 @@ class IntervalReader:
         # A look-ahead method reads one again at a cut.
         is_last = key + 2 >= len(self._source.timeline.numbers)
         back = self._keys_back(self._method.lookahead and not is_last)
-        oldest = key + 1 - (WARPED_BACK if self._reads_late else back)
+        is_late = self._reads_late or self._method.tail is not None
+        oldest = key + 1 - (min(back, WARPED_BACK) if is_late else back)
         if self._layers is not None:
             self._layers.release_before(key)
             oldest = min(oldest, key) if self._contents[0].looks_back else oldest
@@ -335,7 +351,8 @@ class IntervalReader:
         if self._observes:
             back = OLDER_KEYS
         else:  # fingerprints hold the files of a warp's history
-            back = self._keys_back(lookahead) if self._method.extrapolates else 0
+            extrapolates = self._method.at(lookahead).extrapolates
+            back = self._keys_back(lookahead) if extrapolates else 0
         back = max(back, int(older is not None))
         cuts = self.shots.cut_facts(key, back, (*keys, *observed_keys))
         if self._source.slots is not None:
@@ -355,8 +372,9 @@ class IntervalReader:
             surroundings.append("held")
         later = {key, *(index + 1 for index in self._history(key))}
         surroundings += [f"repeats {i - key}" for i in sorted(later) if self.shots.repeats(i)]
-        if self.trials is not None:
-            trial = self.trials.frames(key)
+        trials = self._trials_at(key)
+        if trials is not None:
+            trial = trials.frames(key)
             keys = [*keys, *(index for index in trial.keys if index not in keys)]
             instants = [*instants, *trial.instants]
             surroundings.append(trial.text)
@@ -364,7 +382,8 @@ class IntervalReader:
         surroundings += [
             f"rendered {i} {each.recipe}" for i, each in rendered.items() if each.leads
         ]
-        recipes = self.fingerprinter.fingerprints(key, keys, instants, surroundings)
+        extrapolates = self._method.at(self._looks_ahead(key)).extrapolates
+        recipes = self.fingerprinter.fingerprints(key, keys, instants, surroundings, extrapolates)
         return {slot: recipe for slot, recipe in recipes.items() if slot not in rendered}
 
     def _read_rendered(self, key: int) -> IntervalRendered:
@@ -387,9 +406,12 @@ class IntervalReader:
             return None
         return None if self.shots.starts_at(key) else key - 1
 
-    def _history(self, key: int) -> tuple[int, ...]:
-        """Return the indices of the key frames that lead back from one, the newest first."""
-        back = self._keys_back(self._looks_ahead(key))
+    def _history(self, key: int, ahead: bool | None = None) -> tuple[int, ...]:
+        """Return the indices of the key frames that lead back from one, the newest first.
+
+        `ahead` says whether its interval has a next key frame that is used; None: as it is.
+        """
+        back = self._keys_back(self._looks_ahead(key) if ahead is None else ahead)
         older = tuple(range(key - 1, self.shots.begin(key, back) - 1, -1))
         if self._source.slots is None:
             return older
@@ -467,7 +489,7 @@ class ViewsReader:
         if not leader.unreadable.tolerant:
             return self._read_all(key, needed)
         observed_keys = leader.observed_keys
-        last_trial = None if leader.trials is None else leader.trials.last_read
+        last_trials = [trials.last_read for trials in leader.trials]
         while True:
             count = len(leader.unreadable)
             try:
@@ -475,8 +497,8 @@ class ViewsReader:
             except InputError as error:
                 # No interval brought along what this one did.
                 leader.observed_keys = observed_keys
-                if leader.trials is not None:
-                    leader.trials.last_read = last_trial
+                for trials, last in zip(leader.trials, last_trials, strict=True):
+                    trials.last_read = last
                 if len(leader.unreadable) == count:
                     return self._skip(key, str(error))
 

@@ -36,7 +36,15 @@ from exwarp_cli.pipeline.rendered_frames import find_rendered
 from exwarp_cli.pipeline.scoring import require_measurable
 from exwarp_cli.pipeline.source import open_sources
 from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
-from exwarp_cli.synthesis.methods import CAUSAL, EXWARP, FRAMEWISE, METHODS, DecisionSource, Method
+from exwarp_cli.synthesis.methods import (
+    CAUSAL,
+    EFFORTLESS,
+    EXWARP,
+    FRAMEWISE,
+    METHODS,
+    DecisionSource,
+    Method,
+)
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.results import RunOutcome
@@ -203,8 +211,10 @@ def open_job(settings: UpsampleSettings) -> Job:
     """
     compression = parse_compression(settings.compression)
     use_threads(settings.threads)
-    method = _find_method(settings.method, settings.causal)
+    method = _find_method(settings)
     sources = open_sources(settings.source, method.needs_motion, pictures=True)
+    contents = contents_of(sources, settings.layers)
+    method = _with_tail(method, sources[0], contents)
     if method.extrapolates:
         scratch = ScratchFrames(LARGE_PIXELS)
         sources = tuple(replace(each, scratch=scratch) for each in sources)
@@ -215,7 +225,6 @@ def open_job(settings: UpsampleSettings) -> Job:
     method = _with_policy(method, policy, settings)
     _require_usable(settings, method, source)
     _require_factor(source, method, interpolator)
-    contents = contents_of(sources, settings.layers)
     models = Models.of(source, network, interpolator, policy)
     keys = source.timeline.select(settings.frames)
     targets = OutputPlan.from_settings(settings, source.keys.sequence, compression)
@@ -233,13 +242,13 @@ def open_job(settings: UpsampleSettings) -> Job:
     )  # fmt: skip
 
 
-def _find_method(name: str | None, causal: bool) -> Method:
-    """Return a method by name, or the default for None.
-
-    With `causal`, no frame may be made of a later key frame.
-    """
+def _find_method(settings: UpsampleSettings) -> Method:
+    """Return the method that settings name: with `causal` one of no later key frame."""
+    name, causal = settings.method, settings.causal
     if name in (None, EXWARP):
-        return METHODS[CAUSAL if causal else EXWARP]
+        if causal:
+            return METHODS[CAUSAL]
+        return EFFORTLESS if settings.effort == 0 else METHODS[EXWARP]
     if name not in METHODS:
         raise UsageError(f"--method {name} is not one of {', '.join(METHODS)}")
     if causal and METHODS[name].lookahead:
@@ -248,6 +257,15 @@ def _find_method(name: str | None, causal: bool) -> Method:
             "out one of the two"
         )
     return METHODS[name]
+
+
+def _with_tail(method: Method, source: Source, contents: tuple[Content, ...]) -> Method:
+    """Let the default make what has no next key frame as `causal` does, where it can."""
+    is_alone = len(contents) == 1 and not contents[0].extra
+    has_vectors = source.finding is not None and source.slots is None
+    if method.weighs and method.gated and is_alone and has_vectors and source.allows_decisions:
+        return replace(method, tail=METHODS[CAUSAL])
+    return method
 
 
 def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator | None:
@@ -269,14 +287,16 @@ def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator
         ("--interpolator", settings.interpolator is not None, "interpolate so", interpolating),
         ("--device", other_device, "run a network", either),
     )
+    extrapolates = method.at(looks_ahead=False).extrapolates
     for option, is_set, what, users in rules:
-        if is_set and method not in users:
+        is_used = METHODS[method.name] in users or (users is extrapolating and extrapolates)
+        if is_set and not is_used:
             names = ", ".join(user.name for user in users)
             raise UsageError(
                 f"{option} is for methods that {what}, and --method {method.name} does not; "
                 f"leave it out, or use {'one of ' if len(users) > 1 else ''}{names}"
             )
-    if not method.extrapolates:
+    if not extrapolates:
         return None
     from exwarp_cli.models.picture_network import load_extrapolator
 
@@ -309,7 +329,11 @@ def _path(text: str | None) -> Path | None:
 
 def _find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None:
     """Load the policy that a method asks; None for methods that ask none."""
-    if method.judge is DecisionSource.TILES:
+    if settings.policy is not None and method.judge is not DecisionSource.TILES:
+        raise UsageError(
+            f"--policy is for --causal, and --method {method.name} asks no policy; leave it out"
+        )
+    if method.at(looks_ahead=False).judge is DecisionSource.TILES:
         from exwarp_cli.models.policy_files import (
             PAPER,
             SHIPPED_POLICY,
@@ -320,10 +344,6 @@ def _find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | Non
         if settings.policy == PAPER:
             return require_state(load_policy(None, SHIPPED_POLICY))
         return require_state(load_policy(_path(settings.policy), SHIPPED_TILE_POLICY))
-    if settings.policy is not None:
-        raise UsageError(
-            f"--policy is for --causal, and --method {method.name} asks no policy; leave it out"
-        )
     return None
 
 
@@ -346,12 +366,13 @@ def _with_policy(method: Method, policy: PolicyFile | None, settings: UpsampleSe
     Raises UsageError for ``--effort`` where no policy decides tile by tile.
     """
     by_tiles = policy is not None and policy.of_tiles
-    if settings.effort is not None and not by_tiles:
+    if settings.effort is not None and not (by_tiles or method.name == EXWARP):
         chooser = (
             "--policy chooses for whole frames" if policy else f"{method.name} chooses nothing"
         )
         raise UsageError(
-            f"--effort is for --causal with a policy of tiles, and {chooser}; leave it out"
+            f"--effort is for exwarp, and for --causal with a policy of tiles, and {chooser}; "
+            "leave it out"
         )
     return method if policy is None or by_tiles else FRAMEWISE
 
@@ -363,7 +384,7 @@ def _require_usable(settings: UpsampleSettings, method: Method, source: Source) 
             f"--method {method.name} decides by ground truth; give it with --ground-truth, or use "
             "--causal"
         )
-    if not (settings.gate or method.gated):
+    if not (settings.gate or method.gated or method is EFFORTLESS):
         raise UsageError(
             f"--no-gate is for exwarp and --causal, and --method {method.name} has no gate; leave "
             "it out"

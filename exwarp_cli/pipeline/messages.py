@@ -215,11 +215,18 @@ def announce(
         )
     last = count - 1
     if method.lookahead and last in keys and source.timeline.made_of(last):
+        progress.message(_tail_note(source, method))
+
+
+def _tail_note(source: Source, method: Method) -> str:
+    """Say what makes the frames after the last key frame."""
+    fallback = "what --causal does"
+    if method.tail is None:
         fallback = "s6" if source.moves else "hold"
-        progress.message(
-            f"after the last key frame there is no next one, so {method.name} falls back to "
-            f"{fallback} there; --no-tail leaves those frames out"
-        )
+    return (
+        f"after the last key frame there is no next one, so {method.name} falls back to "
+        f"{fallback} there; --no-tail leaves those frames out"
+    )
 
 
 def _input_notes(settings: UpsampleSettings, source: Source) -> Iterator[str | None]:

@@ -197,11 +197,11 @@ class SlotRenderer:
     def _predict(self, interval: Interval, plan: Plan | TilePlan | None, slot: int) -> Predicted:
         if interval.held:
             return repeat_held(interval)
+        if isinstance(plan, TilePlan):
+            return predict_tiles(plan, interval, slot)
         if self._method.predict is not None:
             return self._method.predict(interval, slot)
         assert plan is not None
-        if isinstance(plan, TilePlan):
-            return predict_tiles(plan, interval, slot)
         return replace(predict_path(plan.path, interval, slot), method=self._method.name)
 
     def _make_layers(

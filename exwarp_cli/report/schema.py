@@ -211,7 +211,8 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
     warping and the network made; ``cost``: the network's share of the new frames' area.
     """
     paths: list[str] = []
-    for interval in _complete_intervals(run) if run.decides else ():
+    decides = run.decides or any(frame.tiles is not None for frame in run.frames)
+    for interval in _complete_intervals(run) if decides else ():
         taken = [frame.path for frame in interval if frame.path]
         tiles = {frame.slot: frame.tiles for frame in interval}
         second, third = tiles.get(2), tiles.get(3)
@@ -219,32 +220,46 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
             paths.append(taken[-1])
         elif second is not None and third is not None:
             paths += paths_from_makers(second, third)
-    block = count_decisions(paths if run.decides else None)
+    block = count_decisions(paths if decides else None)
 
-    keys: dict[Trial, dict[int, None]] = {}
+    keys: dict[tuple[Trial, bool], dict[int, None]] = {}
     for frame in run.frames:
         if frame.trial is not None:
-            keys.setdefault(frame.trial, {})[frame.key] = None
-    cheap, dear = (SOFTSPLAT, LOOKAHEAD) if run.lookahead else CHOICES
-    trials = [
-        {
-            "frame": trial.frame,
-            f"{cheap}_db": trial.cheap_db,
-            f"{dear}_db": trial.dear_db,
-            "used": dear if trial.pays else cheap,
-            "keys": list(intervals),
-        }
-        for trial, intervals in keys.items()
-    ]
+            # After the last key frame look-ahead methods go tile by tile.
+            looks_ahead = run.lookahead and frame.tiles is None
+            keys.setdefault((frame.trial, looks_ahead), {})[frame.key] = None
+    trials = []
+    for (trial, looks_ahead), intervals in keys.items():
+        cheap, dear = (SOFTSPLAT, LOOKAHEAD) if looks_ahead else CHOICES
+        trials.append(
+            {
+                "frame": trial.frame,
+                f"{cheap}_db": trial.cheap_db,
+                f"{dear}_db": trial.dear_db,
+                "used": dear if trial.pays else cheap,
+                "keys": list(intervals),
+            }
+        )
     makers = Counter(frame.made_by for frame in run.frames)
     counts = {"cheap": makers[SOFTSPLAT], "dear": makers[LOOKAHEAD]}
     block |= {"gate": trials or None, "look_ahead": counts if trials and run.lookahead else None}
 
-    cost = mean(f.tiles.share(EXTRAPOLATE) for f in run.frames if f.tiles is not None)
+    cost = None
+    if trials or decides:
+        cost = mean(share for f in run.frames if (share := _network_share(f, run)) is not None)
     block["cost"] = cost
     if cost is not None:
         block["warp_share"] = 1 - cost
     return block
+
+
+def _network_share(frame: FrameRecord, run: RunSummary) -> float | None:
+    """Return the share of a frame that a network made; None where nothing chose it."""
+    if frame.tiles is not None:
+        return frame.tiles.share(EXTRAPOLATE)
+    if run.lookahead and frame.kind is FrameKind.GENERATED:
+        return float(frame.made_by == LOOKAHEAD)
+    return None
 
 
 def count_decisions(paths: Iterable[str] | None) -> dict[str, Any]:

@@ -326,8 +326,10 @@ def _decisions(run: RunSummary, decisions: dict[str, Any]) -> list[Block]:
     if not any(frame.slot for frame in run.frames):
         return []
     blocks: list[Block] = [_timeline(run.frames)]
-    if trials := decisions["gate"]:
-        cheap, dear = (name for name in trials[0] if name.endswith("_db"))
+    by_methods: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for trial in decisions["gate"] or ():
+        by_methods.setdefault(tuple(n for n in trial if n.endswith("_db")), []).append(trial)
+    for (cheap, dear), trials in by_methods.items():
         rows: list[list[Cell]] = [
             [
                 "none" if trial["frame"] is None else str(trial["frame"]),

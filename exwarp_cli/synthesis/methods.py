@@ -77,6 +77,7 @@ class Method:
     interpolates: bool = False
     weighs: bool = False  # whether a network weighs the key frames on both sides, moved to the slot
     gated: bool = False  # whether its network makes frames only where the gate finds that this pays
+    tail: Method | None = None  # makes what has no next key frame; None: warping makes it
 
     @property
     def any_factor(self) -> bool:
@@ -103,12 +104,16 @@ class Method:
         """Whether it may warp from one key frame, and carry on how light moved before that."""
         return self.lookahead or self.needs_motion
 
+    def at(self, looks_ahead: bool) -> Method:
+        """Return what makes an interval that has a next key frame to go by, or has none."""
+        return self if looks_ahead or self.tail is None else self.tail
+
     def older_keys(self, looks_ahead: bool) -> int:
         """Return how many key frames before an interval's own its slots may depend on.
 
         `looks_ahead` says whether the interval has a next key frame that is used.
         """
-        if self.extrapolates:
+        if self.at(looks_ahead).extrapolates:
             return HISTORY_FRAMES - 1
         return int(self.carries_light and not looks_ahead)
 
@@ -284,6 +289,9 @@ def predict_both_ways(interval: Interval, slot: int, lookahead: bool) -> tuple[F
 
 # `causal` as the paper has it: a policy chooses one path for whole frames.
 FRAMEWISE = Method(CAUSAL, None, judge=DecisionSource.POLICY, gated=True)
+
+# The default without its networks, at an effort of 0.
+EFFORTLESS = Method(EXWARP, partial(_look_ahead, EXWARP, False), lookahead=True)
 
 METHODS: Mapping[str, Method] = {
     method.name: method
