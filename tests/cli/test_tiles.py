@@ -114,12 +114,14 @@ def test_another_effort_makes_frames_again(take):
 
 @pytest.mark.parametrize(
     ("options", "why"),
-    [(("-m", "s3"), "s3 chooses nothing"), ((), "exwarp chooses nothing"),
-     (("--causal", "--policy", "paper"), "--policy chooses for whole frames")],
-)  # fmt: skip
+    [
+        (("-m", "s3"), "s3 chooses nothing"),
+        (("--causal", "--policy", "paper"), "--policy chooses for whole frames"),
+    ],
+)
 def test_effort_is_refused_where_no_tiles_are_chosen(exwarp, keys, tmp_path, options, why):
     result = exwarp("upsample", keys, "-o", tmp_path / "out", *options, "--effort", 0.5)
-    result.refused(2, "--effort is for --causal with a policy of tiles", why)
+    result.refused(2, "--effort is for exwarp, and for --causal with a policy of tiles", why)
 
 
 def test_the_paper_s_policy_chooses_for_whole_frames(take):
