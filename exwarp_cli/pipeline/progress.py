@@ -87,11 +87,6 @@ class Estimate:
         self._last = now
 
     @property
-    def percent(self) -> int:
-        """Whole per cent done; 100 only at the end."""
-        return 100 * self.done // self.total if self.total else 100
-
-    @property
     def tenths(self) -> float:
         """Per cent done with one decimal, 0 to 100; 100 only at the end."""
         return min(1000 * self.done // self.total, 1000) / 10 if self.total else 100.0
@@ -245,36 +240,33 @@ class _Counting(NoProgress):
     def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
         """Show how many frames there are to do."""
         self._estimate.start(total, kinds, at_once)
-        self._show_start()
+        self._show()
 
     def advance(
         self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
     ) -> None:
         """Count a frame, and show it."""
         self._estimate.advance(kind, made)
-        self._show_frame(frame, note)
+        self._show(frame, note)
 
-    def _show_start(self) -> None:
-        raise NotImplementedError
-
-    def _show_frame(self, frame: int, note: str | None) -> None:
+    def _show(self, frame: int | None = None, note: str | None = None) -> None:
+        """Show a frame that is done; without one, at the start, what there is to do."""
         raise NotImplementedError
 
 
 class PlainProgress(_Counting):
     """Lines such as ``exwarp:  25% 10/40, frame 1010, 1:20 left``, for logs."""
 
-    def _show_start(self) -> None:
-        self._show(f"{pluralise(self._estimate.total, 'frame')} to do")
-
-    def _show_frame(self, frame: int, note: str | None) -> None:
+    def _show(self, frame: int | None = None, note: str | None = None) -> None:
         estimate = self._estimate
-        if estimate.is_log_due():
+        if frame is None:
+            self._print_status(f"{pluralise(estimate.total, 'frame')} to do")
+        elif estimate.is_log_due():
             done = f"{estimate.done}/{estimate.total}"
-            self._show(f"{done}, {_frame_text(frame, note)}, {estimate.left}")
+            self._print_status(f"{done}, {_frame_text(frame, note)}, {estimate.left}")
 
-    def _show(self, status: str) -> None:
-        percent = f"{self._estimate.percent:3d}% " if self._estimate.done else ""
+    def _print_status(self, status: str) -> None:
+        percent = f"{int(self._estimate.tenths):3d}% " if self._estimate.done else ""
         self.message(f"{percent}{status}")
 
 
@@ -300,7 +292,7 @@ class OpenJdProgress(PlainProgress):
         # Never empty: runners ignore a line that ends with the colon.
         _print_line(self._stream, f"openjd_fail: {one_line(text) or f'exit code {exit_code}'}")
 
-    def _show(self, status: str) -> None:
+    def _print_status(self, status: str) -> None:
         estimate = self._estimate
         if estimate.done and estimate.done == estimate.total:
             status = f"{pluralise(estimate.total, 'frame')} done"
@@ -316,10 +308,10 @@ class JsonProgress(_Counting):
     "fail" also ``text``; with "fail" also ``exit_code``.
     """
 
-    def _show_start(self) -> None:
-        self._write("start")
-
-    def _show_frame(self, frame: int, note: str | None) -> None:
+    def _show(self, frame: int | None = None, note: str | None = None) -> None:
+        if frame is None:
+            self._write("start")
+            return
         eta = self._estimate.eta_s
         self._write("frame", frame=frame, note=note, eta_s=None if eta is None else round(eta, 3))
 
@@ -347,7 +339,13 @@ class BarProgress(_Counting):
     _bar: RichProgress | None = None
     _task: TaskID | None = None
 
-    def _show_start(self) -> None:
+    def _show(self, frame: int | None = None, note: str | None = None) -> None:
+        left = self._estimate.left
+        if frame is not None:
+            if self._bar is not None and self._task is not None:
+                description = one_line(_frame_text(frame, note))
+                self._bar.update(self._task, advance=1, description=description, left=left)
+            return
         # Imported here: it takes 60 ms, which runs without a terminal need not pay.
         from rich.console import Console
         from rich.progress import (
@@ -366,14 +364,8 @@ class BarProgress(_Counting):
             TextColumn("{task.description}", markup=False),
             console=Console(file=self._stream, emoji=False),
         )
-        self._task = self._bar.add_task("", total=self._estimate.total, left=self._estimate.left)
+        self._task = self._bar.add_task("", total=self._estimate.total, left=left)
         self._bar.start()
-
-    def _show_frame(self, frame: int, note: str | None) -> None:
-        if self._bar is not None and self._task is not None:
-            description = one_line(_frame_text(frame, note))
-            left = self._estimate.left
-            self._bar.update(self._task, advance=1, description=description, left=left)
 
     def message(self, text: str) -> None:
         """Print a line above the bar."""

@@ -49,16 +49,16 @@ class TestEstimate:
         clock.now += 1
         estimate.advance()
         assert estimate.eta_s == 3
-        assert estimate.percent == 40
+        assert estimate.tenths == 40
 
     def test_it_is_done_at_100_percent_only(self):
         estimate = Estimate(FakeClock())
         estimate.start(1000)
         for _ in range(999):
             estimate.advance()
-        assert (estimate.percent, estimate.tenths) == (99, 99.9)
+        assert estimate.tenths == 99.9
         estimate.advance()
-        assert (estimate.percent, estimate.tenths, estimate.eta_s) == (100, 100, 0)
+        assert (estimate.tenths, estimate.eta_s) == (100, 0)
 
     def test_more_than_all_is_all(self):
         estimate = Estimate(FakeClock())
@@ -70,7 +70,7 @@ class TestEstimate:
     def test_nothing_to_do_is_done(self):
         estimate = Estimate(FakeClock())
         estimate.start(0)
-        assert (estimate.percent, estimate.tenths) == (100, 100)
+        assert estimate.tenths == 100
 
 
 class TestKindsOfWork:
