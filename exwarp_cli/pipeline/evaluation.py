@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -137,7 +136,13 @@ def evaluate(
     looks = find_display_look(truth, transform), find_display_look(judged, transform)
     masks = None if holes is None else find_sequence(holes)
     matched_by, paired, pairing_notes = pair(truth, judged, measuring.view)
-    selected = _select(paired, frames)
+    wanted = list(paired) if frames is None else parse_frames(frames)
+    if absent := [number for number in wanted if number not in paired]:
+        raise MissingFrameError(
+            f"frame {ranges(absent)} of --frames {frames} is not in both sequences, "
+            f"which share {ranges(list(paired))}"
+        )
+    selected = {number: paired[number] for number in wanted}
     mask_files = {} if masks is None else _mask_files(masks, judged, paired)
     files = [
         _Files(a, b, truth, judged, mask_files.get(b), measuring.view) for a, b in selected.items()
@@ -153,11 +158,14 @@ def evaluate(
         close_sequences(truth, judged)
     if measuring.preset is None:  # a preset has its own rule for rendered frames
         notes = (*rendered_note(origins), *notes)
+    rate = clip_rate(judged)
+    if rate is None and not is_plain(judged):
+        rate = frame_rate(read_headers(judged.files[min(judged.files)])[0])
     result = Comparison(
         *(truth, judged, masks, matched_by, shape[1], shape[0], compared),
         measuring=measuring,
         notes=(*pairing_notes, *notes, *scorer.notes),
-        fps=_stated_rate(judged),
+        fps=None if rate is None else float(rate),
     )
     if all(frame.score == Score() for frame in compared):
         why = "; ".join(result.notes) or "nothing was chosen"
@@ -194,14 +202,6 @@ class _Files:
             _require_shape(display.shape, self.mask, shape, reference)
             mask = np.asarray(place_on_canvas(plane, data, display) > 0.5)
         return Pair(self.a, truth, test, mask)
-
-
-def _stated_rate(sequence: Sequence) -> float | None:
-    rate = clip_rate(sequence)
-    if rate is None and not is_plain(sequence):
-        header = read_headers(sequence.files[min(sequence.files)])[0]
-        rate = frame_rate(header)
-    return None if rate is None else float(rate)
 
 
 def read_display(sequence: Sequence, number: int, view: str) -> Float32:
@@ -294,9 +294,23 @@ def pair(
     by_number = set(a) <= set(b) or set(b) <= set(a)
     if len(a) != len(b) and (a[0] == b[0] or not by_number):
         kinds = [origin.kind for origin in origins_of([test.files[n] for n in b])]
-        rate = _rate(reference, test, kinds, view)
+        # Rendered frames are the reference's own pictures; without headers, any frame will do.
+        rendered = [index for index, kind in enumerate(kinds) if kind is None or kind == KEY]
+        rate = truth_rate(
+            rendered,
+            len(b),
+            len(a),
+            lambda index: read_sequence_picture(test, b[index], view),
+            lambda index: read_sequence_picture(reference, a[index], view),
+        )
         if rate != 1:
-            return "order", *_by_instant(a, b, rate)
+            instants = ((index * rate, number) for index, number in enumerate(b))
+            paired = {a[int(i)]: n for i, n in instants if i.denominator == 1 and i < len(a)}
+            note = (
+                f"the first sequence has {rate.numerator} frames for each {rate.denominator} of "
+                "the second, as the pictures show: those of the same instant are compared"
+            )
+            return "order", paired, (note,)
         # Frames up to the next rendered one, at most; none where no header names its kind.
         runs = "".join("r" if kind in (None, KEY) else "n" for kind in kinds).split("r")
         interval = 0 if set(kinds) <= {None} else max(map(len, runs)) + 1
@@ -312,49 +326,6 @@ def pair(
             "renumber one sequence, or move the frames that the other lacks elsewhere"
         )
     return "order", dict(zip(a, b, strict=True)), ()
-
-
-def _rate(reference: Sequence, test: Sequence, kinds: list[str | None], view: str) -> Fraction:
-    """Return how many frames the reference has per frame of the test, as the pictures show."""
-    a, b = sorted(reference.files), sorted(test.files)
-    # Rendered frames are the reference's own pictures; without headers, any frame will do.
-    rendered = [index for index, kind in enumerate(kinds) if kind is None or kind == KEY]
-    return truth_rate(
-        rendered,
-        len(b),
-        len(a),
-        lambda index: read_sequence_picture(test, b[index], view),
-        lambda index: read_sequence_picture(reference, a[index], view),
-    )
-
-
-def _by_instant(
-    a: list[int], b: list[int], rate: Fraction
-) -> tuple[dict[int, int], tuple[str, ...]]:
-    """Pair frames of sequences that begin alike, the first with `rate` times as many frames."""
-    paired = {}
-    for index, number in enumerate(b):
-        instant = index * rate
-        if instant.denominator == 1 and instant < len(a):
-            paired[a[int(instant)]] = number
-    note = (
-        f"the first sequence has {rate.numerator} frames for each {rate.denominator} of the "
-        f"second, as the pictures show: those of the same instant are compared"
-    )
-    return paired, (note,)
-
-
-def _select(paired: dict[int, int], frames: str | None) -> dict[int, int]:
-    if frames is None:
-        return paired
-    wanted = parse_frames(frames)
-    absent = [number for number in wanted if number not in paired]
-    if absent:
-        raise MissingFrameError(
-            f"frame {ranges(absent)} of --frames {frames} is not in both sequences, "
-            f"which share {ranges(list(paired))}"
-        )
-    return {number: paired[number] for number in wanted}
 
 
 def _mask_files(masks: Sequence, test: Sequence, paired: dict[int, int]) -> dict[int, Path]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -82,10 +82,8 @@ class Content:
     @cached_property
     def motion(self) -> tuple[ChannelRef, ...]:
         """The motion channels that have to be read to write any of them; () without."""
-        if (
-            all(layer.kind is not LayerKind.MOTION for layer in self.extra)
-            or self.convention is None
-        ):
+        has_motion = any(layer.kind is LayerKind.MOTION for layer in self.extra)
+        if not has_motion or self.convention is None:
             return ()
         return self.source.keys.layout.roles[Role.MOTION]
 
@@ -130,11 +128,6 @@ def _layers_in(shot: Shot, main: bool) -> tuple[Layer, ...]:
         mattes = find_cryptomattes({aov: rename_channels(files[aov])}, {aov: header.texts})
         cryptomattes |= {matte.name for matte in mattes}
     return group_layers(files, shot.layout, cryptomattes)
-
-
-def files_apart(shot: Shot) -> tuple[str, ...]:
-    """Return the AOVs whose layers lie in files of their own, which are not written."""
-    return tuple(aov for aov in shot.aovs if aov)
 
 
 def template_of(contents: tuple[Content, ...], suffix: str, number: int) -> FrameTemplate:
@@ -200,36 +193,33 @@ class LayerStore:
         InputError
             When a file is missing, damaged, of another size, or lacks a channel.
         """
-        if number not in self._frames:
-            planes: dict[ChannelRef, Plane] = {}
-            for group in self._groups:
-                decoded, windows = read_planes(self._shot, number, list(group))
-                for ref, is_half in group.items():
-                    planes[ref] = Plane(_own_copy(decoded[ref], is_half), windows[ref])
-            self._frames[number] = planes
-            self._shot.nonfinite.note(number, dict(self._count_broken(planes)))
-        return self._frames[number]
-
-    def _count_broken(self, planes: Planes) -> Iterator[tuple[str, int]]:
-        """Count the pixels of layers that are not finite; those of a role have its name."""
+        if number in self._frames:
+            return self._frames[number]
+        planes: dict[ChannelRef, Plane] = {}
+        for group in self._groups:
+            decoded, windows = read_planes(self._shot, number, list(group))
+            for ref, is_half in group.items():
+                # Copied, so that the part that it was decoded with can be freed.
+                if is_half and decoded[ref].dtype == np.float32:
+                    with np.errstate(over="ignore"):  # another frame may hold the channel as float
+                        values = decoded[ref].astype(np.float16)
+                else:
+                    values = np.ascontiguousarray(decoded[ref])
+                planes[ref] = Plane(values, windows[ref])
+        self._frames[number] = planes
         roles = {refs: role for role, refs in self._shot.layout.roles.items()}
+        broken = {}
         for layer in self._layers:
             role = roles.get(layer.refs)
             counted_as = Role.DEPTH if layer.kind is LayerKind.DEPTH else role
             count = count_nonfinite((planes[ref].values for ref in layer.refs), counted_as)
-            yield layer.name if role is None else role.value, count
+            broken[layer.name if role is None else role.value] = count
+        self._shot.nonfinite.note(number, broken)
+        return planes
 
     def keep(self, numbers: Iterable[int]) -> None:
         """Drop all other frames."""
         self._frames = {n: self._frames[n] for n in numbers if n in self._frames}
-
-
-def _own_copy(values: np.ndarray, is_half: bool) -> np.ndarray:
-    """Return a plane of its own, so that the part that it was decoded with can be freed."""
-    if is_half and values.dtype == np.float32:
-        with np.errstate(over="ignore"):  # another frame may hold the channel as float
-            return values.astype(np.float16)
-    return np.ascontiguousarray(values)
 
 
 class LayerReader:
@@ -340,8 +330,9 @@ class ExtraLayers:
         leader, *further = self._views
         planes = leader.planes(slot, shown, needed)
         for view in further:
-            beauty = predict(view.interval)
-            planes |= view.beauty(beauty)
+            beauty, wanted = predict(view.interval), view.content.wanted
+            for i, ref in enumerate(wanted.colour):
+                planes[wanted.view, ref] = Plane(beauty.pixels[..., i], view.window)
             planes |= view.planes(slot, beauty, needed)
         return planes
 
@@ -366,19 +357,8 @@ class ViewInterval:
         if key is None or not key.has_motion:
             return None
         older = None if self.inputs.older is None else self.inputs.older.extended(self.window)
-        return LayerMotion(
-            key,
-            None if following is None else following.gbuffer,
-            None if older is None else older.gbuffer,
-        )
-
-    def beauty(self, shown: Predicted) -> dict[PlaneKey, Plane]:
-        """Return the planes of the beauty."""
-        wanted = self.content.wanted
-        return {
-            (wanted.view, ref): Plane(shown.pixels[..., i], self.window)
-            for i, ref in enumerate(wanted.colour)
-        }
+        others = (None if frame is None else frame.gbuffer for frame in (following, older))
+        return LayerMotion(key, *others)
 
     def planes(self, slot: int, shown: Predicted, needed: set[PlaneKey]) -> dict[PlaneKey, Plane]:
         """Make the layers beside the beauty `shown`, one after the other.
@@ -392,10 +372,17 @@ class ViewInterval:
         retimer = _LayerRetimer(self, frames, make_retimer(self.interval, slot, shown), slot)
         planes: dict[PlaneKey, Plane] = {}
         for layer in self.content.extra:
-            if any((view, ref) in needed for ref in layer.refs):
-                for ref, values in retimer.retime(layer).items():
-                    if ref not in beauty:
-                        planes[view, ref] = Plane(values, self.window)
+            if not any((view, ref) in needed for ref in layer.refs):
+                continue
+            values = retimer.retime(layer)
+            if layer.kind is not LayerKind.COLOUR:  # which is mended where it is mixed
+                background = np.inf if layer.kind is LayerKind.DEPTH else 0.0
+                retimer.retiming.sources.mend(list(values.values()), background)
+            planes |= {
+                (view, ref): Plane(plane, self.window)
+                for ref, plane in values.items()
+                if ref not in beauty
+            }
         return planes
 
 
@@ -409,14 +396,7 @@ class _LayerRetimer:
     slot: int
 
     def retime(self, layer: Layer) -> dict[ChannelRef, np.ndarray]:
-        """Make a layer's channels, [H, W] each; all finite, but for infinity in a depth."""
-        values = self._values(layer)
-        if layer.kind is not LayerKind.COLOUR:  # which is mended where it is mixed
-            background = np.inf if layer.kind is LayerKind.DEPTH else 0.0
-            self.retiming.sources.mend(list(values.values()), background)
-        return values
-
-    def _values(self, layer: Layer) -> dict[ChannelRef, np.ndarray]:
+        """Make a layer's channels, [H, W] each."""
         frames, refs = self.frames, layer.refs
         rendered = frames.slots[self.slot - 1] if frames.slots else {}
         if all(ref in rendered for ref in refs):
@@ -471,15 +451,16 @@ class _LayerRetimer:
                 after = plane.astype(before.values.dtype, copy=False)
         return self.retiming.data(self._placed(before), after)
 
-    def _placed(self, plane: Plane, fill: float = 0.0) -> np.ndarray:
-        return place_on_canvas(plane.values, plane.window, self.view.window, fill)
+    def _placed(self, plane: Plane) -> np.ndarray:
+        return place_on_canvas(plane.values, plane.window, self.view.window, 0.0)
 
     def _stack(self, planes: Planes, refs: tuple[ChannelRef, ...], fill: float = 0.0) -> Float32:
-        members = [
-            Plane(planes[ref].values.astype(np.float32, copy=False), planes[ref].window)
-            for ref in refs
-        ]
-        return np.stack([self._placed(plane, fill) for plane in members], axis=-1)
+        values = {ref: planes[ref].values.astype(np.float32, copy=False) for ref in refs}
+        window = self.view.window
+        return np.stack(
+            [place_on_canvas(values[ref], planes[ref].window, window, fill) for ref in refs],
+            axis=-1,
+        )
 
     def _light(self, planes: Planes, refs: tuple[ChannelRef, ...]) -> Float32:
         """Return a layer [H, W, C] for warping: what no data tells is unknown, as in the beauty."""

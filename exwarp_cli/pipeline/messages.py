@@ -28,7 +28,7 @@ from exwarp_cli.io.footage import is_plain, lost_alpha_message, uneven_rate_mess
 from exwarp_cli.io.shot import alpha_note
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.models.model_file import shipped_folder
-from exwarp_cli.pipeline.extra_layers import Content, files_apart
+from exwarp_cli.pipeline.extra_layers import Content
 from exwarp_cli.pipeline.ground_truth import OtherRate
 from exwarp_cli.pipeline.output_plan import frame_suffix, video_look
 from exwarp_cli.pipeline.progress import Progress
@@ -281,7 +281,7 @@ def announce_contents(progress: Progress, contents: tuple[Content, ...]) -> None
     if leader.names:
         many = pluralise(len(leader.names), "layer")
         progress.message(f"{many} beside the beauty: {', '.join(leader.names)}")
-    if leader.layers and (apart := files_apart(shot)):
+    if leader.layers and (apart := [aov for aov in shot.aovs if aov]):
         progress.message(
             f"layers in files of their own are not written: {', '.join(apart)}; generated frames "
             "hold those of the file with the colour"

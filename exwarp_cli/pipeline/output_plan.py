@@ -33,7 +33,6 @@ from exwarp_cli.io.generated_frames import (
     FileState,
     file_digest,
     find_authorship,
-    read_fingerprint,
 )
 from exwarp_cli.io.key_file import KeyFile, possible_key_files
 from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, output_pattern
@@ -211,11 +210,6 @@ def key_is_there(target: Path, source: KeyFile) -> bool:
         return target.exists() and source.is_at(target)
     except OSError:
         return False
-
-
-def slot_is_there(target: Path, recipe: str) -> bool:
-    """Return True if a generated frame exists, undamaged, and as this run would make it."""
-    return target.exists() and read_fingerprint(target) == recipe
 
 
 def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> VideoLook:

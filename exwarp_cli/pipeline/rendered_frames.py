@@ -19,7 +19,7 @@ from exwarp_cli.domain.timeline import Slot, Timeline, ranges
 from exwarp_cli.errors import InputError, LayoutError, OutputError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import digest_frame, find_frames, is_plain, read_key_picture
-from exwarp_cli.io.frames import GEOMETRY, read_raw
+from exwarp_cli.io.frames import read_raw
 from exwarp_cli.io.generated_frames import FileState, find_authorship
 from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
@@ -27,11 +27,9 @@ from exwarp_cli.io.shot_files import NonFinite, count_nonfinite, require_sound
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.extra_layers import Content, LayerStore
-from exwarp_cli.pipeline.source import Source
+from exwarp_cli.pipeline.key_frames import GEOMETRY_WITHOUT_NORMAL
+from exwarp_cli.pipeline.source import Source, read_display_windows
 from exwarp_cli.synthesis.methods import Method
-
-# Roles by which frames lead to the slots around them.
-LEADING = tuple(role for role in GEOMETRY if role is not Role.NORMAL)
 
 # Kinds of frames that no renderer made.
 NEW = (FrameKind.GENERATED.value, FrameKind.DROPPED.value)
@@ -93,6 +91,25 @@ def find_rendered(spec: str, source: Source, scan: str = SourceSettings.scan) ->
             "review.txt does"
         )
     return RenderedFrames(sequence.over(used), tuple(n for n in sequence.numbers if n not in new))
+
+
+def require_rendered_size(sequence: Sequence, source: Source, keys: tuple[int, ...]) -> None:
+    """Refuse rendered frames, by output number, of another size than the key frames.
+
+    `keys` are indices of key frames; raises LayoutError, unless such frames are skipped.
+    """
+    if source.keys.keep_going:
+        return
+    timeline, display = source.timeline, source.keys.display
+    slot_numbers = (timeline.number(slot) for key in keys for slot in timeline.made_of(key))
+    numbers = [number for number in slot_numbers if number in sequence.files]
+    windows = read_display_windows((sequence, number) for number in numbers)
+    for number, window in zip(numbers, windows, strict=True):
+        if window is not None and window != display:
+            raise LayoutError(
+                f"frame {number} of --rendered is {window} and the input is {display}; render it "
+                "at the resolution and with the windows of the key frames"
+            )
 
 
 def _output_range(timeline: Timeline) -> str:
@@ -214,7 +231,7 @@ class RenderedReader:
             return KeyFrame(number, read_key_picture(shot, number), None)
         if self._leads:
             with suppress(LayoutError):  # a frame without geometry takes its place all the same
-                raw = read_raw(shot, number, (Role.COLOUR, *LEADING), objects=True)
+                raw = read_raw(shot, number, (Role.COLOUR, *GEOMETRY_WITHOUT_NORMAL), objects=True)
                 return raw.key(self._convention)
         return replace(read_raw(shot, number, (Role.COLOUR,)).key(None), gbuffer=None)
 

@@ -24,8 +24,14 @@ from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.fingerprint import key_fingerprint
-from exwarp_cli.pipeline.frame_sizes import window_note
-from exwarp_cli.pipeline.frame_writer import FRAMES_BEHIND, FrameWriter
+from exwarp_cli.pipeline.frame_writer import (
+    FRAMES_BEHIND,
+    FrameWriter,
+    Sums,
+    files_of,
+    verify,
+    verify_video,
+)
 from exwarp_cli.pipeline.interval_builder import IntervalPreparer, PreparedInterval, make_builders
 from exwarp_cli.pipeline.interval_inputs import (
     IntervalInputs,
@@ -34,6 +40,7 @@ from exwarp_cli.pipeline.interval_inputs import (
     ViewsReader,
 )
 from exwarp_cli.pipeline.job import Job, open_job
+from exwarp_cli.pipeline.key_frames import window_note
 from exwarp_cli.pipeline.messages import (
     announce_skipped,
     skipped_interval,
@@ -52,7 +59,6 @@ from exwarp_cli.pipeline.scheduling import (
 )
 from exwarp_cli.pipeline.scoring import IntervalScores, KeyedPulses, broken_pixels_of
 from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_attribute, rounded
-from exwarp_cli.pipeline.verification import Sums, files_of, verify, verify_video
 from exwarp_cli.runtime.cores import hold_cores
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.runtime.stop import check_stop

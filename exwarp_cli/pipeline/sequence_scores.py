@@ -147,7 +147,13 @@ class MetricScorer(SequenceScorer):
         if self._vmaf is not None:
             self._vmaf.write(to_display(pair.truth), to_display(pair.test))
         if self._motion is not None:
-            value, masked = self._transition(self._motion, pair)
+            into = self._motion.into(pair.reference)
+            before, self._error = self._error, display_error(pair.truth, pair.test)
+            value = masked = None
+            if into is not None and before is not None:
+                change = compare_with_previous(self._error, before, *into)
+                value = change.mean()
+                masked = None if pair.mask is None else change.within(pair.mask)
             self._transitions.append(value)
             inside = None if inside is None else replace(inside, flicker=masked)
         self._scores.append((overall, inside))
@@ -163,15 +169,6 @@ class MetricScorer(SequenceScorer):
             pairs = zip(scores, flickers, strict=True)
             scores = [(replace(s, flicker=v), h) for (s, h), v in pairs]
         return scores
-
-    def _transition(self, motion: SequenceMotion, pair: Pair) -> tuple[float | None, float | None]:
-        """Return how the error changes into a frame, over all pixels and in holes."""
-        into = motion.into(pair.reference)
-        before, self._error = self._error, display_error(pair.truth, pair.test)
-        if into is None or before is None:
-            return None, None
-        change = compare_with_previous(self._error, before, *into)
-        return change.mean(), None if pair.mask is None else change.within(pair.mask)
 
 
 class ExtranetScorer(SequenceScorer):
@@ -330,10 +327,10 @@ def make_scorer(
             )
         flags = generated if has_headers else None
         return ExtranetScorer(measuring.measured, len(origins), flags), ()
-    if "flicker" not in measuring.measured:
-        return MetricScorer(measuring.measured, None), ()
-    motion = open_motion(spec, reference, measuring.view)
-    if isinstance(motion, SequenceMotion):
+    motion: SequenceMotion | str | None = None
+    if "flicker" in measuring.measured:
+        motion = open_motion(spec, reference, measuring.view)
+    if not isinstance(motion, str):
         return MetricScorer(measuring.measured, motion), ()
     note = f"flicker is not measured, as it follows the motion of the first sequence: {motion}"
     return MetricScorer(measuring.measured, None), (note,)

@@ -137,16 +137,15 @@ class Shots:
         if beside_unreadable and key not in self._given:
             return inside
         if key not in self._starts:
-            self._starts[key] = inside and (key in self._given or self._detect_cut(key))
-        return self._starts[key]
-
-    def _detect_cut(self, key: int) -> bool:
-        if not self._wish.detect:
-            if self._unreadable.tolerant:  # whether they can be read shows as they are read
+            is_start = inside and key in self._given
+            if inside and not is_start and self._wish.detect:
+                is_start = is_cut_between(self._glance(key - 1), self._glance(key))
+            elif inside and not is_start and self._unreadable.tolerant:
+                # Whether they can be read shows as they are read.
                 self._read(key - 1)
                 self._read(key)
-            return False
-        return is_cut_between(self._glance(key - 1), self._glance(key))
+            self._starts[key] = is_start
+        return self._starts[key]
 
     def repeats(self, key: int) -> bool:
         """Return True if a key frame shows the same picture as the one before it, in all views.

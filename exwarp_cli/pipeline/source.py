@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 
-from exwarp_cli.domain.frame import set_max_pixels
+from exwarp_cli.domain.frame import Window, set_max_pixels
 from exwarp_cli.domain.motion import MotionConvention, MotionFinding
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import (
@@ -28,7 +29,7 @@ from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, Motion
 from exwarp_cli.io import sequences
 from exwarp_cli.io.channel_map import AovFile, ChannelMap, parse_aovs, read_channel_map
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.footage import clip_rate, find_footage, is_plain, make_shot
+from exwarp_cli.io.footage import clip_rate, find_footage, is_plain, make_shot, read_display_window
 from exwarp_cli.io.frames import require_visible
 from exwarp_cli.io.generated_frames import frame_rate
 from exwarp_cli.io.shot import Shot, open_shot, open_views
@@ -52,6 +53,9 @@ from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
 
 # Returns the number of a slot's frame in a sequence at the output rate; None where it has none.
 FrameOf = Callable[[Slot], int | None]
+
+# Headers that are read at a time: on a network share each waits for the server.
+READERS = 16
 
 
 @dataclass(frozen=True)
@@ -484,3 +488,66 @@ def _is_estimated(shot: Shot, settings: SourceSettings) -> bool:
     named = settings.gbuffers is not None or settings.motion is not None
     is_footage = not named and Role.MOTION not in shot.layout and is_colour_alone(shot)
     return is_footage or _may_estimate(settings)
+
+
+def require_one_size(shot: Shot, numbers: Iterable[int]) -> None:
+    """Refuse a shot of which some frames have another size, unless such frames are skipped.
+
+    Headers that cannot be read are passed over: the reading of that frame says what is wrong.
+
+    Raises
+    ------
+    LayoutError
+        Where a frame's display window is not that of the shot.
+    """
+    # 500 headers take 0.1 s on a local disk.
+    if shot.keep_going:
+        return
+    wanted = list(numbers)
+    files = {
+        member.files[number]: (member, number)
+        for member in (shot.sequence, *shot.aovs.values())
+        for number in wanted
+        if number in member.files
+    }
+    different = [
+        (path, window)
+        for path, window in zip(files, read_display_windows(files.values()), strict=True)
+        if window is not None and window != shot.display
+    ]
+    if different:
+        path, window = different[0]
+        plain = is_plain(shot.sequence)
+        sizes = [f"{w.width}x{w.height}" if plain else str(w) for w in (window, shot.display)]
+        more = f" (and {len(different) - 1} more)" if len(different) > 1 else ""
+        raise LayoutError(
+            f"{path}{more} is {sizes[0]} where the sequence's first frame is {sizes[1]}; "
+            f"{'write' if plain else 'render'} all frames at one resolution"
+        )
+
+
+def require_one_size_of(source: Source, keys: tuple[int, ...], lookahead: bool) -> None:
+    """Do as `require_one_size` for the frames that some key intervals (indices) are made of."""
+    timeline = source.timeline
+    last = len(timeline.numbers) - 1
+    # A cut before the next key frame is looked for in both, whatever the method.
+    reads_next = lookahead or source.cuts.detect
+    ends = {min(key + 1, last) for key in keys} if reads_next else set()
+    require_one_size(source.keys, (timeline.numbers[key] for key in sorted(ends.union(keys))))
+    if source.slots is not None:
+        slots = [slot for key in keys for slot in (Slot(key, 0), *timeline.between(key))]
+        numbers = (source.slot_number(slot) for slot in slots)
+        require_one_size(source.slots, (number for number in numbers if number is not None))
+
+
+def read_display_windows(frames: Iterable[tuple[sequences.Sequence, int]]) -> list[Window | None]:
+    """Return the display window of each frame; None where its header cannot be read."""
+
+    def display(frame: tuple[sequences.Sequence, int]) -> Window | None:
+        try:
+            return read_display_window(*frame)
+        except (InputError, OSError, KeyError):
+            return None
+
+    with ThreadPoolExecutor(READERS, "exwarp-header") as pool:
+        return list(pool.map(display, frames))
