@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import abc
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache
@@ -70,7 +70,30 @@ def find_truth(
 
     numbers = sequence.numbers
     first_usable(numbers if tolerant else numbers[:1], require_same_size)
-    return sequence, _match_by_rate(source, sequence, frame_of)
+    timeline, keys = source.timeline, source.keys
+    first = frame_of(Slot(0, 0))
+    numbers = tuple(n for n in sorted(sequence.numbers) if first is not None and n >= first)
+    indices = range(len(timeline.numbers))
+    key_at = {timeline.order(Slot(key, 0)): key for key in indices if timeline.shows(key)}
+    rate = truth_rate(
+        sorted(key_at),
+        math.ceil(len(timeline.numbers) * timeline.factor),
+        len(numbers),
+        lambda place: read_sequence_picture(
+            keys.sequence, timeline.numbers[key_at[place]], keys.view
+        ),
+        lambda place: read_sequence_picture(sequence, numbers[place], keys.view),
+    )
+    if rate == 1:
+        return sequence, frame_of
+    match = OtherRate(timeline, numbers, rate)
+    if all(match(slot) is None for key in indices for slot in timeline.made_of(key)):
+        raise InputError(
+            f"--ground-truth {sequence.pattern} has {float(timeline.factor * rate):g} frames for "
+            f"each key frame and the output {float(timeline.factor):g}, so none is of a new "
+            f"frame's instant; give a sequence at {float(source.output_fps):g} fps"
+        )
+    return sequence, match
 
 
 @dataclass(frozen=True)
@@ -97,36 +120,6 @@ class OtherRate:
             f"--ground-truth has {float(self.timeline.factor * self.rate):g} frames for each key "
             f"frame and the output {float(self.timeline.factor):g}, as the pictures show: {scored}"
         )
-
-
-def _match_by_rate(source: Source, sequence: Sequence, frame_of: FrameOf) -> FrameOf:
-    """Return what matches ground truth to slots at the rate that its pictures show."""
-    timeline, keys = source.timeline, source.keys
-    first = frame_of(Slot(0, 0))
-    numbers = tuple(n for n in sorted(sequence.numbers) if first is not None and n >= first)
-    key_at = {
-        timeline.order(Slot(k, 0)): k for k in range(len(timeline.numbers)) if timeline.shows(k)
-    }
-    rate = truth_rate(
-        sorted(key_at),
-        math.ceil(len(timeline.numbers) * timeline.factor),
-        len(numbers),
-        lambda place: read_sequence_picture(
-            keys.sequence, timeline.numbers[key_at[place]], keys.view
-        ),
-        lambda place: read_sequence_picture(sequence, numbers[place], keys.view),
-    )
-    if rate == 1:
-        return frame_of
-    match = OtherRate(timeline, numbers, rate)
-    slots = (slot for key in range(len(timeline.numbers)) for slot in timeline.made_of(key))
-    if all(match(slot) is None for slot in slots):
-        raise InputError(
-            f"--ground-truth {sequence.pattern} has {float(timeline.factor * rate):g} frames for "
-            f"each key frame and the output {float(timeline.factor):g}, so none is of a new "
-            f"frame's instant; give a sequence at {float(source.output_fps):g} fps"
-        )
-    return match
 
 
 def truth_rate(
@@ -163,7 +156,16 @@ def truth_rate(
 
     def error_share(rate: Fraction) -> float:
         """Return the error at a rate as a share of that at one frame per frame."""
-        places = _anchors(outputs, rate, truth)
+        # Frames, far apart, that have a truth at one frame per frame and at this rate.
+        usable = [
+            p
+            for p in outputs
+            if p and p < truth and p * rate < truth and (p * rate).denominator == 1
+        ]
+        count = len(usable) - 1
+        places = sorted(
+            {usable[round(i * count / (ANCHORS - 1))] for i in range(ANCHORS) if usable}
+        )
         usual = sum(error(place, place) for place in places)
         if not usual:
             return math.inf
@@ -177,16 +179,6 @@ def truth_rate(
     except (InputError, ValueError):  # it is said when the frame's turn comes
         return Fraction(1)
     return rate if share < CLEAR else Fraction(1)
-
-
-def _anchors(outputs: abc.Sequence[int], rate: Fraction, truth: int) -> list[int]:
-    """Choose frames, far apart, that have a truth at one frame per frame and at another rate."""
-    usable = [
-        p for p in outputs if p and p < truth and p * rate < truth and (p * rate).denominator == 1
-    ]
-    if not usable:
-        return []
-    return sorted({usable[round(i * (len(usable) - 1) / (ANCHORS - 1))] for i in range(ANCHORS)})
 
 
 def require_truth_size(
@@ -240,45 +232,29 @@ class TruthReader:
         truth = IntervalTruth()
         if self.truth is None:
             return truth
-        timeline = self.source.timeline
-        self._read_into(truth.frames, timeline.made_of(key), truth.unscored)
+        sequence, frame_of = self.truth
+        timeline, keys = self.source.timeline, self.source.keys
+        wanted = [(truth.frames, slot) for slot in timeline.made_of(key)]
         if "vmaf" in self.measured:
-            ends = [Slot(key, 0)]
+            wanted.append((truth.ends, Slot(key, 0)))
             if key + 1 < len(timeline.numbers):
-                ends.append(Slot(key, len(timeline.between(key)) + 1))
-            self._read_into(truth.ends, ends, truth.unscored)
-        return truth
-
-    def _read_into(
-        self, frames: dict[int, Image], slots: Iterable[Slot], unscored: dict[int, str]
-    ) -> None:
-        for slot in slots:
+                wanted.append((truth.ends, Slot(key, len(timeline.between(key)) + 1)))
+        for frames, slot in wanted:
+            number, output = frame_of(slot), timeline.number(slot)
+            if number is None:
+                continue
             try:
-                image = self._frame(slot)
+                image = read_sequence_picture(sequence, number, keys.view)
+                if image.display_window.shape != keys.display.shape:
+                    raise truth_of_another_size(output, image.display_window, keys.display)
             except InputError as error:
                 if not self.tolerant:
                     raise
-                unscored[slot.index] = str(error)
+                truth.unscored[slot.index] = str(error)
                 continue
-            if image is not None:
-                frames[slot.index] = image
-
-    def _frame(self, slot: Slot) -> Image | None:
-        """Read a frame; None where the sequence has none for the slot."""
-        assert self.truth is not None
-        sequence, frame_of = self.truth
-        number = frame_of(slot)
-        if number is None:
-            return None
-        image, display = (
-            read_sequence_picture(sequence, number, self.source.keys.view),
-            self.source.keys.display,
-        )
-        output = self.source.timeline.number(slot)
-        if image.display_window.shape != display.shape:
-            raise truth_of_another_size(output, image.display_window, display)
-        self.nonfinite.note(output, {CHANNELS: count_nonfinite((image.pixels,))})
-        return image
+            self.nonfinite.note(output, {CHANNELS: count_nonfinite((image.pixels,))})
+            frames[slot.index] = image
+        return truth
 
 
 def truth_of_another_size(output: int, size: Window, display: Window) -> LayoutError:

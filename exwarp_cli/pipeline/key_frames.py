@@ -155,8 +155,8 @@ class KeyFrameStore:
         if key not in self._complete:
             keys = self.source.keys
             if frame is None:
-                number, roles = self.source.timeline.numbers[key], (*GEOMETRY, *SURFACE)
-                raw = read_raw(keys, number, (Role.COLOUR, *roles), objects=True)
+                number, everything = self.source.timeline.numbers[key], (*GEOMETRY, *SURFACE)
+                raw = read_raw(keys, number, (Role.COLOUR, *everything), objects=True)
                 frame = self._within_shot(key, raw.key(self.source.convention))
             elif frame.gbuffer is not None:
                 # With colour everything lies on its data window.

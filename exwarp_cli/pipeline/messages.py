@@ -143,29 +143,23 @@ def _policy_summary(
     policy: PolicyFile, source: Source, network: OnnxExtrapolator | None
 ) -> PolicySummary:
     note = None if network is None else other_extrapolator(policy, network)
-    if policy.of_tiles:  # it uses what the warp uses, so it lacks nothing
-        return PolicySummary(str(policy.path), policy.checksum, None, (), policy.trained_for, note)
-    shot = source.slots or source.keys
-    layout = shot.layout
-    placed = Role.POSITION in layout or Role.DEPTH in layout
-    objects_from: str | None
-    if Role.STENCIL in layout:
-        objects_from = "ids"
-    elif shot.ids is not None and (placed or shot.ids.dynamic is not None):
-        objects_from = "cryptomatte"
-    else:
-        objects_from = "motion" if placed else None
-    needed = {"EMD_Wn": Role.NORMAL, "EMD_Wp": Role.POSITION}
-    missing = [name for name, role in needed.items() if role not in layout]
-    if objects_from is None:
-        missing.insert(0, "N_d")
+    objects_from, missing = None, []
+    if not policy.of_tiles:  # one of tiles uses what the warp uses, so it lacks nothing
+        shot = source.slots or source.keys
+        layout = shot.layout
+        placed = Role.POSITION in layout or Role.DEPTH in layout
+        if Role.STENCIL in layout:
+            objects_from = "ids"
+        elif shot.ids is not None and (placed or shot.ids.dynamic is not None):
+            objects_from = "cryptomatte"
+        elif placed:
+            objects_from = "motion"
+        else:
+            missing.append("N_d")
+        needed = {"EMD_Wn": Role.NORMAL, "EMD_Wp": Role.POSITION}
+        missing += [name for name, role in needed.items() if role not in layout]
     return PolicySummary(
-        str(policy.path),
-        policy.checksum,
-        objects_from,
-        tuple(missing),
-        policy.trained_for,
-        note,
+        str(policy.path), policy.checksum, objects_from, tuple(missing), policy.trained_for, note
     )
 
 
@@ -201,7 +195,7 @@ def announce(
         )
     if source.motion_origin is not None:
         progress.message("motion {}: {}".format(*source.motion_origin))
-    if (depth := _depth(source)) is not None:
+    if depth := (source.slots or source.keys).depth.evidence:
         progress.message(f"depth {depth}")
     names = _dynamic(source)
     if names is not None:
@@ -302,13 +296,8 @@ def input_summary(source: Source) -> InputSummary:
         motion_evidence=None if motion is None else motion[1],
         dynamic=_dynamic(source),
         step=next((b - a for a, b in pairwise(source.timeline.numbers)), 1),
-        depth=_depth(source),
+        depth=(source.slots or source.keys).depth.evidence or None,
     )
-
-
-def _depth(source: Source) -> str | None:
-    """Return how depth is read, if otherwise than its name says."""
-    return (source.slots or source.keys).depth.evidence or None
 
 
 def _dynamic(source: Source) -> tuple[str, ...] | None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -115,7 +116,9 @@ def parse_motion(
     terms: dict[str, tuple[_Term, _Term]] = {}
     for clause in filter(None, _CLAUSES.split(text.strip())):
         direction, _, axes = clause.partition("=")
-        pair = _parse_pair(axes, names)
+        commas = (match.start() for match in re.finditer(",", axes))
+        pairs = ((_parse_term(axes[:i], names), _parse_term(axes[i + 1 :], names)) for i in commas)
+        pair = next(((x, y) for x, y in pairs if x and y and x.shared == y.shared), None)
         if direction not in ("previous", "next") or direction in terms or pair is None:
             raise UsageError(
                 f"--motion {text!r} is not understood; write a preset ({', '.join(PRESETS)}) or "
@@ -144,29 +147,13 @@ class _Term:
     channel: int
     scale: float
     unit: str  # "", "width" or "height"
-    still: float
-    length: int | None
-    alpha: int | None
-
-    @property
-    def shared(self) -> tuple[float, int | None, int | None]:
-        """What both axes must have in common."""
-        return self.still, self.length, self.alpha
+    shared: tuple[float, int | None, int | None]  # `still`, `length` and `alpha`: of both axes
 
     def pixels(self, size: tuple[int, int] | None) -> float:
         """Return the factor in pixels, as far as the frame's size is known."""
         if size is None or not self.unit:
             return self.scale
         return self.scale * size[UNITS.index(self.unit)]
-
-
-def _parse_pair(axes: str, names: tuple[str, ...]) -> tuple[_Term, _Term] | None:
-    """Read both axes of a displacement, parted by a comma; None when they are not that."""
-    for comma in (match.start() for match in re.finditer(",", axes)):
-        x, y = _parse_term(axes[:comma], names), _parse_term(axes[comma + 1 :], names)
-        if x is not None and y is not None and x.shared == y.shared:
-            return x, y
-    return None
 
 
 def _parse_term(text: str, names: tuple[str, ...]) -> _Term | None:
@@ -188,7 +175,7 @@ def _parse_term(text: str, names: tuple[str, ...]) -> _Term | None:
         None if match[key] is None else names.index(match[key]) for key in ("length", "alpha")
     )
     scale = -factor if match["sign"] == "-" else factor
-    return _Term(names.index(match["name"]), scale, match["unit"] or "", still, length, alpha)
+    return _Term(names.index(match["name"]), scale, match["unit"] or "", (still, length, alpha))
 
 
 @dataclass(frozen=True)
@@ -269,7 +256,11 @@ class _Measurement:
     def finding(self, guess: MotionConvention | None) -> MotionFinding:
         """Measure by world positions if there are any, else by depth and colour."""
         firsts = pairs_within(len(self._numbers), self._is_parted)
-        if self._are_zero(firsts):
+        # The last of an odd number of channels is a length or an alpha.
+        used = 2 * (len(self._names) // 2)
+        # Read one by one: the first pair nearly always tells.
+        ends = (self._frame(first + i) for first in firsts for i in (0, 1))
+        if firsts and not any(np.any(f.motion[:, :used]) or np.any(f.moving) for f in ends):
             return self._at_rest(firsts, guess)
         has_both = Role.POSITION in self._shot.layout and Role.COLOUR in self._shot.layout
         # World positions of what moves by itself are not found again. Before a resting camera,
@@ -283,17 +274,6 @@ class _Measurement:
             if not (finding.source == "untested" and has_both):
                 return finding
         return self._measure_within_shots(guess, by_colour=True)
-
-    def _are_zero(self, firsts: list[int]) -> bool:
-        """Return True if the vectors of all these pairs are 0; the first pair nearly always tells.
-
-        The last of an odd number of channels is a length or an alpha.
-        """
-        used = 2 * (len(self._names) // 2)
-        ends = (self._frame(first + i) for first in firsts for i in (0, 1))
-        return bool(firsts) and not any(
-            np.any(frame.motion[:, :used]) or np.any(frame.moving) for frame in ends
-        )
 
     def _at_rest(self, firsts: list[int], guess: MotionConvention | None) -> MotionFinding:
         """Return what is read of vectors that are 0; raises MotionError if the picture moves."""
@@ -378,25 +358,22 @@ class _Measurement:
 
     def _beside_holds(self, firsts: list[int], by_colour: bool) -> list[int]:
         """Return the pairs, in place of those that show one picture twice others nearby."""
-
-        def is_hold_near(first: int) -> Callable[[int], bool]:
-            def is_hold(index: int) -> bool:
-                if abs(index - first) > 1:
-                    self._frames.clear()  # so that few are in memory
-                return self._shows_one_picture(index, by_colour)
-
-            return is_hold
-
         count = len(self._numbers)
         return sorted(
-            {pair_beside_hold(i, count, self._is_parted, is_hold_near(i)) for i in firsts}
+            {
+                pair_beside_hold(i, count, self._is_parted, partial(self._is_hold, i, by_colour))
+                for i in firsts
+            }
         )
 
-    def _shows_one_picture(self, first: int, by_colour: bool) -> bool:
+    def _is_hold(self, wanted: int, by_colour: bool, first: int) -> bool:
         """Return True if both frames of a pair are the same, though their vectors are not at rest.
 
-        Of a pair at rest, others are looked for where all of them are.
+        Of a pair at rest, others are looked for where all of them are. `wanted` is the pair in
+        whose place others are looked through.
         """
+        if abs(first - wanted) > 1:
+            self._frames.clear()  # so that few are in memory
         before, after = self._frame(first, by_colour), self._frame(first + 1, by_colour)
         if not (before.moving.any() or after.moving.any()):
             return False
@@ -464,42 +441,36 @@ class _Measurement:
         return compare_frames(before, after).found
 
     def _intervals(self, count: int) -> list[KeyPair]:
-        """Read so many intervals between key frames whose colours tell; [] without colours."""
-        colours = self._colours
-        if colours is None:
+        """Read so many intervals between key frames whose colours tell, and the vectors between.
+
+        [] without colours; intervals of which a frame cannot be read are left out.
+        """
+        if self._colours is None:
             return []
-        instants = colours.numbers
-
-        def is_parted(index: int) -> bool:
-            return instants[index] in self._starts or None in instants[index - 1 : index + 1]
-
-        intervals = (
-            self._interval(colours.keys, i, instants[i], instants[i + 1])
-            for i in pairs_within(len(instants), is_parted)[:count]
+        keys, instants = self._colours.keys, self._colours.numbers
+        firsts = pairs_within(
+            len(instants), lambda i: instants[i] in self._starts or None in instants[i - 1 : i + 1]
         )
-        return [each for each in intervals if each is not None]
-
-    def _interval(
-        self, keys: Shot, index: int, first: int | None, last: int | None
-    ) -> KeyPair | None:
-        """Read two key frames' colours and the vectors between; None where one cannot be read."""
-        assert first is not None and last is not None
-        numbers = keys.sequence.numbers[index], keys.sequence.numbers[index + 1]
-        try:
-            before, after = (
-                read_raw(keys, number, (Role.COLOUR,)).key(None).image.on(keys.display).pixels
-                for number in numbers
-            )
-            between = [number for number in self._numbers if first <= number <= last]
-            vectors = []
-            for number in between:
-                raw = read_raw(self._shot, number, (Role.MOTION,))
-                assert raw.motion is not None
-                vectors.append(
-                    place_on_canvas(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
+        intervals = []
+        for index in firsts[:count]:
+            first, last = instants[index], instants[index + 1]
+            assert first is not None and last is not None
+            numbers = keys.sequence.numbers[index], keys.sequence.numbers[index + 1]
+            try:
+                before, after = (
+                    read_raw(keys, number, (Role.COLOUR,)).key(None).image.on(keys.display).pixels
+                    for number in numbers
                 )
-        except InputError:
-            if not keys.keep_going:
-                raise
-            return None
-        return sample_key_pair(numbers, before, after, vectors)
+                vectors = []
+                for number in (number for number in self._numbers if first <= number <= last):
+                    raw = read_raw(self._shot, number, (Role.MOTION,))
+                    assert raw.motion is not None
+                    vectors.append(
+                        place_on_canvas(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
+                    )
+            except InputError:
+                if not keys.keep_going:
+                    raise
+                continue
+            intervals.append(sample_key_pair(numbers, before, after, vectors))
+        return intervals

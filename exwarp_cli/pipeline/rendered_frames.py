@@ -215,7 +215,16 @@ class RenderedReader:
         path = self._sequence.files[number]
         if path.suffix.lower() in EXR:
             require_sound((path,))
-        _refuse_generated(path)
+        authorship = None if is_clip(str(path)) else find_authorship(path)
+        if (
+            authorship is not None
+            and authorship.state is FileState.INTACT
+            and authorship.facts.get("kind") in NEW
+        ):
+            raise LayoutError(
+                f"{path} was not rendered but made by ExWarp; name a folder of rendered frames "
+                "alone"
+            )
         frames = [self._read_as_key(shot, number) for shot in self._shots]
         for layers in self._layers:
             layers.frame(number)
@@ -244,14 +253,3 @@ def leads_on(source: Source, method: Method, contents: tuple[Content, ...]) -> b
     is_alone = len(contents) == 1 and not contents[0].extra
     has_vectors = source.finding is not None and source.slots is None and not source.keys.aovs
     return is_alone and has_vectors and method.lookahead and method.needs_motion
-
-
-def _refuse_generated(path: Path) -> None:
-    """Refuse a frame that ExWarp made; raises LayoutError."""
-    authorship = None if is_clip(str(path)) else find_authorship(path)
-    if authorship is None or authorship.state is not FileState.INTACT:
-        return
-    if authorship.facts.get("kind") in NEW:
-        raise LayoutError(
-            f"{path} was not rendered but made by ExWarp; name a folder of rendered frames alone"
-        )

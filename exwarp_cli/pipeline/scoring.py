@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import takewhile
@@ -212,8 +212,18 @@ class IntervalScores:
         """
         scores = dict(self._scores)
         if "vmaf" in self._names:
-            for slot, value in self._vmaf(ends).items():
-                scores[slot] = (replace(scores[slot][0], vmaf=value), scores[slot][1])
+            # The interval as a video between two rendered frames, which count as the truth.
+            pairs = dict(self._shown)
+            for slot, pixels in ends.items():
+                pairs[slot] = (to_display(pixels),) * 2
+            # From the key frame on, up to the first instant without truth.
+            video = list(takewhile(pairs.__contains__, range(self._count + 2)))
+            vmaf = compute_vmaf(
+                (pairs[slot][0] for slot in video), (pairs[slot][1] for slot in video)
+            )
+            for slot, value in zip(video, vmaf, strict=True):
+                if slot in self._shown:
+                    scores[slot] = (replace(scores[slot][0], vmaf=value), scores[slot][1])
         if self._steps is not None:
             values = flicker_of(self._errors, self._masks, self._steps)
             for slot, (overall, masked) in zip(sorted(self._steps.fields), values, strict=True):
@@ -222,18 +232,6 @@ class IntervalScores:
                     inside = None if inside is None else replace(inside, flicker=masked)
                     scores[slot] = (replace(all_pixels, flicker=overall), inside)
         return scores
-
-    def _vmaf(self, ends: Mapping[int, Float32]) -> dict[int, float]:
-        """Score the interval as a video between two rendered frames, which count as the truth."""
-        pairs = dict(self._shown)
-        for slot, pixels in ends.items():
-            pairs[slot] = (to_display(pixels),) * 2
-        # From the key frame on, up to the first instant without truth.
-        video = list(takewhile(pairs.__contains__, range(self._count + 2)))
-        values = compute_vmaf(
-            (pairs[slot][0] for slot in video), (pairs[slot][1] for slot in video)
-        )
-        return {slot: v for slot, v in zip(video, values, strict=True) if slot in self._shown}
 
 
 def broken_pixels_of(
@@ -249,28 +247,22 @@ def broken_pixels_of(
     broken: list[BrokenPixels] = []
     for key in job.keys:
         for source in job.sources:
+            timeline, view = source.timeline, source.keys.view
             by_output = [truth] if source is job.source else []
-            by_output += [in_rendered[source.keys.view]] if in_rendered else []
-            broken += _in_interval(source, key, by_output)
+            by_output += [in_rendered[view]] if in_rendered else []
+            number = timeline.numbers[key]
+            counts = [(0, source.keys.nonfinite.of(number))]
+            for slot in (Slot(key, 0), *timeline.between(key)):
+                instant = None if source.slots is None else source.slot_number(slot)
+                if instant is not None and source.slots is not None:
+                    counts.append((slot.index, source.slots.nonfinite.of(instant)))
+                counts += [(slot.index, each.of(timeline.number(slot))) for each in by_output]
+            broken += [
+                BrokenPixels(number, index, view, channels, pixels)
+                for index, by_channel in counts
+                for channels, pixels in by_channel
+            ]
     return tuple(broken)
-
-
-def _in_interval(
-    source: Source, key: int, by_output: Iterable[NonFinite]
-) -> Iterator[BrokenPixels]:
-    """Yield those of one view of a key interval; `by_output` has them by output number."""
-    timeline, view = source.timeline, source.keys.view
-    number = timeline.numbers[key]
-    for channels, pixels in source.keys.nonfinite.of(number):
-        yield BrokenPixels(number, 0, view, channels, pixels)
-    for slot in (Slot(key, 0), *timeline.between(key)):
-        instant = None if source.slots is None else source.slot_number(slot)
-        if instant is not None and source.slots is not None:
-            for channels, pixels in source.slots.nonfinite.of(instant):
-                yield BrokenPixels(number, slot.index, view, channels, pixels)
-        for nonfinite in by_output:
-            for channels, pixels in nonfinite.of(timeline.number(slot)):
-                yield BrokenPixels(number, slot.index, view, channels, pixels)
 
 
 class KeyedPulses:
@@ -303,20 +295,21 @@ class KeyedPulses:
 
     def complete(self, records: Sequence[FrameRecord]) -> Iterator[FrameRecord]:
         """Yield the records of a run, with the pulse of the frames that were added."""
+        keys, timeline = self._source.keys, self._source.timeline
         for record in records:
-            if record.number in self._frames:
-                yield replace(record, key_pulse=self._pulse(*self._frames[record.number]))
-            else:
+            if record.number not in self._frames:
                 yield record
-
-    def _pulse(self, slot: Slot, gradient: float) -> float:
-        following, keys = slot.key + 1, self._source.keys
-        if slot.key not in self._last_of_shot and following not in self._keys:  # of another chunk
-            # A causal method makes its frames without it, so a damaged one is no error.
-            with suppress(InputError):
-                number = self._source.timeline.numbers[following]
-                image = read_sequence_picture(keys.sequence, number, keys.view)
-                self._keys[following] = mean_gradient(image.on(keys.display).pixels)
-        after = None if slot.key in self._last_of_shot else self._keys.get(following)
-        time = float(self._source.timeline.time(slot))
-        return pulse(gradient, interpolate_gradient(self._keys[slot.key], after, time))
+                continue
+            slot, gradient = self._frames[record.number]
+            following, is_last = slot.key + 1, slot.key in self._last_of_shot
+            if not is_last and following not in self._keys:  # of another chunk
+                # A causal method makes its frames without it, so a damaged one is no error.
+                with suppress(InputError):
+                    image = read_sequence_picture(
+                        keys.sequence, timeline.numbers[following], keys.view
+                    )
+                    self._keys[following] = mean_gradient(image.on(keys.display).pixels)
+            after = None if is_last else self._keys.get(following)
+            time = float(timeline.time(slot))
+            expected = interpolate_gradient(self._keys[slot.key], after, time)
+            yield replace(record, key_pulse=pulse(gradient, expected))

@@ -350,30 +350,25 @@ def step_note(numbers: Sequence[int], fps: Fraction, fps_source: str) -> str | N
 
 
 def _timeline(keys: Shot, settings: SourceSettings, fps: Fraction) -> Timeline:
-    factor = _output_factor(settings, fps)
-    return Timeline.of(keys.sequence.numbers, settings.start_frame, settings.tail, factor)
-
-
-def _output_factor(settings: SourceSettings, fps: Fraction) -> Fraction:
-    """Return how many output frames there are per key frame.
+    """Number the output frames.
 
     Raises
     ------
     UsageError
         When --factor and --to-fps are both given, or the rate is not above the input's, or too far.
     """
-    if settings.to_fps is None:
-        return Fraction(FACTOR if settings.factor is None else settings.factor)
-    if settings.factor is not None:
-        raise UsageError("--factor and --to-fps say the same in two ways; give one of them")
-    factor = compatible_rate(fps, standard_rate(settings.to_fps)) / fps
-    if not 1 < factor <= MAX_FACTOR:
-        raise UsageError(
-            f"--to-fps {float(settings.to_fps):g} is {float(factor):g} times the input's "
-            f"{float(fps):g} fps; give more than that and at most {MAX_FACTOR} times it, or "
-            "correct the input's rate with --fps"
-        )
-    return factor
+    factor = Fraction(FACTOR if settings.factor is None else settings.factor)
+    if settings.to_fps is not None:
+        if settings.factor is not None:
+            raise UsageError("--factor and --to-fps say the same in two ways; give one of them")
+        factor = compatible_rate(fps, standard_rate(settings.to_fps)) / fps
+        if not 1 < factor <= MAX_FACTOR:
+            raise UsageError(
+                f"--to-fps {float(settings.to_fps):g} is {float(factor):g} times the input's "
+                f"{float(fps):g} fps; give more than that and at most {MAX_FACTOR} times it, or "
+                "correct the input's rate with --fps"
+            )
+    return Timeline.of(keys.sequence.numbers, settings.start_frame, settings.tail, factor)
 
 
 def align(timeline: Timeline, sequence: sequences.Sequence, option: str) -> FrameOf:
