@@ -53,12 +53,8 @@ def with_depth_measured(shot: Shot) -> Shot:
     """Return a shot whose depth is read as its first frame's world positions tell.
 
     The kind that a name or a channel map says stands, with the range that is measured for it; and
-    what nothing tells is taken for a distance.
-
-    Raises
-    ------
-    InputError
-        When the first frame cannot be read.
+    what nothing tells is taken for a distance. Raises InputError when the first frame cannot be
+    read.
     """
     stated = shot.depth.kind
     kinds = (DepthKind.UNKNOWN, DepthKind.AXIS, DepthKind.RAY)
@@ -92,16 +88,7 @@ def with_depth_ordered(
     Depth that names, a channel map or world positions do not explain is taken for a distance, as
     long as vectors do not speak against it. Where they do, it is read the other way round, or left
     out. The pairs of frames are those that vectors are measured by, so that any part of the
-    sequence finds the same.
-
-    Parameters
-    ----------
-    shot
-        Its depth is read so far as a distance or as its name says.
-    convention
-        Of its vectors; None without.
-    starts
-        Numbers of frames before which cuts are known.
+    sequence finds the same. `starts` are numbers of frames before which cuts are known.
     """
     by_hand = shot.channel_map is not None and shot.channel_map.depth_kind is not None
     uncertain = shot.depth.kind in (DepthKind.UNKNOWN, DepthKind.INVERSE) and not by_hand
@@ -219,11 +206,7 @@ def with_world_positions(shot: Shot) -> Shot:
     """Return a shot without positions that are relative to its moving camera.
 
     By those no surface point is found again, and all that is judged by them would come out wrong.
-
-    Raises
-    ------
-    InputError
-        When a frame cannot be read.
+    Raises InputError when a frame cannot be read.
     """
     numbers = shot.sequence.numbers
     refs = shot.layout.roles.get(Role.POSITION)
@@ -249,19 +232,10 @@ def with_world_positions(shot: Shot) -> Shot:
 def read_ids(dynamic: str | None, keys: Shot, slots: Shot | None) -> tuple[Shot, Shot | None]:
     """Settle which ids are read of the key frames and of the slots' G-buffers.
 
-    Parameters
-    ----------
-    dynamic
-        What moves, as ``--dynamic`` takes it; None where nothing is said.
-    keys, slots
-        The key frames, and G-buffers of slots if there are some, whose ids count then.
-
-    Returns
-    -------
-    tuple
-        The same, with `Shot.ids` where ids are read from a Cryptomatte. With `dynamic` they are the
-        stencil, and the shots have no other one; without, they are only read where there is none,
-        and where they are sound.
+    `dynamic` says what moves, as ``--dynamic`` takes it. Where slots have G-buffers, their ids
+    count. The shots are returned with `Shot.ids` where ids are read from a Cryptomatte. With
+    `dynamic` they are the stencil, and the shots have no other one; without, they are only read
+    where there is none, and where they are sound.
 
     Raises
     ------

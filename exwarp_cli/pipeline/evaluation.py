@@ -279,16 +279,8 @@ def pair(
     longer one has are left out. Else by order, if both have equally many, or one has the tail that
     ExWarp writes. Where both begin alike and their pictures show different rates, by instant.
 
-    Returns
-    -------
-    str, dict of int to int, tuple of str
-        "number" or "order"; the test's number by the reference's, ascending; and what a reader of
-        the numbers should know.
-
-    Raises
-    ------
-    MissingFrameError
-        When neither is possible.
+    Return "number" or "order"; the test's number by the reference's, ascending; and what a reader
+    of the numbers should know. Raises MissingFrameError when frames cannot be paired.
     """
     a, b = sorted(reference.files), sorted(test.files)
     by_number = set(a) <= set(b) or set(b) <= set(a)

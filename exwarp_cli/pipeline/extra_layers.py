@@ -91,13 +91,8 @@ class Content:
 def contents_of(sources: tuple[Source, ...], text: str) -> tuple[Content, ...]:
     """Choose the layers of every view, the one that leads first.
 
-    The other views' layers have the same names as the leader's, as far as they have them. `text`
-    is as `io.layers.select_layers` takes it.
-
-    Raises
-    ------
-    UsageError
-        When a name matches nothing.
+    The other views' layers have the same names as the leader's, as far as they have them. `text` is
+    as `io.layers.select_layers` takes it; raises UsageError when a name matches nothing.
     """
     if text == BEAUTY:
         return tuple(Content(source, leads=source is sources[0]) for source in sources)
@@ -131,21 +126,10 @@ def _layers_in(shot: Shot, main: bool) -> tuple[Layer, ...]:
 
 
 def template_of(contents: tuple[Content, ...], suffix: str, number: int) -> FrameTemplate:
-    """Return what frames made of a key frame take over from its file.
+    """Return what frames made of a key frame, by its number, take over from its file.
 
-    Parameters
-    ----------
-    contents
-        What is written of each view.
-    suffix
-        Of the frames' files, which counts where the input has colour alone.
-    number
-        Of the key frame.
-
-    Raises
-    ------
-    InputError
-        When its file cannot be read.
+    `suffix` is that of the frames' files; it counts where the input has colour alone. Raises
+    InputError when the key frame's file cannot be read.
     """
     keys = contents[0].source.keys
     if is_plain(keys.sequence):
@@ -188,10 +172,7 @@ class LayerStore:
     def frame(self, number: int) -> Planes:
         """Return the channels of a frame.
 
-        Raises
-        ------
-        InputError
-            When a file is missing, damaged, of another size, or lacks a channel.
+        Raises InputError when a file is missing, damaged, of another size, or lacks a channel.
         """
         if number in self._frames:
             return self._frames[number]
@@ -313,18 +294,10 @@ class ExtraLayers:
     def make(
         self, slot: int, shown: Predicted, predict: Predict, template: Template
     ) -> dict[PlaneKey, Plane]:
-        """Make the planes of a slot.
+        """Make the planes of a slot, 1 or more, that `template` has.
 
-        Parameters
-        ----------
-        slot
-            1 or more.
-        shown
-            The beauty of the view that leads; its method is a path's name where a path made it.
-        predict
-            Makes that of another view.
-        template
-            Which planes there have to be.
+        `shown` is the beauty of the view that leads; its method is a path's name where a path made
+        it. `predict` makes that of another view.
         """
         needed = {plane.key for plane in template.planes}
         leader, *further = self._views

@@ -158,10 +158,7 @@ class FrameWriter(ResourceOwner):
     def pass_key(self, number: int, source: Path) -> bool:
         """Copy a key frame's file, all its layers and attributes but for another frame rate.
 
-        Returns
-        -------
-        bool
-            True if an earlier run had copied it.
+        Return True if an earlier run had copied it.
         """
         if number in self._replaced_early:
             return False
@@ -201,18 +198,9 @@ class FrameWriter(ResourceOwner):
     ) -> None:
         """Write a generated frame, and its hole mask if masks are written and it has one.
 
-        Parameters
-        ----------
-        number
-            Of the output.
-        image
-            Its colour.
-        mask
-            bool [H, W] on the display window.
-        template, attributes, layers
-            As for `io.output.write_picture`.
-        inline
-            Whether this thread writes, and does not return before; any thread may.
+        `mask` is bool [H, W] on the display window; `template`, `attributes` and `layers` are as
+        for `io.generated_frames.write_picture`. With `inline` this thread writes, and does not
+        return before; any thread may.
         """
         if self._output.compression is not None:
             attributes = {**attributes, "compression": self._output.compression}
@@ -323,10 +311,7 @@ def files_of(
 ) -> tuple[WrittenFile, ...]:
     """List the files of a run with their checksums; those without a known one are read.
 
-    Raises
-    ------
-    OutputError
-        When a file cannot be read.
+    Raises OutputError when a file cannot be read.
     """
     files = []
     for kind, number, path, _ in _list_files(targets, frames):
@@ -347,19 +332,9 @@ def verify(
 ) -> int:
     """Read all files of a run again, compare them with what was written, and return how many.
 
-    Parameters
-    ----------
-    files
-        As `files_of` returned them.
-    view
-        Of frames of an earlier run, which is decoded; "" for the hero, and without views.
-    shown
-        How many frames a video has.
-
-    Raises
-    ------
-    OutputError
-        When some differ; these are removed.
+    `files` are as `files_of` returned them; `shown` is how many frames a video has. `view` is that
+    of frames of an earlier run, which is decoded: "" for the hero, and without views. Raises
+    OutputError when some files differ; these are removed.
     """
     sums = {(file.kind, file.frame): file.sha256 for file in files}
     checks = [

@@ -49,12 +49,8 @@ def find_truth(
 
     Its first frame tells, or where some may be of no use (`tolerant`) the first that is of any.
     Where it is certainly at another rate than the output, its frames go to the slots at their
-    instants; see `OtherRate`.
-
-    Raises
-    ------
-    InputError
-        When it is not found, has gaps, is of another size, or has no frame at any slot's instant.
+    instants; see `OtherRate`. Raises InputError when it is not found, has gaps, is of another size,
+    or has no frame at any slot's instant.
     """
     sequence = find_frames(expand_view(spec, source.keys.view or None)[0], tolerant, scan)
     frame_of = align(source.timeline, sequence, "--ground-truth")
@@ -68,8 +64,7 @@ def find_truth(
                 f"input is {display.width}x{display.height}; give one of the same resolution"
             )
 
-    numbers = sequence.numbers
-    first_usable(numbers if tolerant else numbers[:1], require_same_size)
+    first_usable(sequence.numbers if tolerant else sequence.numbers[:1], require_same_size)
     timeline, keys = source.timeline, source.keys
     first = frame_of(Slot(0, 0))
     numbers = tuple(n for n in sorted(sequence.numbers) if first is not None and n >= first)
@@ -127,19 +122,11 @@ def truth_rate(
 ) -> Fraction:
     """Return how many frames a true sequence has per frame of the output; 1 unless it is certain.
 
-    Both begin at the same instant. A length that fits is believed without looking.
-
-    Parameters
-    ----------
-    outputs
-        Positions of output frames that are rendered, ascending, from 0: their truth is the same
-        picture. Also others will do, if less surely.
-    count
-        Length of the output, with frames past the last key frame.
-    truth
-        Length of the true sequence.
-    of_output, of_truth
-        Read a frame of either.
+    Both begin at the same instant. A length that fits is believed without looking. `outputs` are
+    positions of output frames that are rendered, ascending, from 0: their truth is the same
+    picture. Also others will do, if less surely. `count` is the length of the output, with frames
+    past the last key frame, `truth` that of the true sequence. `of_output` and `of_truth` read a
+    frame of either.
     """
     last = outputs[-1] if outputs else 0
     if last < truth <= count:
@@ -224,10 +211,8 @@ class TruthReader:
     def read(self, key: int) -> IntervalTruth:
         """Read what an interval is scored by.
 
-        Raises
-        ------
-        InputError
-            When a frame is damaged, holds no colour or is of another size, unless tolerant.
+        Raises InputError when a frame is damaged, holds no colour or is of another size, unless
+        tolerant.
         """
         truth = IntervalTruth()
         if self.truth is None:

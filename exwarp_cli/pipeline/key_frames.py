@@ -115,10 +115,7 @@ class KeyFrameStore:
     def get(self, key: int) -> KeyFrame:
         """Return a key frame as it was read; it is shown to the search for cuts.
 
-        Raises
-        ------
-        InputError
-            When a file cannot be read.
+        Raises InputError when a file cannot be read.
         """
         if key not in self._frames:
             with self.reading(Slot(key, 0)):
@@ -145,12 +142,8 @@ class KeyFrameStore:
     def get_complete(self, key: int, frame: KeyFrame | None = None) -> KeyFrame:
         """Return a key frame with its surface, without vectors that lead to another shot.
 
-        Of a `frame` without its surface that is in memory, only the surface is read.
-
-        Raises
-        ------
-        InputError
-            When a file cannot be read.
+        Of a `frame` without its surface that is in memory, only the surface is read. Raises
+        InputError when a file cannot be read.
         """
         if key not in self._complete:
             keys = self.source.keys
@@ -376,16 +369,10 @@ class MotionEstimates:
         return replace(frame, gbuffer=GBuffer(window, to_previous=back, to_next=ahead))
 
     def moving(self, key: int, back: bool, ahead: bool, before: bool = False) -> KeyFrame:
-        """Return a key frame for synthesis.
+        """Return a key frame, by its index, for synthesis.
 
-        Parameters
-        ----------
-        key
-            Its index.
-        back, ahead
-            Whether the key frames before and after it may tell how it moves.
-        before
-            True for the interval before the key frame, False for the one after it.
+        `back` and `ahead` say whether the key frames before and after it may tell how it moves.
+        `before` is True for the interval before the key frame, False for the one after it.
         """
         to_previous = self._flow(key, key - 1) if back else None
         to_next = self._flow(key, key + 1) if ahead else None

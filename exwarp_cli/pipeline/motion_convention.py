@@ -90,20 +90,9 @@ def parse_motion(
     - premultiplied vectors are divided by alpha: ``next=R/A,-G/A``,
       ``next=9*(R/A-0.5),9*(G/A-0.5)``.
 
-    Parameters
-    ----------
-    text
-        What the user wrote.
-    names
-        The motion channels' names, in order.
-    size
-        Width and height of the display window. Without it, a convention in shares of the frame
-        stays so (see `MotionConvention.of_frame`).
-
-    Raises
-    ------
-    UsageError
-        When the text is neither.
+    `names` are the motion channels' names, in order; `size` is width and height of the display
+    window. Without it, a convention in shares of the frame stays so (see
+    `MotionConvention.of_frame`). Raises UsageError when the text is neither.
     """
     preset = PRESETS.get(text.strip().lower())
     if preset is not None:
@@ -195,23 +184,10 @@ def find_motion(
 ) -> MotionFinding | None:
     """Settle the motion convention of a shot, by hand or by measuring; None without motion.
 
-    Parameters
-    ----------
-    shot
-        Whose vectors.
-    given
-        A convention by hand.
-    detect
-        Whether to look for cuts, where vectors explain nothing: what crosses one is no motion.
-    starts
-        Numbers of frames before which cuts are known.
-    colours
-        Key frames with colour, where the shot itself has none.
-
-    Raises
-    ------
-    MotionError
-        When the convention cannot be settled.
+    `given` is a convention by hand. `detect` says whether to look for cuts, where vectors explain
+    nothing: what crosses one is no motion. `starts` are numbers of frames before which cuts are
+    known, `colours` key frames with colour, where the shot itself has none. Raises MotionError when
+    the convention cannot be settled.
     """
     if Role.MOTION not in shot.layout:
         return None

@@ -97,13 +97,9 @@ class OutputPlan:
     ) -> OutputPlan:
         """Read the output options.
 
-        Raises
-        ------
-        UsageError
-            When they name the same folder and pattern twice, or a video of an unknown kind, or a
-            view transform for footage or of an unknown name.
-        InstallationError
-            When the video's codec or the view transform is not installed.
+        Raises UsageError when they name the same folder and pattern twice, or a video of an unknown
+        kind, or a view transform for footage or of an unknown name; InstallationError when the
+        video's codec or the view transform is not installed.
         """
         video_alone = is_clip(settings.output)
         if video_alone and settings.video is not None:
@@ -165,12 +161,8 @@ class OutputPlan:
     def check_conflicts(self, timeline: Timeline, slots: list[Slot]) -> None:
         """Refuse to overwrite, and touch nothing.
 
-        Raises
-        ------
-        OutputExistsError
-            When something is in the way and neither --overwrite nor --skip-existing was given.
-        OutputError
-            When a folder is where the video would be.
+        Raises OutputExistsError when something is in the way and neither --overwrite nor
+        --skip-existing was given; OutputError when a folder is where the video would be.
         """
         if self.overwrites and self.resumes:
             raise UsageError("--overwrite and --skip-existing contradict each other; give one")
@@ -212,15 +204,9 @@ def key_is_there(target: Path, source: KeyFile) -> bool:
 def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> VideoLook:
     """Return what a video of some key intervals is like, with the input's sound if it has one.
 
-    Parameters
-    ----------
-    source
-        The input.
-    keys
-        Indices of the key frames that are written. Sound goes along with those that lie side by
-        side, as cut up it would be of no use; and where the rate is the input's own.
-    note
-        What the video says of itself.
+    `keys` are indices of the key frames that are written. Sound goes along with those that lie side
+    by side, as cut up it would be of no use; and where the rate is the input's own. `note` is what
+    the video says of itself.
     """
     timeline = source.timeline
     first, last = keys[0], keys[-1]
@@ -298,26 +284,10 @@ def require_own(
 ) -> None:
     """Refuse to replace what the run's earlier parts did not write.
 
-    Parameters
-    ----------
-    targets
-        The files that the run writes.
-    source
-        Its input.
-    method
-        Makes its frames.
-    slots
-        The output instants that it writes. No other frame is looked at, but for those next to a key
-        frame that was rendered again.
-    rendered
-        Frames that were rendered after all, by output number; None without.
-
-    Raises
-    ------
-    OutputExistsError
-        When files are in the way that are not the run's own.
-    UnreadableError
-        When the system does not let one of them through.
+    `slots` are the output instants that the run writes. No other frame is looked at, but for those
+    next to a key frame that was rendered again. `rendered` are frames that were rendered after all,
+    by output number. Raises OutputExistsError when files are in the way that are not the run's own;
+    UnreadableError when the system does not let one of them through.
     """
     ownership = _Ownership(targets, source, method, rendered)
     with ThreadPoolExecutor(min(cores.count(), READERS), "exwarp-own") as pool:

@@ -55,15 +55,9 @@ class Estimate:
     def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
         """Set the count and start the clock.
 
-        Parameters
-        ----------
-        total
-            Frames to do.
-        kinds
-            How many of them are of which kind; None where all take about as long.
-        at_once
-            Processes that work in parallel. So many first frames of a kind are left out of its
-            mean: they pay for compiled kernels and full caches.
+        `kinds` says how many of the frames are of which kind; None where all take about as long.
+        `at_once` processes work in parallel. So many first frames of a kind are left out of its
+        mean: they pay for compiled kernels and full caches.
         """
         self.total, self.done = total, 0
         self._remaining = Counter({ANY: total} if kinds is None else kinds)
@@ -156,18 +150,10 @@ class Progress:
     def advance(
         self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
     ) -> None:
-        """Count one more frame as done.
+        """Count one more frame as done, by its output number.
 
-        Parameters
-        ----------
-        frame
-            Its output number.
-        note
-            A word about it, such as "skipped".
-        kind
-            One of those that `start` received.
-        made
-            False where no work was done.
+        `note` is a word about it, such as "skipped", `kind` one of those that `start` received.
+        `made` is False where no work was done.
         """
 
     def message(self, text: str) -> None:
@@ -190,10 +176,7 @@ class FrameListener(Protocol):
     def plan(self, groups: Sequence[Sequence[int]]) -> None:
         """Receive, before the work, the numbers of all frames that will come.
 
-        Parameters
-        ----------
-        groups
-            Frames that are best seen together: the slots of a key interval, or single frames.
+        Frames of a group are best seen together: the slots of a key interval, or single frames.
         """
 
     def wants(self, number: int, score: Score | None, risk: Risk | None = None) -> bool:
@@ -202,20 +185,11 @@ class FrameListener(Protocol):
     def frame(
         self, number: int, shown: Float32, truth: Float32 | None, mask: Bool | None, is_key: bool
     ) -> None:
-        """Show a frame.
+        """Show a frame, by its output number.
 
-        Parameters
-        ----------
-        number
-            Its output number.
-        shown
-            float32 [H, W, 3] or more, scene-linear, on the display window.
-        truth
-            What it ought to be, as `shown`; None without ground truth. A key frame is the truth.
-        mask
-            bool [H, W], its holes; None where they are unknown.
-        is_key
-            Whether it is a rendered frame.
+        `shown` is float32 [H, W, 3] or more, scene-linear, on the display window; `truth` is what
+        it ought to be, alike, None without ground truth. A key frame is the truth. `mask` is bool
+        [H, W], its holes; None where they are unknown. `is_key` is True for a rendered frame.
         """
 
 
@@ -394,18 +368,9 @@ KINDS = ("auto", *REPORTERS)  # choices of ``--progress``
 def make_progress(kind: str = "auto", *, results_on_stdout: bool = False) -> Progress:
     """Make the reporter that ``--progress`` names.
 
-    Parameters
-    ----------
-    kind
-        A name in `REPORTERS`, or "auto": the bar on a terminal, else plain lines.
-    results_on_stdout
-        Whether the command prints a table or a JSON document there, which a program reads: then
-        ``openjd`` goes to stderr too.
-
-    Raises
-    ------
-    UsageError
-        For another name.
+    `kind` is a name in `REPORTERS`, or "auto": the bar on a terminal, else plain lines. With
+    `results_on_stdout` the command prints a table or a JSON document there, which a program reads:
+    then ``openjd`` goes to stderr too. Raises UsageError for another name.
     """
     if kind == "auto":
         is_terminal = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"

@@ -70,12 +70,8 @@ class RenderedFrames:
 def find_rendered(spec: str, source: Source, scan: str = SourceSettings.scan) -> RenderedFrames:
     """Find rendered frames by their output numbers; any of them may exist.
 
-    Key frames that are EXR are joined by EXR alone, as others lack channels.
-
-    Raises
-    ------
-    InputError
-        When there is no such sequence, or none of its frames is a new one of the output.
+    Key frames that are EXR are joined by EXR alone, as others lack channels. Raises InputError when
+    there is no such sequence, or none of its frames is a new one of the output.
     """
     pattern = expand_view(spec, source.keys.view or None)[0]
     plain = is_plain(source.keys.sequence)
@@ -188,10 +184,7 @@ class RenderedReader:
     def read(self, key: int) -> IntervalRendered:
         """Read those of an interval, by the index of its key frame; the last one is kept.
 
-        Raises
-        ------
-        InputError
-            When a frame cannot be used, unless tolerant.
+        Raises InputError when a frame cannot be used, unless tolerant.
         """
         if self._last_key == key:
             return self._last

@@ -46,18 +46,9 @@ def mode(
 ) -> Mode:
     """Decide how the slots of an interval are rendered.
 
-    Parameters
-    ----------
-    prepared
-        The interval.
-    method
-        Of the run.
-    pixels
-        Of a frame: in a pool several slots are in memory at a time.
-    has_layers
-        Whether more than the beauty is written: layers of a slot are made in order.
-    workers
-        Threads of the pool.
+    `pixels` is of a frame: in a pool several slots are in memory at a time. `has_layers` says
+    whether more than the beauty is written: layers of a slot are made in order. `workers` are the
+    threads of the pool.
     """
     # A kernel that all threads share waits for the last of them, whose core may be reading or
     # writing: of two cores, 1.6 were busy. Networks use all threads by themselves.

@@ -72,15 +72,8 @@ def flicker_of(
 ) -> list[tuple[float | None, float | None]]:
     """Return the flicker of an interval's slots, in order, over all pixels and in holes.
 
-    Parameters
-    ----------
-    errors
-        By slot, from `metrics.flicker.error`; the key frames around have none. The flicker of a
-        slot that is missing is (None, None).
-    masks
-        By slot, bool [H, W].
-    steps
-        Of the interval.
+    `errors` are by slot, from `metrics.temporal.display_error`; the key frames around have none.
+    The flicker of a slot that is missing is (None, None). `masks` are by slot, bool [H, W].
     """
 
     def into(slot: int) -> Transition | None:
@@ -98,13 +91,9 @@ def flicker_of(
 def vmaf_of(truth: Mapping[int, Float32], rows: Sequence[Sequence[Float32]]) -> list[list[float]]:
     """Return the VMAF of the slots of several versions of an interval.
 
-    Parameters
-    ----------
-    truth
-        Slot 0, those after it and, where a rendered frame follows, one more: float32 [H, W, 3] or
-        more, scene-linear. What is shown at the first and at the rendered one counts as right.
-    rows
-        A version each: its frames at the slots after the first.
+    `truth` has slot 0, those after it and, where a rendered frame follows, one more: float32 [H, W,
+    3] or more, scene-linear. What is shown at the first and at the rendered one counts as right.
+    Each of `rows` is a version: its frames at the slots after the first.
     """
     reference = [to_display(truth[slot]) for slot in sorted(truth)]
     slots = len(rows[0])
@@ -122,13 +111,8 @@ def require_measurable(settings: UpsampleSettings, display: Window, whole: bool 
     """Refuse metrics that cannot be measured, before any work begins.
 
     `display` is the window that is scored; `whole` is True if all key frames are output instants.
-
-    Raises
-    ------
-    UsageError
-        For metrics without ground truth, or of the video between key frames that are not shown.
-    LayoutError
-        For VMAF of frames that are too small for it.
+    Raises UsageError for metrics without ground truth, or of the video between key frames that are
+    not shown; LayoutError for VMAF of frames that are too small for it.
     """
     has_truth = settings.ground_truth is not None
     if not has_truth and set(settings.metrics or ()) - set(WITHOUT_TRUTH):
@@ -153,18 +137,9 @@ class IntervalScores:
 
     Any division into chunks gives the same scores, because VMAF and flicker depend on nothing
     outside the interval: of VMAF's features only the reference's own motion spans frames, and
-    rendered frames have no error.
-
-    Parameters
-    ----------
-    interval
-        With the motion along which flicker is measured; without motion it is not measured.
-    display
-        The window that is scored.
-    names
-        What is measured, as in `Score`.
-    followed
-        Whether a rendered frame comes after the last slot.
+    rendered frames have no error. Flicker is measured along the interval's motion, and not without.
+    `names` is what is measured, as in `Score`; `followed` is True if a rendered frame comes after
+    the last slot.
     """
 
     def __init__(
@@ -179,16 +154,10 @@ class IntervalScores:
         self._shown: dict[int, tuple[UInt8, UInt8]] = {}
 
     def frame(self, slot: int, truth: Float32, test: Float32, mask: Bool | None) -> Scores:
-        """Score a slot's frame by the metrics of single frames.
+        """Score a slot's frame, 1 or more, by the metrics of single frames.
 
-        Parameters
-        ----------
-        slot
-            1 or more.
-        truth, test
-            float32 [H, W, 3] or more, scene-linear.
-        mask
-            bool [H, W], the slot's holes; None without motion.
+        `truth` and `test` are float32 [H, W, 3] or more, scene-linear; `mask` is bool [H, W], the
+        slot's holes, None without motion.
         """
         from exwarp_cli.metrics.registry import score_frame  # not every run needs its kernels
 
@@ -204,11 +173,8 @@ class IntervalScores:
     def complete(self, ends: Mapping[int, Float32]) -> dict[int, Scores]:
         """Return the scores of all slots, with those that depend on several frames.
 
-        Parameters
-        ----------
-        ends
-            Ground truth at slot 0 and, counted on as a slot, at the next key frame's instant, if
-            it exists; float32 [H, W, 3] or more, scene-linear. Only for VMAF.
+        `ends` are for VMAF: ground truth at slot 0 and, counted on as a slot, at the next key
+        frame's instant, if it exists; float32 [H, W, 3] or more, scene-linear.
         """
         scores = dict(self._scores)
         if "vmaf" in self._names:
@@ -266,15 +232,10 @@ def broken_pixels_of(
 
 
 class KeyedPulses:
-    """Collects mean gradients during a run; adds the pulse to the records of new frames at its end.
+    """Collects mean gradients of the view that is scored, and adds the pulse to records at the end.
 
     It needs no ground truth. A pulse depends only on a frame and the key frames around it, so any
     division into chunks gives the same values.
-
-    Parameters
-    ----------
-    source
-        The view that is scored.
     """
 
     def __init__(self, source: Source) -> None:

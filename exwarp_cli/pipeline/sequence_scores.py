@@ -49,12 +49,9 @@ class SequenceMotion:
     def into(self, number: int) -> tuple[Float32, Bool] | None:
         """Return the motion from a frame to the one before it.
 
-        Returns
-        -------
-        tuple or None
-            On the display window, float32 [H, W, 2] in pixels, x right, y down, NaN where unknown;
-            and bool [H, W]: the frame before does not show the surface point. None where the frame
-            of the last call is not its neighbour.
+        It lies on the display window: float32 [H, W, 2] in pixels, x right, y down, NaN where
+        unknown; and bool [H, W], True where the frame before does not show the surface point. None
+        where the frame of the last call is not its neighbour.
         """
         raw = read_raw(self._shot, number, GEOMETRY)
         current = settle_motion(raw.settle(self._convention).on(self._shot.display))
@@ -94,13 +91,7 @@ class Pair:
 
 
 class SequenceScorer(ResourceOwner):
-    """Scores pairs one by one, and the whole sequence at the end; a context manager.
-
-    Attributes
-    ----------
-    notes
-        What a reader of the numbers should know at the end, a sentence each.
-    """
+    """Scores pairs one by one, and the whole sequence at the end; a context manager."""
 
     _vmaf: VmafStream | EncodedVmafStream | None = None
 
@@ -118,19 +109,15 @@ class SequenceScorer(ResourceOwner):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """See above."""
+        """What a reader of the numbers should know at the end, a sentence each."""
         return ()
 
 
 class MetricScorer(SequenceScorer):
     """Scores by the metrics of this tool; memory holds one frame.
 
-    Parameters
-    ----------
-    names
-        What is measured, as in `Score`.
-    motion
-        For flicker; None where it is not measured.
+    `names` is what is measured, as in `Score`; `motion` is for flicker, None where it is not
+    measured.
     """
 
     def __init__(self, names: tuple[str, ...], motion: SequenceMotion | None) -> None:
@@ -174,17 +161,10 @@ class MetricScorer(SequenceScorer):
 class ExtranetScorer(SequenceScorer):
     """Scores as ExtraNet's release takes them: see `exwarp_cli.metrics.extranet_scores`.
 
-    VMAF is of H.264 videos of both sequences, rendered frames included.
-
-    Parameters
-    ----------
-    names
-        Out of psnr_db, ssim and vmaf.
-    count
-        How many frames come.
-    generated
-        For each, whether it counts in PSNR and SSIM; None where that is not known, and a frame
-        counts unless its pixels are those of the truth.
+    VMAF is of H.264 videos of both sequences, rendered frames included. `names` are out of psnr_db,
+    ssim and vmaf, `count` is how many frames come. `generated` says of each whether it counts in
+    PSNR and SSIM; None where that is not known, and a frame counts unless its pixels are those of
+    the truth.
     """
 
     def __init__(self, names: tuple[str, ...], count: int, generated: list[bool] | None) -> None:
@@ -259,10 +239,7 @@ class Origin:
 def origins_of(files: Listed[Path]) -> list[Origin]:
     """Read where frames came from, of every header once.
 
-    Raises
-    ------
-    DamagedFileError
-        When a header cannot be read.
+    Raises DamagedFileError when a header cannot be read.
     """
     origins = []
     for path in files:

@@ -74,13 +74,9 @@ class UnreadableFrames:
 class Shots:
     """Where shots begin and pictures repeat, of every pair of key frames from those two alone.
 
-    So any part of the sequence finds the same, and so does every method: all code that reads
-    key frames shows them with the same channels. Key frames are named by their index.
-
-    Raises
-    ------
-    MissingFrameError
-        When a cut is given at a frame that the sequence lacks.
+    So any part of the sequence finds the same, and so does every method: all code that reads key
+    frames shows them with the same channels. Key frames are named by their index. Raises
+    MissingFrameError when a cut is given at a frame that the sequence lacks.
     """
 
     def __init__(
@@ -199,14 +195,8 @@ class Shots:
     def cut_facts(self, key: int, back: int, used: Iterable[int]) -> list[str]:
         """Say what frames after a key frame depend on; nothing where no cut is near.
 
-        Parameters
-        ----------
-        key
-            Its index.
-        back
-            How many key frames before it may be used.
-        used
-            The key frames whose vectors are.
+        `back` is how many key frames before it may be used, `used` are the key frames whose vectors
+        are.
         """
         begin = self.begin(key, back)
         facts = [f"begin {begin - key}"] if self.starts_at(begin) else []
@@ -282,17 +272,9 @@ def pair_beside_hold(
     """Return the first frame of a pair nearby that does not show one picture twice.
 
     A picture that is repeated tells nothing of its vectors, which are those of the first one.
-
-    Parameters
-    ----------
-    first
-        The pair that is wanted: it and the frame after it. Returned if none nearby is better.
-    count
-        Of all frames.
-    is_cut
-        Called with the index of a frame; True if it does not belong to the frame before it.
-    is_hold
-        Called with the first frame of a pair; True if both frames show the same picture.
+    `first` is the pair that is wanted: it and the frame after it; returned if none nearby is
+    better. `count` is of all frames. `is_cut` returns True if a frame, by its index, does not
+    belong to the frame before it, `is_hold` if both frames of a pair show the same picture.
     """
     if not is_hold(first):
         return first
@@ -307,18 +289,9 @@ def pair_beside_hold(
 def pairs_within(count: int, is_cut: Callable[[int], bool]) -> list[int]:
     """Choose pairs of neighbouring frames to measure by: of the start, the middle and the end.
 
-    Parameters
-    ----------
-    count
-        Number of frames.
-    is_cut
-        Takes a frame's index and returns True if a cut lies before it. A pair across one gives
-        way to the nearest that is not.
-
-    Returns
-    -------
-    list of int
-        Indices of the earlier frames, ascending.
+    `count` is of all frames. `is_cut` takes a frame's index and returns True if a cut lies before
+    it. A pair across one gives way to the nearest that is not. The indices of the earlier frames
+    are returned, ascending.
     """
     firsts = range(count - 1)
     nearest = {

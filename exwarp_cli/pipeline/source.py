@@ -129,16 +129,10 @@ def open_source(
 ) -> Source:
     """Find and recognise an input.
 
-    Parameters
-    ----------
-    settings
-        How the input is read.
-    motion_needed
-        Whether the method uses motion vectors. Without, a convention that cannot be settled is no
-        error, and G-buffers at the output rate without vectors to the previous slot are left out.
-    pictures
-        Whether videos, stills and EXR with colour alone are taken, and their motion estimated; and
-        EXR with other passes and without usable vectors, where `settings` allow it.
+    Without `motion_needed` a convention that cannot be settled is no error, and G-buffers at the
+    output rate without vectors to the previous slot are left out. With `pictures` videos, stills
+    and EXR with colour alone are taken, and their motion estimated; and EXR with other passes and
+    without usable vectors, where `settings` allow it.
 
     Raises
     ------
@@ -202,10 +196,7 @@ def open_sources(
 ) -> tuple[Source, ...]:
     """Open the view that is asked for; of all views every one, the hero first; see `open_source`.
 
-    Raises
-    ------
-    UsageError
-        When all views are asked for, and each has files of its own.
+    Raises UsageError when all views are asked for, and each has files of its own.
     """
     sources = tuple(open_source(view, motion_needed, pictures) for view in each_view(settings))
     leader = sources[0].keys.sequence
@@ -233,12 +224,8 @@ def each_view(settings: SourceSettings) -> tuple[SourceSettings, ...]:
 def open_plain(settings: SourceSettings) -> Shot | None:
     """Open a video or a sequence of stills, which have colour alone; None where EXR is meant.
 
-    Raises
-    ------
-    InputError
-        When it cannot be read.
-    UsageError
-        When options are given that say how EXR is read.
+    Raises InputError when it cannot be read; UsageError when options are given that say how EXR is
+    read.
     """
     set_max_pixels(settings.max_pixels)
     sequence = find_footage(settings.sequence, settings.keep_going, settings.scan)
@@ -265,14 +252,8 @@ def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
     """Open the key frames; the settings get the motion of their channel map.
 
     That motion counts where `settings.motion` is not given, and vectors are those of the key
-    frames.
-
-    Raises
-    ------
-    InputError
-        As :func:`exwarp_cli.io.shot.open_shot` does.
-    UsageError
-        When the map's motion is not understood.
+    frames. Raises InputError as :func:`exwarp_cli.io.shot.open_shot` does; UsageError when the
+    map's motion is not understood.
     """
     set_max_pixels(settings.max_pixels)
     options = _channel_options(settings)
@@ -352,10 +333,8 @@ def step_note(numbers: Sequence[int], fps: Fraction, fps_source: str) -> str | N
 def _timeline(keys: Shot, settings: SourceSettings, fps: Fraction) -> Timeline:
     """Number the output frames.
 
-    Raises
-    ------
-    UsageError
-        When --factor and --to-fps are both given, or the rate is not above the input's, or too far.
+    Raises UsageError when --factor and --to-fps are both given, or the rate is not above the
+    input's, or too far.
     """
     factor = Fraction(FACTOR if settings.factor is None else settings.factor)
     if settings.to_fps is not None:
@@ -374,12 +353,8 @@ def _timeline(keys: Shot, settings: SourceSettings, fps: Fraction) -> Timeline:
 def align(timeline: Timeline, sequence: sequences.Sequence, option: str) -> FrameOf:
     """Match a sequence at the output rate to slots: by number where its numbers are those.
 
-    Else by order: its first frame belongs to the first key frame.
-
-    Raises
-    ------
-    InputError
-        When the sequence has gaps, also where only the key frames' instants are missing.
+    Else by order: its first frame belongs to the first key frame. Raises InputError when the
+    sequence has gaps, also where only the key frames' instants are missing.
     """
     try:
         numbers = Timeline.of(sequence.numbers).numbers
@@ -489,11 +464,7 @@ def require_one_size(shot: Shot, numbers: Iterable[int]) -> None:
     """Refuse a shot of which some frames have another size, unless such frames are skipped.
 
     Headers that cannot be read are passed over: the reading of that frame says what is wrong.
-
-    Raises
-    ------
-    LayoutError
-        Where a frame's display window is not that of the shot.
+    Raises LayoutError where a frame's display window is not that of the shot.
     """
     # 500 headers take 0.1 s on a local disk.
     if shot.keep_going:
