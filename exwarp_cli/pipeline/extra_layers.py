@@ -253,38 +253,32 @@ class LayerReader:
         return planes
 
 
+@dataclass
 class ExtraLayers:
-    """Makes the planes that are written with the beauty of the view that leads.
+    """Makes the planes that are written with the beauty of the view that leads."""
 
-    `contents` is what is written of each view, the one that leads first; `builders` are those of
-    the other views, in the same order.
-    """
-
-    def __init__(
-        self, contents: tuple[Content, ...], builders: tuple[IntervalBuilder, ...] = ()
-    ) -> None:
-        self._contents = contents
-        self._builders = builders
-        self._views: tuple[ViewInterval, ...] = ()
+    contents: tuple[Content, ...]  # what is written of each view, the one that leads first
+    builders: tuple[IntervalBuilder, ...] = ()  # of the other views, in the same order
+    _views: tuple[ViewInterval, ...] = field(default=(), init=False)
 
     @property
     def any(self) -> bool:
         """True if more than the beauty of the view that leads is written."""
-        return len(self._contents) > 1 or bool(self._contents[0].extra)
+        return len(self.contents) > 1 or bool(self.contents[0].extra)
 
     @property
     def kinds(self) -> set[LayerKind]:
         """What the layers of all views are, beside the beauty."""
-        return {layer.kind for content in self._contents for layer in content.extra}
+        return {layer.kind for content in self.contents for layer in content.extra}
 
     def begin(self, inputs: IntervalInputs, interval: Interval | None) -> None:
         """Turn to an interval; None where nothing of it has to be made, and to drop the last."""
         self._views = ()
         if interval is None:
             return
-        views = [ViewInterval(self._contents[0], inputs, interval)]
+        views = [ViewInterval(self.contents[0], inputs, interval)]
         for content, builder, view in zip(
-            self._contents[1:], self._builders, inputs.views, strict=True
+            self.contents[1:], self.builders, inputs.views, strict=True
         ):
             # One view decides which network mixes all of them.
             built = replace(builder.build(view), interpolator=interval.interpolator)

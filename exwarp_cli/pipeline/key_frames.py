@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 from exwarp_cli.domain.frame import (
@@ -335,6 +335,7 @@ def over_interval(gbuffer: GBuffer, steps: int) -> GBuffer:
     )
 
 
+@dataclass
 class MotionEstimates:
     """Key frames without vectors, by index, and the flows between neighbouring ones.
 
@@ -342,22 +343,16 @@ class MotionEstimates:
     sequence finds the same.
     """
 
-    def __init__(
-        self,
-        read: Callable[[int], KeyFrame],  # reads the colour of a key frame
-        count: int,  # of key frames
-        is_unreadable: Callable[[int], bool] = lambda key: False,  # none moves towards such a one
-    ) -> None:
-        self._read = read
-        self._count = count
-        self._is_unreadable = is_unreadable
-        self._frames: dict[int, KeyFrame] = {}
-        self._flows: dict[int, tuple[Flow, Flow]] = {}
+    read: Callable[[int], KeyFrame]  # reads the colour of a key frame
+    count: int  # of key frames
+    is_unreadable: Callable[[int], bool] = lambda key: False  # none moves towards such a one
+    _frames: dict[int, KeyFrame] = field(default_factory=dict)
+    _flows: dict[int, tuple[Flow, Flow]] = field(default_factory=dict)
 
     def frame(self, key: int) -> KeyFrame:
         """Return a key frame, colour alone."""
         if key not in self._frames:
-            self._frames[key] = replace(self._read(key), gbuffer=None)
+            self._frames[key] = replace(self.read(key), gbuffer=None)
         return self._frames[key]
 
     def flowing(self, key: int) -> KeyFrame:
@@ -394,7 +389,7 @@ class MotionEstimates:
 
     def _flow(self, key: int, neighbour: int) -> Flow | None:
         """Return the flow from a key frame to one beside it, on its window; None without one."""
-        if not 0 <= neighbour < self._count or self._is_unreadable(neighbour):
+        if not 0 <= neighbour < self.count or self.is_unreadable(neighbour):
             return None
         first = min(key, neighbour)
         if first not in self._flows:

@@ -314,18 +314,15 @@ def skipped_interval(
     return LeftOut(timeline.numbers[key], frames, reason)
 
 
-def skipped_scores(timeline: Timeline, key: int, reasons: Mapping[int, str]) -> Iterator[LeftOut]:
-    """Yield the records of slots whose ground truth cannot be used."""
-    for slot, reason in sorted(reasons.items()):
-        number = timeline.number(Slot(key, slot))
-        yield LeftOut(timeline.numbers[key], (), reason, (number,))
-
-
-def skipped_rendered(timeline: Timeline, key: int, reasons: Mapping[int, str]) -> Iterator[LeftOut]:
-    """Yield the records of slots whose rendered frames cannot be used."""
-    for slot, reason in sorted(reasons.items()):
-        number = timeline.number(Slot(key, slot))
-        yield LeftOut(timeline.numbers[key], (), reason, rendered=(number,))
+def skipped_slots(
+    timeline: Timeline, key: int, unscored: Mapping[int, str], unusable: Mapping[int, str]
+) -> Iterator[LeftOut]:
+    """Yield the records of slots whose ground truth or rendered frame cannot be used, and why."""
+    number = timeline.numbers[key]
+    for slot, reason in sorted(unscored.items()):
+        yield LeftOut(number, (), reason, (timeline.number(Slot(key, slot)),))
+    for slot, reason in sorted(unusable.items()):
+        yield LeftOut(number, (), reason, rendered=(timeline.number(Slot(key, slot)),))
 
 
 def announce_skipped(progress: Progress, skipped: LeftOut) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -206,6 +206,7 @@ def find_motion(
     return MotionFinding(convention, "given", evidence)
 
 
+@dataclass
 class _Measurement:
     """Measures the vectors of a shot in some pairs of its frames; see `find_motion`.
 
@@ -213,32 +214,23 @@ class _Measurement:
     although they have world positions.
     """
 
-    def __init__(
-        self,
-        shot: Shot,
-        starts: Collection[int],
-        colours: KeyColours | None,
-        names: tuple[str, ...],
-        detect: bool,
-    ) -> None:
-        self._shot = shot
-        self._starts = starts
-        self._colours = colours
-        self._names = names
-        self._detect = detect
-        self._numbers = shot.sequence.numbers
-        self._frames: dict[tuple[int, bool], FrameSamples] = {}
+    shot: Shot
+    starts: Collection[int]
+    colours: KeyColours | None
+    names: tuple[str, ...]
+    detect: bool
+    _frames: dict[tuple[int, bool], FrameSamples] = field(default_factory=dict)
 
     def finding(self, guess: MotionConvention | None) -> MotionFinding:
         """Measure by world positions if there are any, else by depth and colour."""
-        firsts = pairs_within(len(self._numbers), self._is_parted)
+        firsts = pairs_within(len(self.shot.sequence.numbers), self._is_parted)
         # The last of an odd number of channels is a length or an alpha.
-        used = 2 * (len(self._names) // 2)
+        used = 2 * (len(self.names) // 2)
         # Read one by one: the first pair nearly always tells.
         ends = (self._frame(first + i) for first in firsts for i in (0, 1))
         if firsts and not any(np.any(f.motion[:, :used]) or np.any(f.moving) for f in ends):
             return self._at_rest(firsts, guess)
-        has_both = Role.POSITION in self._shot.layout and Role.COLOUR in self._shot.layout
+        has_both = Role.POSITION in self.shot.layout and Role.COLOUR in self.shot.layout
         # World positions of what moves by itself are not found again. Before a resting camera,
         # nothing else moves, so there colour tells.
         try:
@@ -253,16 +245,16 @@ class _Measurement:
 
     def _at_rest(self, firsts: list[int], guess: MotionConvention | None) -> MotionFinding:
         """Return what is read of vectors that are 0; raises MotionError if the picture moves."""
-        numbers = self._numbers
+        numbers = self.shot.sequence.numbers
         frames = ", ".join(f"{numbers[i]}-{numbers[i + 1]}" for i in firsts)
         if any(self._picture_moves(first) for first in firsts):
-            producer = self._shot.layout.producer
+            producer = self.shot.layout.producer
             advice = next(
                 (text for name, text in BLUR_ADVICE.items() if producer.startswith(name)),
                 "switch it off in the renderer's settings",
             )
             raise MotionError(
-                f"the motion channels {', '.join(self._names)} are 0 throughout in frames "
+                f"the motion channels {', '.join(self.names)} are 0 throughout in frames "
                 f"{frames}, while the picture moves: motion blur was on, or the pass is empty; "
                 f"{advice}, and render the motion pass again; if nothing is meant to move, give "
                 "--motion"
@@ -276,23 +268,23 @@ class _Measurement:
     def _picture_moves(self, first: int) -> bool:
         """Return True if the picture of a pair moves; what changes at a cut is no motion."""
         moves = has_geometry_moved(self._frame(first), self._frame(first + 1))
-        if Role.COLOUR not in self._shot.layout:
+        if Role.COLOUR not in self.shot.layout:
             return moves is True
         if moves is None:
             before, after = (self._frame(i, by_colour=True).perceived for i in (first, first + 1))
             moves = before is not None and after is not None and has_colour_moved(before, after)
-        return moves and not (self._detect and self._is_cut_by_colour(first + 1))
+        return moves and not (self.detect and self._is_cut_by_colour(first + 1))
 
     def _measure_within_shots(
         self, guess: MotionConvention | None, by_colour: bool
     ) -> MotionFinding:
         """Measure in pairs that cross no known cut, and where that fails, none that is seen."""
-        count = len(self._numbers)
+        count = len(self.shot.sequence.numbers)
         firsts = pairs_within(count, self._is_unseen) or pairs_within(count, self._is_parted)
         try:
             return self._measure_first(firsts, guess, by_colour)
         except MotionError:
-            if not self._detect or Role.COLOUR not in self._shot.layout:
+            if not self.detect or Role.COLOUR not in self.shot.layout:
                 raise
             uncut = pairs_within(count, lambda i: self._is_unseen(i) or self._is_cut_by_colour(i))
             if uncut == firsts:
@@ -322,19 +314,19 @@ class _Measurement:
     ) -> MotionFinding:
         # One after the other: each is decoded on all threads, and two at once took a sixth more.
         pairs = [(self._frame(i, by_colour), self._frame(i + 1, by_colour)) for i in firsts]
-        width, height = self._shot.display.width, self._shot.display.height
+        width, height = self.shot.display.width, self.shot.display.height
         return calibrate(
             pairs,
             guess,
-            self._names,
+            self.names,
             self._intervals(len(firsts)),
             {name: preset.sized(width, height) for name, preset in PRESETS.items()},
-            number_step(self._numbers),
+            number_step(self.shot.sequence.numbers),
         )
 
     def _beside_holds(self, firsts: list[int], by_colour: bool) -> list[int]:
         """Return the pairs, in place of those that show one picture twice others nearby."""
-        count = len(self._numbers)
+        count = len(self.shot.sequence.numbers)
         return sorted(
             {
                 pair_beside_hold(i, count, self._is_parted, partial(self._is_hold, i, by_colour))
@@ -360,7 +352,7 @@ class _Measurement:
 
     def _moving_pairs(self, firsts: list[int], by_colour: bool) -> list[int]:
         """Return pairs in which something moves, of some that are evenly spread; few at most."""
-        count = len(self._numbers) - 1
+        count = len(self.shot.sequence.numbers) - 1
         candidates = sorted({count * i // SPREAD for i in range(SPREAD)} - set(firsts))
         moving: list[int] = []
         for first in candidates:
@@ -375,27 +367,27 @@ class _Measurement:
 
     def _frame(self, index: int, by_colour: bool = False) -> FrameSamples:
         """Read and reduce a frame; what was reduced before is kept."""
-        number = self._numbers[index]
+        number = self.shot.sequence.numbers[index]
         key = number, by_colour
         if key not in self._frames:
             # On the display window: data windows differ, and normalised vectors go by it. World
             # positions tell points apart best, and alone; reading the rest takes most of the time.
-            by_position = Role.POSITION in self._shot.layout and not by_colour
+            by_position = Role.POSITION in self.shot.layout and not by_colour
             compared = Role.POSITION if by_position else Role.COLOUR
-            raw = read_raw(self._shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, compared))
+            raw = read_raw(self.shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, compared))
             assert raw.motion is not None
-            motion = place_on_canvas(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
-            colour = None if raw.image is None else raw.image.on(self._shot.display).pixels
+            motion = place_on_canvas(raw.motion, raw.gbuffer.window, self.shot.display, np.nan)
+            colour = None if raw.image is None else raw.image.on(self.shot.display).pixels
             self._frames[key] = sample_frame(
-                MotionFrame(number, raw.gbuffer.on(self._shot.display), motion, colour)
+                MotionFrame(number, raw.gbuffer.on(self.shot.display), motion, colour)
             )
         return self._frames[key]
 
     def _is_parted(self, index: int) -> bool:
         """Return True if a frame and the one before do not belong together, or are unreadable."""
-        if self._numbers[index] in self._starts:
+        if self.shot.sequence.numbers[index] in self.starts:
             return True
-        if self._shot.keep_going:
+        if self.shot.keep_going:
             try:
                 self._frame(index - 1)
                 self._frame(index)
@@ -405,14 +397,14 @@ class _Measurement:
 
     def _is_unseen(self, index: int) -> bool:
         """Return True if a frame and the one before it tell nothing: one is beyond the display."""
-        pair = self._numbers[index - 1 : index + 1]
-        return self._is_parted(index) or not all(is_visible(self._shot, number) for number in pair)
+        pair = self.shot.sequence.numbers[index - 1 : index + 1]
+        return self._is_parted(index) or not all(is_visible(self.shot, number) for number in pair)
 
     def _is_cut_by_colour(self, index: int) -> bool:
         """Return True if a cut lies before a frame, as far as colour tells without motion."""
         before, after = (
-            read_raw(self._shot, number, (Role.COLOUR,)).key(None)
-            for number in self._numbers[index - 1 : index + 1]
+            read_raw(self.shot, number, (Role.COLOUR,)).key(None)
+            for number in self.shot.sequence.numbers[index - 1 : index + 1]
         )
         return compare_frames(before, after).found
 
@@ -421,11 +413,11 @@ class _Measurement:
 
         [] without colours; intervals of which a frame cannot be read are left out.
         """
-        if self._colours is None:
+        if self.colours is None:
             return []
-        keys, instants = self._colours.keys, self._colours.numbers
+        keys, instants = self.colours.keys, self.colours.numbers
         firsts = pairs_within(
-            len(instants), lambda i: instants[i] in self._starts or None in instants[i - 1 : i + 1]
+            len(instants), lambda i: instants[i] in self.starts or None in instants[i - 1 : i + 1]
         )
         intervals = []
         for index in firsts[:count]:
@@ -438,11 +430,13 @@ class _Measurement:
                     for number in numbers
                 )
                 vectors = []
-                for number in (number for number in self._numbers if first <= number <= last):
-                    raw = read_raw(self._shot, number, (Role.MOTION,))
+                for number in self.shot.sequence.numbers:
+                    if not first <= number <= last:
+                        continue
+                    raw = read_raw(self.shot, number, (Role.MOTION,))
                     assert raw.motion is not None
                     vectors.append(
-                        place_on_canvas(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
+                        place_on_canvas(raw.motion, raw.gbuffer.window, self.shot.display, np.nan)
                     )
             except InputError:
                 if not keys.keep_going:

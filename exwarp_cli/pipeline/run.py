@@ -44,8 +44,7 @@ from exwarp_cli.pipeline.key_frames import window_note
 from exwarp_cli.pipeline.messages import (
     announce_skipped,
     skipped_interval,
-    skipped_rendered,
-    skipped_scores,
+    skipped_slots,
 )
 from exwarp_cli.pipeline.output_plan import is_video_kept, video_fingerprint, video_look, video_note
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress, kind_of, kinds_of
@@ -230,9 +229,8 @@ class Run:
                 raise
             self._skip(SkippedInterval(inputs.key, str(error), inputs.without_geometry()))
             return
-        for problem in (
-            *skipped_scores(self._timeline, inputs.key, inputs.truth.unscored),
-            *skipped_rendered(self._timeline, inputs.key, inputs.rendered.unusable),
+        for problem in skipped_slots(
+            self._timeline, inputs.key, inputs.truth.unscored, inputs.rendered.unusable
         ):
             self.left_out.append(problem)
             announce_skipped(self._progress, problem)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from typing import TYPE_CHECKING
 
@@ -231,6 +231,7 @@ def broken_pixels_of(
     return tuple(broken)
 
 
+@dataclass
 class KeyedPulses:
     """Collects mean gradients of the view that is scored, and adds the pulse to records at the end.
 
@@ -238,15 +239,14 @@ class KeyedPulses:
     division into chunks gives the same values.
     """
 
-    def __init__(self, source: Source) -> None:
-        self._source = source
-        self._keys: dict[int, float] = {}
-        self._frames: dict[int, tuple[Slot, float]] = {}
-        self._last_of_shot: set[int] = set()
+    source: Source
+    _keys: dict[int, float] = field(default_factory=dict)
+    _frames: dict[int, tuple[Slot, float]] = field(default_factory=dict)
+    _last_of_shot: set[int] = field(default_factory=set)
 
     def add_key(self, key: int, image: Image, followed: bool) -> None:
         """Add a key frame by its index; `followed` if one of the same shot comes after it."""
-        self._keys[key] = mean_gradient(image.on(self._source.keys.display).pixels)
+        self._keys[key] = mean_gradient(image.on(self.source.keys.display).pixels)
         if not followed:
             self._last_of_shot.add(key)
 
@@ -256,7 +256,7 @@ class KeyedPulses:
 
     def complete(self, records: Sequence[FrameRecord]) -> Iterator[FrameRecord]:
         """Yield the records of a run, with the pulse of the frames that were added."""
-        keys, timeline = self._source.keys, self._source.timeline
+        keys, timeline = self.source.keys, self.source.timeline
         for record in records:
             if record.number not in self._frames:
                 yield record

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -27,6 +27,7 @@ class _RecordedError(Exception):
     """The cause of an error of a frame that is recorded as unreadable."""
 
 
+@dataclass
 class UnreadableFrames:
     """Frames of the input that cannot be read, by their slot, whose index is 0 for key frames.
 
@@ -36,9 +37,8 @@ class UnreadableFrames:
     frames on both sides. Unless `tolerant`, errors pass, and nothing is recorded.
     """
 
-    def __init__(self, tolerant: bool = False) -> None:
-        self.tolerant = tolerant
-        self._reasons: dict[Slot, str] = {}
+    tolerant: bool = False
+    _reasons: dict[Slot, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self._reasons)

@@ -144,8 +144,7 @@ def open_source(
     cuts = parse_cuts(settings.cuts)
     plain = open_plain(settings) if pictures else None
     if plain is not None:
-        fps, fps_source = rate_of(plain, settings.fps)
-        timeline = _timeline(plain, settings, fps)
+        timeline, fps, fps_source = _timeline(plain, settings)
         cuts.starts_in(timeline.numbers)
         return Source(plain, None, _no_number, timeline, None, fps, fps_source, cuts, motion_needed)
     keys, settings = open_keys(settings)
@@ -154,8 +153,7 @@ def open_source(
             f"{keys.sequence.pattern} has no colour channels that are recognised, only "
             f"{keys.listed}; name them in a channel map, or render the beauty pass"
         )
-    fps, fps_source = rate_of(keys, settings.fps)
-    timeline = _timeline(keys, settings, fps)
+    timeline, fps, fps_source = _timeline(keys, settings)
     if settings.gbuffers is not None and timeline.steps is None:
         raise UsageError(
             f"--gbuffers lead from slot to slot between key frames, and from {float(fps):g} to "
@@ -171,17 +169,21 @@ def open_source(
         _require_enough_slots(timeline, slots, slot_number)
         starts = {slot_number(Slot(key, 0)) for key in first_keys}
     cut_numbers = {number for number in starts if number is not None}
-    unusable = ""
+    names_vectors = settings.gbuffers is not None or settings.motion is not None
+    may_estimate = pictures and settings.estimate_motion and not names_vectors
     try:
         colours = _key_colours(keys, slots, timeline, slot_number)
         finding = find_motion(slots or keys, settings.motion, cuts.detect, cut_numbers, colours)
+        unusable = ""
     except MotionError as error:
-        if motion_needed and not (pictures and _may_estimate(settings)):
+        if motion_needed and not may_estimate:
             raise
         finding, unusable = None, str(error)
     keys, slots = _with_depth(keys, slots, finding, cut_numbers)
     shot = slots or keys
-    estimated = finding is None and motion_needed and pictures and _is_estimated(shot, settings)
+    # A render with passes is meant to have vectors: a farm would not notice that they are missing.
+    is_footage = not names_vectors and Role.MOTION not in shot.layout and is_colour_alone(shot)
+    estimated = finding is None and motion_needed and (may_estimate or (pictures and is_footage))
     if motion_needed and not estimated:
         _require_vectors(shot, finding, slots, pictures)
     if slots is not None and (finding is None or finding.convention.to_previous is None):
@@ -330,12 +332,13 @@ def step_note(numbers: Sequence[int], fps: Fraction, fps_source: str) -> str | N
     )
 
 
-def _timeline(keys: Shot, settings: SourceSettings, fps: Fraction) -> Timeline:
-    """Number the output frames.
+def _timeline(keys: Shot, settings: SourceSettings) -> tuple[Timeline, Fraction, str]:
+    """Number the output frames; also return what `rate_of` does.
 
     Raises UsageError when --factor and --to-fps are both given, or the rate is not above the
     input's, or too far.
     """
+    fps, fps_source = rate_of(keys, settings.fps)
     factor = Fraction(FACTOR if settings.factor is None else settings.factor)
     if settings.to_fps is not None:
         if settings.factor is not None:
@@ -347,7 +350,8 @@ def _timeline(keys: Shot, settings: SourceSettings, fps: Fraction) -> Timeline:
                 f"{float(fps):g} fps; give more than that and at most {MAX_FACTOR} times it, or "
                 "correct the input's rate with --fps"
             )
-    return Timeline.of(keys.sequence.numbers, settings.start_frame, settings.tail, factor)
+    timeline = Timeline.of(keys.sequence.numbers, settings.start_frame, settings.tail, factor)
+    return timeline, fps, fps_source
 
 
 def align(timeline: Timeline, sequence: sequences.Sequence, option: str) -> FrameOf:
@@ -445,19 +449,6 @@ def _require_vectors(
             f"--gbuffers {slots.sequence.pattern} has no readable vectors to the previous slot, "
             "along which colour is moved; render them, or leave --gbuffers out"
         )
-
-
-def _may_estimate(settings: SourceSettings) -> bool:
-    """Return True if the user allows an estimate, and names no vectors."""
-    return settings.estimate_motion and settings.gbuffers is None and settings.motion is None
-
-
-def _is_estimated(shot: Shot, settings: SourceSettings) -> bool:
-    """Return True if the motion of a shot without usable vectors is estimated from colour."""
-    # A render with passes is meant to have vectors: a farm would not notice that they are missing.
-    named = settings.gbuffers is not None or settings.motion is not None
-    is_footage = not named and Role.MOTION not in shot.layout and is_colour_alone(shot)
-    return is_footage or _may_estimate(settings)
 
 
 def require_one_size(shot: Shot, numbers: Iterable[int]) -> None:
