@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence as Listed
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from exwarp_cli.domain.decision import infer_maker
 from exwarp_cli.domain.frame import Float32, place_on_canvas
-from exwarp_cli.domain.metric import METRICS
+from exwarp_cli.domain.metric import GENERATED, METRICS
 from exwarp_cli.domain.results import FrameKind, Score
-from exwarp_cli.domain.settings import MeasureSettings
+from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.domain.timeline import parse_frames, ranges
 from exwarp_cli.domain.wording import pluralise
-from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
+from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError, UsageError
 from exwarp_cli.io.exr.reader import read_headers
 from exwarp_cli.io.footage import (
     clip_rate,
@@ -23,27 +25,53 @@ from exwarp_cli.io.footage import (
     read_sequence_picture,
 )
 from exwarp_cli.io.frames import read_plane
-from exwarp_cli.io.generated_frames import frame_rate
+from exwarp_cli.io.generated_frames import frame_rate, read_facts
 from exwarp_cli.io.sequences import Sequence, find_sequence
+from exwarp_cli.io.shot import open_shot
+from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.view_transform import DisplayLook, find_display_look, find_view_transform
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.ground_truth import truth_rate
+from exwarp_cli.pipeline.motion_convention import find_motion
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
-from exwarp_cli.pipeline.sequence_scores import (
-    Origin,
+from exwarp_cli.pipeline.scoring import (
+    ExtranetScorer,
+    MetricScorer,
     Pair,
+    SequenceMotion,
     SequenceScorer,
-    make_scorer,
-    origins_of,
-    rendered_note,
-    require_consistent,
-    require_generated,
 )
 from exwarp_cli.runtime.stop import check_stop
 
 KEY = FrameKind.KEY.value
 
 MASK_CHANNEL = "holes"  # of a mask file; above 0.5 is a hole
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a frame came from, by its header; all None for a frame that ExWarp did not make."""
+
+    kind: str | None = None  # a value of `FrameKind`: "generated" or "dropped"
+    # "warp", "extrapolate", "softsplat", "blend", "interpolate" or "hold"
+    made_by: str | None = None
+    # Decision path of its key interval, S1 to S6; None outside the paper's paths
+    path: str | None = None
+
+    @property
+    def generated(self) -> bool:
+        """Whether it is a new frame: not a rendered one and no repeat."""
+        return self.kind == FrameKind.GENERATED.value
+
+    @property
+    def dropped(self) -> bool:
+        """Whether it repeats the frame before."""
+        return self.kind == FrameKind.DROPPED.value
+
+    @property
+    def choice(self) -> str | None:
+        """What was decided for a generated frame; None outside the decision tree."""
+        return self.made_by if self.generated and self.path is not None else None
 
 
 @dataclass(frozen=True)
@@ -331,3 +359,105 @@ def _mask_files(masks: Sequence, test: Sequence, paired: dict[int, int]) -> dict
             "give the masks that were written with these frames"
         )
     return by_test or by_reference
+
+
+def origins_of(files: Listed[Path]) -> list[Origin]:
+    """Read where frames came from, of every header once.
+
+    Raises DamagedFileError when a header cannot be read.
+    """
+    origins = []
+    for path in files:
+        facts = {} if is_clip(str(path)) else read_facts(path)
+        values = (facts.get(name) for name in ("kind", "madeBy", "path", "method"))
+        kind, made_by, decided, method = (v if isinstance(v, str) else None for v in values)
+        origins.append(Origin(kind, infer_maker(made_by, method), decided))
+    return origins
+
+
+def require_consistent(measuring: MeasureSettings, holes: str | None) -> None:
+    """Refuse contradicting options, before any work; raises UsageError."""
+    if holes is None:
+        limits = [limit for limit in measuring.thresholds if limit.scope == "holes"]
+        if limits:
+            raise UsageError(
+                f"{limits[0].option} {limits[0].name} is on holes, which are not known; give masks "
+                "with --holes"
+            )
+    if measuring.preset is None:
+        return
+    offered = PRESETS[measuring.preset]
+    if foreign := [name for name in measuring.measured if name not in offered]:
+        names = {metric.field: metric.option for metric in METRICS}
+        raise UsageError(
+            f"--preset {measuring.preset} measures {', '.join(names[o] for o in offered)} and not "
+            f"{names[foreign[0]]}; "
+            "leave that or the preset out"
+        )
+    if holes is not None:
+        raise UsageError(
+            f"--preset {measuring.preset} measures whole frames; leave --holes or the preset out"
+        )
+
+
+def require_generated(measuring: MeasureSettings, origins: Listed[Origin], test: Sequence) -> None:
+    """Refuse limits on generated frames where no header names any; raises UsageError."""
+    limits = [limit for limit in measuring.thresholds if limit.scope == GENERATED]
+    if limits and not any(origin.generated for origin in origins):
+        raise UsageError(
+            f"{limits[0].option} {limits[0].name} is on generated frames, and by their headers "
+            f"none of the compared frames of {test.pattern} is one; write {limits[0].metric.option}"
+            f"={limits[0].limit:g} for all frames"
+        )
+
+
+def make_scorer(
+    measuring: MeasureSettings, spec: str, reference: Sequence, origins: Listed[Origin]
+) -> tuple[SequenceScorer, tuple[str, ...]]:
+    """Return a scorer, and what a reader of its numbers should know.
+
+    The true sequence is `reference`, which the user named `spec`. The origins are those of the
+    frames that will be scored, in order.
+    """
+    if measuring.preset is not None:
+        generated = [origin.generated for origin in origins]
+        has_headers = any(origin.kind is not None for origin in origins)
+        if has_headers and not any(generated):
+            raise InputError(
+                "by their headers none of the frames of the second sequence is generated, and "
+                f"--preset {measuring.preset} scores nothing else; leave the preset out"
+            )
+        flags = generated if has_headers else None
+        return ExtranetScorer(measuring.measured, len(origins), flags), ()
+    motion: SequenceMotion | str | None = None
+    if "flicker" in measuring.measured:
+        motion = open_motion(spec, reference, measuring.view)
+    if not isinstance(motion, str):
+        return MetricScorer(measuring.measured, motion), ()
+    note = f"flicker is not measured, as it follows the motion of the first sequence: {motion}"
+    return MetricScorer(measuring.measured, None), (note,)
+
+
+def open_motion(spec: str, sequence: Sequence, view: str = "") -> SequenceMotion | str:
+    """Return the motion of a sequence, which the user named `spec`, or why it has none."""
+    try:
+        shot = open_shot(spec, view or None)
+        finding = find_motion(shot, None)
+    except (InputError, MotionError) as error:
+        return str(error)
+    if finding is None:
+        return f"{sequence.pattern} has no motion vectors"
+    if not set(sequence.files) <= set(shot.sequence.files):
+        return f"the vectors beside {sequence.pattern} are of other frames"
+    return SequenceMotion(shot, finding.convention)
+
+
+def rendered_note(origins: Listed[Origin]) -> tuple[str, ...]:
+    """Return a note where rendered frames raise the means over an upsampled sequence."""
+    rendered = sum(not (origin.generated or origin.dropped) for origin in origins)
+    if rendered in (0, len(origins)):
+        return ()
+    return (
+        f"the means of all pixels are over all {len(origins)} frames, {rendered} of which are "
+        "rendered ones by their headers",
+    )

@@ -72,9 +72,7 @@ def motion_names(shot: Shot) -> tuple[str, ...]:
     return tuple(channel_label(ref) for ref in refs)
 
 
-def parse_motion(
-    text: str, names: tuple[str, ...], size: tuple[int, int] | None = None
-) -> MotionConvention:
+def parse_motion(text: str, names: tuple[str, ...], size: tuple[int, int]) -> MotionConvention:
     """Read the ``--motion`` option.
 
     Either a preset's name (blender, unreal, forward …), or the channels that hold the displacement
@@ -91,8 +89,7 @@ def parse_motion(
       ``next=9*(R/A-0.5),9*(G/A-0.5)``.
 
     `names` are the motion channels' names, in order; `size` is width and height of the display
-    window. Without it, a convention in shares of the frame stays so (see
-    `MotionConvention.of_frame`). Raises UsageError when the text is neither.
+    window. Raises UsageError when the text is neither.
     """
     preset = PRESETS.get(text.strip().lower())
     if preset is not None:
@@ -101,12 +98,14 @@ def parse_motion(
                 f"--motion {text} needs {preset.count} motion channels and there are "
                 f"{len(names)}: {', '.join(names)}"
             )
-        return preset if size is None else preset.sized(*size)
+        return preset.sized(*size)
     terms: dict[str, tuple[_Term, _Term]] = {}
     for clause in filter(None, _CLAUSES.split(text.strip())):
         direction, _, axes = clause.partition("=")
         commas = (match.start() for match in re.finditer(",", axes))
-        pairs = ((_parse_term(axes[:i], names), _parse_term(axes[i + 1 :], names)) for i in commas)
+        pairs = (
+            [_parse_term(part, names, size) for part in (axes[:i], axes[i + 1 :])] for i in commas
+        )
         pair = next(((x, y) for x, y in pairs if x and y and x.shared == y.shared), None)
         if direction not in ("previous", "next") or direction in terms or pair is None:
             raise UsageError(
@@ -117,16 +116,13 @@ def parse_motion(
         terms[direction] = pair
     if not terms:
         raise UsageError("--motion is empty; write a preset or a convention, or leave it out")
-    of_frame = size is None and all((x.unit, y.unit) == UNITS for x, y in terms.values())
-    if size is None and not of_frame and any(t.unit for pair in terms.values() for t in pair):
-        raise UsageError(f"--motion {text!r} counts in frame sizes, and that is not known here")
+    if max(abs(term.scale) for pair in terms.values() for term in pair) > MOST:
+        raise UsageError(f"--motion {text!r} has a factor above {MOST:g}; correct it")
     maps = {
-        direction: AxisMap(x.channel, y.channel, x.pixels(size), y.pixels(size), *x.shared)
+        direction: AxisMap(x.channel, y.channel, x.scale, y.scale, *x.shared)
         for direction, (x, y) in terms.items()
     }
-    if max(abs(term.pixels(size)) for pair in terms.values() for term in pair) > MOST:
-        raise UsageError(f"--motion {text!r} has a factor above {MOST:g}; correct it")
-    return MotionConvention(maps.get("previous"), maps.get("next"), of_frame)
+    return MotionConvention(maps.get("previous"), maps.get("next"))
 
 
 @dataclass(frozen=True)
@@ -135,17 +131,10 @@ class _Term:
 
     channel: int
     scale: float
-    unit: str  # "", "width" or "height"
     shared: tuple[float, int | None, int | None]  # `still`, `length` and `alpha`: of both axes
 
-    def pixels(self, size: tuple[int, int] | None) -> float:
-        """Return the factor in pixels, as far as the frame's size is known."""
-        if size is None or not self.unit:
-            return self.scale
-        return self.scale * size[UNITS.index(self.unit)]
 
-
-def _parse_term(text: str, names: tuple[str, ...]) -> _Term | None:
+def _parse_term(text: str, names: tuple[str, ...], size: tuple[int, int]) -> _Term | None:
     """Read one axis of a convention; None when it is not one."""
     name = "|".join(re.escape(n) for n in sorted(names, key=len, reverse=True))
     match = re.fullmatch(
@@ -164,7 +153,9 @@ def _parse_term(text: str, names: tuple[str, ...]) -> _Term | None:
         None if match[key] is None else names.index(match[key]) for key in ("length", "alpha")
     )
     scale = -factor if match["sign"] == "-" else factor
-    return _Term(names.index(match["name"]), scale, match["unit"] or "", (still, length, alpha))
+    if match["unit"]:
+        scale *= size[UNITS.index(match["unit"])]
+    return _Term(names.index(match["name"]), scale, (still, length, alpha))
 
 
 @dataclass(frozen=True)

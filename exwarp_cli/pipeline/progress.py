@@ -365,31 +365,22 @@ REPORTERS: dict[str, Callable[[], Progress]] = {
 KINDS = ("auto", *REPORTERS)  # choices of ``--progress``
 
 
-def make_progress(kind: str = "auto", *, results_on_stdout: bool = False) -> Progress:
-    """Make the reporter that ``--progress`` names.
+@contextmanager
+def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterator[Progress]:
+    """Yield the reporter that ``--progress`` names; it receives the reason of a failure.
 
     `kind` is a name in `REPORTERS`, or "auto": the bar on a terminal, else plain lines. With
     `results_on_stdout` the command prints a table or a JSON document there, which a program reads:
-    then ``openjd`` goes to stderr too. Raises UsageError for another name.
+    then ``openjd`` goes to stderr too. Interruptions are no failure: the sender knows about them.
+    Raises UsageError for another name.
     """
     if kind == "auto":
         is_terminal = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
         kind = "bar" if is_terminal else "plain"
     if kind not in REPORTERS:
         raise UsageError(f"--progress {kind!r} is unknown; choose one of {', '.join(KINDS)}")
-    if kind == "openjd" and results_on_stdout:
-        return OpenJdProgress(sys.stderr)
-    return REPORTERS[kind]()
-
-
-@contextmanager
-def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterator[Progress]:
-    """Yield a reporter; it receives the reason when the block raises an error.
-
-    Interruptions are no failure: the sender knows about them. Parameters and errors are those of
-    :func:`make_progress`.
-    """
-    progress = make_progress(kind, results_on_stdout=results_on_stdout)
+    redirects = kind == "openjd" and results_on_stdout
+    progress = OpenJdProgress(sys.stderr) if redirects else REPORTERS[kind]()
     try:
         with compilation.messages_to(progress.message):
             yield progress

@@ -41,11 +41,7 @@ from exwarp_cli.pipeline.interval_inputs import (
 )
 from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.key_frames import window_note
-from exwarp_cli.pipeline.messages import (
-    announce_skipped,
-    skipped_interval,
-    skipped_slots,
-)
+from exwarp_cli.pipeline.messages import announce_skipped, skipped_interval, skipped_slots
 from exwarp_cli.pipeline.output_plan import is_video_kept, video_fingerprint, video_look, video_note
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.scheduling import (

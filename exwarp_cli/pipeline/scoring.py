@@ -1,37 +1,49 @@
-"""Scores of a run: each frame's own, and those that depend on the frames around it."""
+"""Scores of a run, and of a sequence against another: frames' own, and those of several frames."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
-from itertools import takewhile
+from itertools import pairwise, takewhile
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, Image, UInt8, Window, place_on_canvas
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Image, UInt8, Window, place_on_canvas
 from exwarp_cli.domain.metric import WITHOUT_TRUTH
 from exwarp_cli.domain.results import BrokenPixels, FrameRecord, Score
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.display_colour import to_display
-from exwarp_cli.io.ffmpeg_filters import compute_vmaf, require_vmaf_size
+from exwarp_cli.io.ffmpeg_filters import (
+    EncodedVmafStream,
+    VmafStream,
+    compute_vmaf,
+    require_vmaf_size,
+)
+from exwarp_cli.io.files import ResourceOwner
 from exwarp_cli.io.footage import read_sequence_picture
+from exwarp_cli.io.frames import GEOMETRY, read_raw
+from exwarp_cli.metrics.display import round_display
 from exwarp_cli.metrics.temporal import (
     Transition,
     compare_with_previous,
     compare_with_rendered,
     display_error,
+    frame_flicker,
     interpolate_gradient,
     interval_flicker,
     mean_gradient,
     pulse,
 )
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.motion_fields import field_between, reproject, settle_motion
 
 if TYPE_CHECKING:
+    from exwarp_cli.domain.motion import MotionConvention
+    from exwarp_cli.io.shot import Shot
     from exwarp_cli.io.shot_files import NonFinite
     from exwarp_cli.pipeline.job import Job
     from exwarp_cli.pipeline.rendered_frames import RenderedReader
@@ -40,6 +52,9 @@ if TYPE_CHECKING:
 Scores = tuple[Score, Score | None]  # over all pixels, and in holes
 
 SLOTS = range(1, FACTOR)  # the slots that the paper's decisions are for
+
+ENDS_LEFT_OUT = 4  # frames at either end that ExtraNet's videos lack
+SHORTEST_CUT = 12  # videos of no more frames keep their ends
 
 
 @dataclass(frozen=True)
@@ -75,16 +90,16 @@ def flicker_of(
     `errors` are by slot, from `metrics.temporal.display_error`; the key frames around have none.
     The flicker of a slot that is missing is (None, None). `masks` are by slot, bool [H, W].
     """
-
-    def into(slot: int) -> Transition | None:
-        if slot not in errors or (slot > 1 and slot - 1 not in errors):
-            return None
-        before = errors.get(slot - 1)
-        return compare_with_previous(errors[slot], before, steps.fields[slot], steps.hidden[slot])
-
     slots = sorted(steps.fields)
+    transitions: list[Transition | None] = []
+    for slot in slots:
+        change = None
+        if slot in errors and (slot == 1 or slot - 1 in errors):
+            before, step = errors.get(slot - 1), (steps.fields[slot], steps.hidden[slot])
+            change = compare_with_previous(errors[slot], before, *step)
+        transitions.append(change)
     last = errors.get(slots[-1]) if steps.followed else None
-    transitions = [*map(into, slots), None if last is None else compare_with_rendered(last)]
+    transitions.append(None if last is None else compare_with_rendered(last))
     return interval_flicker(transitions, [masks.get(slot) for slot in slots])
 
 
@@ -274,3 +289,167 @@ class KeyedPulses:
             time = float(timeline.time(slot))
             expected = interpolate_gradient(self._keys[slot.key], after, time)
             yield replace(record, key_pulse=pulse(gradient, expected))
+
+
+class SequenceMotion:
+    """Reads where the pixels of a frame come from; asked frame by frame, ascending."""
+
+    def __init__(self, shot: Shot, convention: MotionConvention) -> None:
+        self._shot = shot
+        self._convention = convention
+        numbers = shot.sequence.numbers
+        self._step = min((b - a for a, b in pairwise(numbers)), default=1)
+        self._previous: tuple[int, GBuffer] | None = None
+
+    def into(self, number: int) -> tuple[Float32, Bool] | None:
+        """Return the motion from a frame to the one before it.
+
+        It lies on the display window: float32 [H, W, 2] in pixels, x right, y down, NaN where
+        unknown; and bool [H, W], True where the frame before does not show the surface point. None
+        where the frame of the last call is not its neighbour.
+        """
+        raw = read_raw(self._shot, number, GEOMETRY)
+        current = settle_motion(raw.settle(self._convention).on(self._shot.display))
+        previous, self._previous = self._previous, (number, current)
+        if previous is None or previous[0] != number - self._step:
+            return None
+        if current.to_previous is None:
+            motion = reproject(previous[1], 1.0)
+        else:
+            motion = field_between(current, previous[1], current.to_previous, 1)
+        return motion.field, motion.hole
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two frames of one instant, on the display window."""
+
+    reference: int  # the number of the true one
+    # truth, test: float32 [H, W, 3] or more, scene-linear
+    truth: Float32
+    test: Float32
+    mask: Bool | None  # bool [H, W], the holes; None without
+
+
+class SequenceScorer(ResourceOwner):
+    """Scores pairs one by one, and the whole sequence at the end; a context manager."""
+
+    _vmaf: VmafStream | EncodedVmafStream | None = None
+
+    def _open(self, stack: ExitStack) -> None:
+        if self._vmaf is not None:
+            stack.enter_context(self._vmaf)
+
+    def add(self, pair: Pair) -> None:
+        """Take the next pair."""
+        raise NotImplementedError
+
+    def finish(self) -> list[Scores]:
+        """Return the scores of all frames."""
+        raise NotImplementedError
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of the numbers should know at the end, a sentence each."""
+        return ()
+
+
+class MetricScorer(SequenceScorer):
+    """Scores by the metrics of this tool; memory holds one frame.
+
+    `names` is what is measured, as in `Score`; `motion` is for flicker, None where it is not
+    measured.
+    """
+
+    def __init__(self, names: tuple[str, ...], motion: SequenceMotion | None) -> None:
+        self._names = names
+        self._motion = motion
+        self._vmaf = VmafStream() if "vmaf" in names else None
+        self._scores: list[Scores] = []
+        self._error: Float32 | None = None
+        self._transitions: list[float | None] = []
+
+    def add(self, pair: Pair) -> None:
+        """Score the next pair by what needs no later one."""
+        from exwarp_cli.metrics.registry import score_frame  # see above
+
+        overall, inside = score_frame(pair.truth, pair.test, pair.mask, self._names)
+        if self._vmaf is not None:
+            self._vmaf.write(to_display(pair.truth), to_display(pair.test))
+        if self._motion is not None:
+            into = self._motion.into(pair.reference)
+            before, self._error = self._error, display_error(pair.truth, pair.test)
+            value = masked = None
+            if into is not None and before is not None:
+                change = compare_with_previous(self._error, before, *into)
+                value = change.mean()
+                masked = None if pair.mask is None else change.within(pair.mask)
+            self._transitions.append(value)
+            inside = None if inside is None else replace(inside, flicker=masked)
+        self._scores.append((overall, inside))
+
+    def finish(self) -> list[Scores]:
+        """Return all scores, with VMAF and flicker."""
+        scores = self._scores
+        if self._vmaf is not None:
+            values = self._vmaf.close()
+            scores = [(replace(s, vmaf=v), h) for (s, h), v in zip(scores, values, strict=True)]
+        if self._motion is not None:
+            flickers = frame_flicker([*self._transitions, None])
+            pairs = zip(scores, flickers, strict=True)
+            scores = [(replace(s, flicker=v), h) for (s, h), v in pairs]
+        return scores
+
+
+class ExtranetScorer(SequenceScorer):
+    """Scores as ExtraNet's release takes them: see `exwarp_cli.metrics.extranet_scores`.
+
+    VMAF is of H.264 videos of both sequences, rendered frames included. `names` are out of psnr_db,
+    ssim and vmaf, `count` is how many frames come. `generated` says of each whether it counts in
+    PSNR and SSIM; None where that is not known, and a frame counts unless its pixels are those of
+    the truth.
+    """
+
+    def __init__(self, names: tuple[str, ...], count: int, generated: list[bool] | None) -> None:
+        self._names = names
+        cut = ENDS_LEFT_OUT if count > SHORTEST_CUT else 0
+        self._video = range(cut, count - cut)
+        self._generated = generated
+        self._vmaf = EncodedVmafStream() if "vmaf" in names else None
+        self._scores: list[Score] = []
+        self._counted = 0
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Which frames counted."""
+        by = "by their headers" if self._generated else "as their pixels are not those of the truth"
+        note = f"{self._counted} of {len(self._scores)} frames count as generated, {by}"
+        if self._vmaf is None:
+            return (note,)
+        return (note, f"VMAF is of {len(self._video)} frames in H.264, rendered ones included")
+
+    def add(self, pair: Pair) -> None:
+        """Score the next pair if it counts, and append it to the videos."""
+        from exwarp_cli.metrics.extranet_scores import score_like_extranet  # see above
+
+        index = len(self._scores)
+        truth, test = round_display(pair.truth), round_display(pair.test)
+        is_different = bool((truth != test).any())
+        counts = is_different if self._generated is None else self._generated[index]
+        self._counted += counts
+        values = score_like_extranet(pair.truth, pair.test) if counts else Score()
+        self._scores.append(
+            Score(
+                psnr_db=values.psnr_db if "psnr_db" in self._names else None,
+                ssim=values.ssim if "ssim" in self._names else None,
+            )
+        )
+        if self._vmaf is not None and index in self._video:
+            self._vmaf.write(truth, test)
+
+    def finish(self) -> list[Scores]:
+        """Return all scores, with VMAF."""
+        if self._vmaf is not None:
+            for index, value in zip(self._video, self._vmaf.close(), strict=True):
+                self._scores[index] = replace(self._scores[index], vmaf=value)
+        return [(score, None) for score in self._scores]
