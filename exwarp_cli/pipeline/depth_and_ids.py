@@ -155,7 +155,8 @@ def _with_depth_turned(shot: Shot, votes: OrderVotes, ends: list[tuple[Float32, 
             "value, in the others the smaller one; check the pass, or say what it is by depth_kind "
             "in a channel map"
         )
-        return _without_depth(shot, evidence)
+        shot = replace(shot, depth=DepthReading(evidence=evidence))
+        return _without_role(shot, Role.DEPTH, f"{name!r} contradicts the vectors")
     if shot.depth.kind is DepthKind.INVERSE:
         evidence = (
             f"{name!r} is read as a distance, against its name, by {votes.near_large} {places}"
@@ -180,14 +181,9 @@ def _with_depth_turned(shot: Shot, votes: OrderVotes, ends: list[tuple[Float32, 
 def read_alike(shot: Shot, like: Shot) -> Shot:
     """Return a shot with depth read, or left out, as another one of the same render has it."""
     if Role.DEPTH not in like.layout:
-        return _without_depth(shot, like.depth.evidence)
+        reason = f"{_depth_layer(shot)!r} contradicts the vectors"
+        shot = _without_role(shot, Role.DEPTH, reason)
     return replace(shot, depth=like.depth)
-
-
-def _without_depth(shot: Shot, evidence: str) -> Shot:
-    reason = f"{_depth_layer(shot)!r} contradicts the vectors"
-    shot = _without_role(shot, Role.DEPTH, reason)
-    return replace(shot, depth=DepthReading(evidence=evidence))
 
 
 def _without_role(shot: Shot, role: Role, reason: str) -> Shot:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from exwarp_cli.domain.decision import infer_maker
-from exwarp_cli.domain.frame import Float32, place_on_canvas
+from exwarp_cli.domain.frame import place_on_canvas
 from exwarp_cli.domain.metric import GENERATED, METRICS
 from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
@@ -22,7 +22,6 @@ from exwarp_cli.io.footage import (
     close_sequences,
     find_frames,
     is_plain,
-    read_sequence_picture,
 )
 from exwarp_cli.io.frames import read_plane
 from exwarp_cli.io.generated_frames import frame_rate, read_facts
@@ -31,7 +30,7 @@ from exwarp_cli.io.shot import open_shot
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.view_transform import DisplayLook, find_display_look, find_view_transform
 from exwarp_cli.io.views import expand_view
-from exwarp_cli.pipeline.ground_truth import truth_rate
+from exwarp_cli.pipeline.ground_truth import read_display, truth_rate
 from exwarp_cli.pipeline.motion_convention import find_motion
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
 from exwarp_cli.pipeline.scoring import (
@@ -39,7 +38,6 @@ from exwarp_cli.pipeline.scoring import (
     MetricScorer,
     Pair,
     SequenceMotion,
-    SequenceScorer,
 )
 from exwarp_cli.runtime.stop import check_stop
 
@@ -218,7 +216,6 @@ class _Files:
     view: str
 
     def read(self) -> Pair:
-        """Read the pair and its mask, all of one size."""
         reference = self.reference.files[self.a]
         truth = read_display(self.reference, self.a, self.view)
         test = read_display(self.test, self.b, self.view)
@@ -230,12 +227,6 @@ class _Files:
             _require_shape(display.shape, self.mask, shape, reference)
             mask = np.asarray(place_on_canvas(plane, data, display) > 0.5)
         return Pair(self.a, truth, test, mask)
-
-
-def read_display(sequence: Sequence, number: int, view: str) -> Float32:
-    """Read the display window of a frame, float32 [H, W, C], scene-linear."""
-    image = read_sequence_picture(sequence, number, view)
-    return image.on(image.display_window).pixels
 
 
 def _require_shape(
@@ -251,7 +242,7 @@ def _require_shape(
 def _score(
     files: list[_Files],
     origins: list[Origin],
-    scorer: SequenceScorer,
+    scorer: MetricScorer | ExtranetScorer,
     progress: Progress,
     watcher: FrameListener | None,
     looks: tuple[DisplayLook, DisplayLook],
@@ -320,8 +311,8 @@ def pair(
             rendered,
             len(b),
             len(a),
-            lambda index: read_sequence_picture(test, b[index], view),
-            lambda index: read_sequence_picture(reference, a[index], view),
+            lambda index: read_display(test, b[index], view),
+            lambda index: read_display(reference, a[index], view),
         )
         if rate != 1:
             instants = ((index * rate, number) for index, number in enumerate(b))
@@ -413,7 +404,7 @@ def require_generated(measuring: MeasureSettings, origins: Listed[Origin], test:
 
 def make_scorer(
     measuring: MeasureSettings, spec: str, reference: Sequence, origins: Listed[Origin]
-) -> tuple[SequenceScorer, tuple[str, ...]]:
+) -> tuple[MetricScorer | ExtranetScorer, tuple[str, ...]]:
     """Return a scorer, and what a reader of its numbers should know.
 
     The true sequence is `reference`, which the user named `spec`. The origins are those of the

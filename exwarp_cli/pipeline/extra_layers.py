@@ -219,12 +219,24 @@ class LayerReader:
 
         With `lookahead` the next key frame is used; `older` is the index of an older one, if used.
         """
-        numbers = self._content.source.timeline.numbers
+        source = self._content.source
+        numbers = source.timeline.numbers
         before = self._keys.frame(numbers[key])
         after = self._keys.frame(numbers[key + 1]) if lookahead else None
         back = None if older is None else self._keys.frame(numbers[older])
         self.release_before(key)
-        return LayerFrames(before, after, back, self._read_slots(key))
+        slots = source.timeline.between(key)
+        in_slots = [number for number in map(source.slot_number, slots) if number is not None]
+        if self._slots is None or len(in_slots) < len(slots):
+            return LayerFrames(before, after, back, ())
+        refs: dict[ChannelRef, ChannelRef] = {}  # the slots' channels by the key frames'
+        for layer, rendered in self._content.rendered.items():
+            own = {ref.component: ref for ref in rendered.refs}
+            refs |= {ref: own[ref.component] for ref in layer.refs}
+        frames = (self._slots.frame(number) for number in in_slots)
+        planes = tuple({ref: frame[own] for ref, own in refs.items()} for frame in frames)
+        self._slots.keep(())
+        return LayerFrames(before, after, back, planes)
 
     def require(self, key: int) -> None:
         """Read a key frame's layers ahead; raises InputError where that fails."""
@@ -233,24 +245,6 @@ class LayerReader:
     def release_before(self, key: int) -> None:
         """Drop what no interval after this one needs."""
         self._keys.keep(self._content.source.timeline.numbers[key : key + 2])
-
-    def _read_slots(self, key: int) -> tuple[Planes, ...]:
-        """Read what the slots' own files have; () where a slot has no file."""
-        if self._slots is None:
-            return ()
-        source = self._content.source
-        slots = [source.slot_number(slot) for slot in source.timeline.between(key)]
-        numbers = [number for number in slots if number is not None]
-        if len(numbers) < len(slots):
-            return ()
-        refs: dict[ChannelRef, ChannelRef] = {}  # the slots' channels by the key frames'
-        for layer, rendered in self._content.rendered.items():
-            own = {ref.component: ref for ref in rendered.refs}
-            refs |= {ref: own[ref.component] for ref in layer.refs}
-        frames = (self._slots.frame(number) for number in numbers)
-        planes = tuple({ref: frame[own] for ref, own in refs.items()} for frame in frames)
-        self._slots.keep(())
-        return planes
 
 
 @dataclass

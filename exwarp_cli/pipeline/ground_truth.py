@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Image, UInt8, Window
+from exwarp_cli.domain.frame import Float32, Image, Window
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import Slot, Timeline
 from exwarp_cli.errors import InputError, LayoutError
@@ -38,8 +38,14 @@ ANCHORS = 3
 # moves, or noise is all that differs, it is not reached.
 CLEAR = 0.75
 
-# Returns the frame at a position from 0; raises InputError where it cannot be read.
-Read = Callable[[int], Image]
+# Returns the display window of the frame at a position from 0, as `read_display` does.
+Read = Callable[[int], Float32]
+
+
+def read_display(sequence: Sequence, number: int, view: str) -> Float32:
+    """Read the display window of a frame, float32 [H, W, C], scene-linear; raises InputError."""
+    image = read_sequence_picture(sequence, number, view)
+    return image.on(image.display_window).pixels
 
 
 def find_truth(
@@ -74,10 +80,8 @@ def find_truth(
         sorted(key_at),
         math.ceil(len(timeline.numbers) * timeline.factor),
         len(numbers),
-        lambda place: read_sequence_picture(
-            keys.sequence, timeline.numbers[key_at[place]], keys.view
-        ),
-        lambda place: read_sequence_picture(sequence, numbers[place], keys.view),
+        lambda place: read_display(keys.sequence, timeline.numbers[key_at[place]], keys.view),
+        lambda place: read_display(sequence, numbers[place], keys.view),
     )
     if rate == 1:
         return sequence, frame_of
@@ -132,13 +136,10 @@ def truth_rate(
     if last < truth <= count:
         return Fraction(1)
 
-    def display(image: Image) -> UInt8:
-        return to_display(image.on(image.display_window).pixels)
-
-    output = cache(lambda place: display(of_output(place)))
+    output = cache(lambda place: to_display(of_output(place)))
 
     def error(place: int, truth_place: int) -> float:
-        shown = display(of_truth(truth_place))
+        shown = to_display(of_truth(truth_place))
         return float(np.abs(output(place).astype(np.int16) - shown).mean())
 
     def error_share(rate: Fraction) -> float:

@@ -331,9 +331,10 @@ class _Ownership:
 
     def _why_foreign(self, path: Path, slot: Slot) -> str | None:
         """Return why a frame is not the run's own; None if it is, or there is none."""
+        keys = self.source.keys.sequence
         copied_from = None  # where the run copies the frame
         if not slot.index:
-            copied_from = self._key_file(slot.key)
+            copied_from = keys.files[self.source.timeline.numbers[slot.key]]
         elif self.rendered is not None:
             copied_from = self.rendered.files.get(self.source.timeline.number(slot))
         if copied_from is not None and _is_copy(path, copied_from):
@@ -380,9 +381,6 @@ class _Ownership:
                 return None
         return None if by == self.method.name else f"made by {by} and not by {self.method.name}"
 
-    def _key_file(self, key: int) -> Path:
-        return self.source.keys.sequence.files[self.source.timeline.numbers[key]]
-
     @cached_property
     def _key_sizes(self) -> dict[Path, int]:
         sizes: dict[Path, int] = {}
@@ -398,7 +396,8 @@ class _Ownership:
 
         Or the beginning of what the key frame is now.
         """
-        source = self._key_file(slot.key)
+        number = self.source.timeline.numbers[slot.key]
+        source = self.source.keys.sequence.files[number]
         if source.suffix.lower() != path.suffix.lower():
             return False  # key frames are decoded there, and carry a checksum
         try:
@@ -409,7 +408,6 @@ class _Ownership:
             form.begins_with(beginning) for form in possible_key_files(source, path)
         ):
             return True
-        number = self.source.timeline.numbers[slot.key]
         around = list(self._generated_around(slot.key))
         named = []  # digests of key frames by number, as each generated frame names them
         for _, authorship in around:

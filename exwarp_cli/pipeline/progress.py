@@ -212,14 +212,12 @@ class _Counting(NoProgress):
         self._estimate = Estimate(clock)
 
     def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
-        """Show how many frames there are to do."""
         self._estimate.start(total, kinds, at_once)
         self._show()
 
     def advance(
         self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
     ) -> None:
-        """Count a frame, and show it."""
         self._estimate.advance(kind, made)
         self._show(frame, note)
 

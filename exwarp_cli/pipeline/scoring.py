@@ -332,26 +332,14 @@ class Pair:
 
 
 class SequenceScorer(ResourceOwner):
-    """Scores pairs one by one, and the whole sequence at the end; a context manager."""
+    """Takes pairs one by one, and scores the whole sequence at the end; a context manager."""
 
+    notes: tuple[str, ...] = ()  # what a reader of the numbers should know at the end, sentences
     _vmaf: VmafStream | EncodedVmafStream | None = None
 
     def _open(self, stack: ExitStack) -> None:
         if self._vmaf is not None:
             stack.enter_context(self._vmaf)
-
-    def add(self, pair: Pair) -> None:
-        """Take the next pair."""
-        raise NotImplementedError
-
-    def finish(self) -> list[Scores]:
-        """Return the scores of all frames."""
-        raise NotImplementedError
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What a reader of the numbers should know at the end, a sentence each."""
-        return ()
 
 
 class MetricScorer(SequenceScorer):
@@ -419,15 +407,6 @@ class ExtranetScorer(SequenceScorer):
         self._scores: list[Score] = []
         self._counted = 0
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Which frames counted."""
-        by = "by their headers" if self._generated else "as their pixels are not those of the truth"
-        note = f"{self._counted} of {len(self._scores)} frames count as generated, {by}"
-        if self._vmaf is None:
-            return (note,)
-        return (note, f"VMAF is of {len(self._video)} frames in H.264, rendered ones included")
-
     def add(self, pair: Pair) -> None:
         """Score the next pair if it counts, and append it to the videos."""
         from exwarp_cli.metrics.extranet_scores import score_like_extranet  # see above
@@ -448,8 +427,13 @@ class ExtranetScorer(SequenceScorer):
             self._vmaf.write(truth, test)
 
     def finish(self) -> list[Scores]:
-        """Return all scores, with VMAF."""
+        """Return all scores, with VMAF; the notes say which frames counted."""
+        by = "by their headers" if self._generated else "as their pixels are not those of the truth"
+        note = f"{self._counted} of {len(self._scores)} frames count as generated, {by}"
+        self.notes = (note,)
         if self._vmaf is not None:
             for index, value in zip(self._video, self._vmaf.close(), strict=True):
                 self._scores[index] = replace(self._scores[index], vmaf=value)
+            frames = len(self._video)
+            self.notes += (f"VMAF is of {frames} frames in H.264, rendered ones included",)
         return [(score, None) for score in self._scores]
