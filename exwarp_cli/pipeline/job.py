@@ -137,7 +137,7 @@ class Job:
         """Say what was found, and what is going to happen."""
         announce(progress, self.settings, self.source, self.method, self.keys)
         if self.rendered is not None:
-            progress.message(self.rendered.note(self.source.timeline))
+            progress.message(self.rendered.note)
         if self.truth is not None:
             announce_truth(progress, *self.truth, self.source)
         if self.targets.video is not None:

@@ -63,7 +63,7 @@ class Models:
         policy: PolicyFile | None,
     ) -> Models:
         """Summarise loaded models."""
-        extrapolator = interpolator_summary = None
+        extrapolator = interpolator_summary = policy_summary = None
         if network is not None:
             extrapolator = NetworkSummary(
                 str(network.path), network.checksum, network.device, not _missing_colours(source)
@@ -76,7 +76,31 @@ class Models:
                 interpolator.card_checksum,
                 interpolator.device,
             )
-        policy_summary = None if policy is None else _policy_summary(policy, source, network)
+        if policy is not None:
+            note = None if network is None else other_extrapolator(policy, network)
+            objects_from, missing = None, []
+            if not policy.of_tiles:  # one of tiles uses what the warp uses, so it lacks nothing
+                shot = source.slots or source.keys
+                layout = shot.layout
+                placed = Role.POSITION in layout or Role.DEPTH in layout
+                if Role.STENCIL in layout:
+                    objects_from = "ids"
+                elif shot.ids is not None and (placed or shot.ids.dynamic is not None):
+                    objects_from = "cryptomatte"
+                elif placed:
+                    objects_from = "motion"
+                else:
+                    missing.append("N_d")
+                needed = {"EMD_Wn": Role.NORMAL, "EMD_Wp": Role.POSITION}
+                missing += [name for name, role in needed.items() if role not in layout]
+            policy_summary = PolicySummary(
+                str(policy.path),
+                policy.checksum,
+                objects_from,
+                tuple(missing),
+                policy.trained_for,
+                note,
+            )
         return cls(extrapolator, interpolator_summary, policy_summary)
 
 
@@ -136,30 +160,6 @@ def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator) -> str | N
         f"{policy.path.name} was trained for the extrapolator with sha256 {trained}, and "
         f"{used}: its decisions may be wrong; train a policy for this one with 'exwarp train "
         f"{kind}', and name it with --policy"
-    )
-
-
-def _policy_summary(
-    policy: PolicyFile, source: Source, network: OnnxExtrapolator | None
-) -> PolicySummary:
-    note = None if network is None else other_extrapolator(policy, network)
-    objects_from, missing = None, []
-    if not policy.of_tiles:  # one of tiles uses what the warp uses, so it lacks nothing
-        shot = source.slots or source.keys
-        layout = shot.layout
-        placed = Role.POSITION in layout or Role.DEPTH in layout
-        if Role.STENCIL in layout:
-            objects_from = "ids"
-        elif shot.ids is not None and (placed or shot.ids.dynamic is not None):
-            objects_from = "cryptomatte"
-        elif placed:
-            objects_from = "motion"
-        else:
-            missing.append("N_d")
-        needed = {"EMD_Wn": Role.NORMAL, "EMD_Wp": Role.POSITION}
-        missing += [name for name, role in needed.items() if role not in layout]
-    return PolicySummary(
-        str(policy.path), policy.checksum, objects_from, tuple(missing), policy.trained_for, note
     )
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -408,12 +407,21 @@ class _Ownership:
             form.begins_with(beginning) for form in possible_key_files(source, path)
         ):
             return True
-        around = list(self._generated_around(slot.key))
-        named = []  # digests of key frames by number, as each generated frame names them
-        for _, authorship in around:
-            words = str(authorship.facts.get(KEY_FRAMES, "")).split(",")
-            pairs = (word.partition(":") for word in words)
-            named.append({int(n): digest for n, _, digest in pairs if n.lstrip("-").isdecimal()})
+        timeline, frames = self.source.timeline, self.targets.frames
+        assert frames is not None
+        # Generated frames before and after the key frame that are as they were written, and the
+        # digests of key frames by number that each names.
+        around, named = [], []
+        for index in (slot.key, slot.key - 1):
+            for each in timeline.made_of(index) if index >= 0 else ():
+                frame = frames.path(timeline.number(each))
+                authorship = self._authorship(frame)
+                if authorship is None or authorship.state is not FileState.INTACT:
+                    continue
+                around.append(frame)
+                words = str(authorship.facts.get(KEY_FRAMES, "")).split(",")
+                pairs = (word.partition(":") for word in words)
+                named.append({int(n): sha for n, _, sha in pairs if n.lstrip("-").isdecimal()})
         digest = file_digest(path)
         if any(digest in keys.values() for keys in named):
             return True
@@ -421,19 +429,8 @@ class _Ownership:
             return False
         # Earlier builds name none. Without a tail no frame is made of the last key frame, unless
         # the method looks ahead. It is as old as the frames around it.
-        times = [frame.stat().st_mtime for frame, _ in around]
+        times = [frame.stat().st_mtime for frame in around]
         return bool(times) and path.stat().st_mtime <= max(times) + SLACK_S
-
-    def _generated_around(self, key: int) -> Iterator[tuple[Path, Authorship]]:
-        """Yield the generated frames before and after a key frame that are as they were written."""
-        timeline, frames = self.source.timeline, self.targets.frames
-        assert frames is not None
-        for index in (key, key - 1):
-            for slot in timeline.made_of(index) if index >= 0 else ():
-                path = frames.path(timeline.number(slot))
-                authorship = self._authorship(path)
-                if authorship is not None and authorship.state is FileState.INTACT:
-                    yield path, authorship
 
 
 def _is_copy(path: Path, source: Path) -> bool:

@@ -15,7 +15,7 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.frame import KeyFrame
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.settings import SourceSettings
-from exwarp_cli.domain.timeline import Slot, Timeline, ranges
+from exwarp_cli.domain.timeline import Slot, ranges
 from exwarp_cli.errors import InputError, LayoutError, OutputError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import digest_frame, find_frames, is_plain, read_key_picture
@@ -40,22 +40,11 @@ class RenderedFrames:
     """Frames of the output, between key frames, that were rendered after all."""
 
     sequence: Sequence  # their files by output number; no others
-    # Numbers that the user's sequence has beside these: of key frames, and outside the output.
-    unused: tuple[int, ...]
+    note: str  # says which frames are used, and which are not
 
     def has(self, number: int) -> bool:
         """Return True if an output frame was rendered."""
         return number in self.sequence.files
-
-    def note(self, timeline: Timeline) -> str:
-        """Say which frames are used, and which are not."""
-        used = f"rendered frames of {self.sequence.pattern}: {ranges(self.sequence.numbers)}"
-        if not self.unused:
-            return used
-        return (
-            f"{used}; not used are {ranges(self.unused)}, which are numbers of key frames or not "
-            f"in the output, {_output_range(timeline)}"
-        )
 
     def require_apart(self, frames: OutputPattern | None) -> None:
         """Refuse to write over the rendered frames themselves; raises OutputError."""
@@ -77,16 +66,23 @@ def find_rendered(spec: str, source: Source, scan: str = SourceSettings.scan) ->
     plain = is_plain(source.keys.sequence)
     sequence = find_frames(pattern, scan=scan) if plain else find_sequence(pattern)
     timeline = source.timeline
-    slots = [slot for key in range(len(timeline.numbers)) for slot in timeline.made_of(key)]
-    new = {timeline.number(slot) for slot in slots}
+    slots = [slot for key in range(len(timeline.numbers)) for slot in timeline.slots_of(key)]
+    output = f"{timeline.number(slots[0])}-{timeline.number(slots[-1])}"
+    new = {timeline.number(slot) for slot in slots if slot.index}
     used = [number for number in sequence.numbers if number in new]
+    unused = [number for number in sequence.numbers if number not in new]
     if not used:
         raise InputError(
             f"--rendered {sequence.pattern} has frames {ranges(sequence.numbers)}, and none of "
-            f"them is a new frame of the output, {_output_range(timeline)}; number them as "
-            "review.txt does"
+            f"them is a new frame of the output, {output}; number them as review.txt does"
         )
-    return RenderedFrames(sequence.over(used), tuple(n for n in sequence.numbers if n not in new))
+    note = f"rendered frames of {sequence.pattern}: {ranges(used)}"
+    if unused:
+        note += (
+            f"; not used are {ranges(unused)}, which are numbers of key frames or not in the "
+            f"output, {output}"
+        )
+    return RenderedFrames(sequence.over(used), note)
 
 
 def require_rendered_size(sequence: Sequence, source: Source, keys: tuple[int, ...]) -> None:
@@ -106,12 +102,6 @@ def require_rendered_size(sequence: Sequence, source: Source, keys: tuple[int, .
                 f"frame {number} of --rendered is {window} and the input is {display}; render it "
                 "at the resolution and with the windows of the key frames"
             )
-
-
-def _output_range(timeline: Timeline) -> str:
-    """Return the first and the last number of the whole output."""
-    slots = [slot for key in range(len(timeline.numbers)) for slot in timeline.slots_of(key)]
-    return f"{timeline.number(slots[0])}-{timeline.number(slots[-1])}"
 
 
 @dataclass(frozen=True)

@@ -92,6 +92,7 @@ class Shots:
         self._wish = wish
         self._numbers = numbers
         self._given = wish.starts_in(numbers)
+        self._beside_given = {key - i for key in self._given for i in (0, 1)}
         self._read = read
         self._unreadable = UnreadableFrames() if unreadable is None else unreadable
         self._lossy = lossy
@@ -121,7 +122,7 @@ class Shots:
 
     def see(self, key: int, frame: KeyFrame) -> None:
         """Take a glance at a key frame as it was read, with vectors over a key interval."""
-        if self._wish.detect or self._is_beside_given_cut(key):
+        if self._wish.detect or key in self._beside_given:
             self._glances[key] = make_thumbnail(frame)
 
     def starts_at(self, key: int) -> bool:
@@ -208,9 +209,6 @@ class Shots:
         """Drop glances at key frames before one; what they showed stays known."""
         self._glances = {key: glance for key, glance in self._glances.items() if key >= oldest}
 
-    def _is_beside_given_cut(self, key: int) -> bool:
-        return key in self._given or key + 1 in self._given
-
     def _glance(self, key: int) -> Thumbnail:
         if key not in self._glances:
             self._read(key)
@@ -218,7 +216,7 @@ class Shots:
 
     def _vectors_across_cut(self, key: int) -> str:
         """Return which vectors of a key frame lead to another shot; "" for none."""
-        if not self._wish.detect and not self._is_beside_given_cut(key):
+        if not self._wish.detect and key not in self._beside_given:
             return ""
         if key not in self._leaps:
             self._leaps[key] = _Leap.from_glance(self._glance(key))

@@ -166,30 +166,76 @@ def open_source(
     starts: set[int | None] = {timeline.numbers[key] for key in first_keys}
     if slots is not None:
         slot_number = align(timeline, slots.sequence, "--gbuffers")
-        _require_enough_slots(timeline, slots, slot_number)
+        last = Slot(len(timeline.numbers) - 1, 0)
+        if slot_number(last) is None:
+            raise InputError(
+                f"--gbuffers {slots.sequence.pattern} has frames {ranges(slots.sequence.numbers)}, "
+                f"fewer than the {timeline.order(last) + 1} slots up to the last key frame; render "
+                "the others"
+            )
         starts = {slot_number(Slot(key, 0)) for key in first_keys}
+    source = Source(keys, slots, slot_number, timeline, None, fps, fps_source, cuts)
     cut_numbers = {number for number in starts if number is not None}
+    return _with_motion(source, settings, cut_numbers, motion_needed, pictures)
+
+
+def _with_motion(
+    source: Source,
+    settings: SourceSettings,
+    starts: Collection[int],  # numbers of frames before which cuts are known
+    motion_needed: bool,
+    pictures: bool,
+) -> Source:
+    """Return a source with what its vectors mean, and depth as they say it grows."""
+    keys, slots, slot_number = source.keys, source.slots, source.slot_number
+    shot, colours = slots or keys, None
+    comparable = {Role.COLOUR, Role.POSITION} & set(shot.layout.roles)
+    if slots is not None and not comparable and keys.display.shape == slots.display.shape:
+        # Key frames to measure slots' vectors by, as these have no colour.
+        instants = (Slot(key, 0) for key in range(len(source.timeline.numbers)))
+        colours = KeyColours(keys, tuple(map(slot_number, instants)))
     names_vectors = settings.gbuffers is not None or settings.motion is not None
     may_estimate = pictures and settings.estimate_motion and not names_vectors
     try:
-        colours = _key_colours(keys, slots, timeline, slot_number)
-        finding = find_motion(slots or keys, settings.motion, cuts.detect, cut_numbers, colours)
+        finding = find_motion(shot, settings.motion, source.cuts.detect, starts, colours)
         unusable = ""
     except MotionError as error:
         if motion_needed and not may_estimate:
             raise
         finding, unusable = None, str(error)
-    keys, slots = _with_depth(keys, slots, finding, cut_numbers)
-    shot = slots or keys
+    ordered = shot if finding is None else with_depth_ordered(shot, finding.convention, starts)
+    if slots is None:
+        keys = ordered
+    elif ordered is not shot:
+        # Depth of the same name in both is read alike.
+        names, slot_names = (
+            {ref.name for ref in each.layout.roles.get(Role.DEPTH, ())} for each in (keys, slots)
+        )
+        if names == slot_names and keys.depth == slots.depth:
+            keys = read_alike(keys, ordered)
+        slots = ordered
     # A render with passes is meant to have vectors: a farm would not notice that they are missing.
-    is_footage = not names_vectors and Role.MOTION not in shot.layout and is_colour_alone(shot)
+    is_footage = (
+        not names_vectors and Role.MOTION not in ordered.layout and is_colour_alone(ordered)
+    )
     estimated = finding is None and motion_needed and (may_estimate or (pictures and is_footage))
-    if motion_needed and not estimated:
-        _require_vectors(shot, finding, slots, pictures)
+    if finding is None and motion_needed and not estimated:
+        raise LayoutError(no_vectors_message(ordered, pictures and slots is None))
     if slots is not None and (finding is None or finding.convention.to_previous is None):
+        if motion_needed and not estimated:
+            raise LayoutError(
+                f"--gbuffers {slots.sequence.pattern} has no readable vectors to the previous "
+                "slot, along which colour is moved; render them, or leave --gbuffers out"
+            )
         slots, slot_number, finding = None, _no_number, None
-    return Source(
-        keys, slots, slot_number, timeline, finding, fps, fps_source, cuts, estimated, unusable
+    return replace(
+        source,
+        keys=keys,
+        slots=slots,
+        slot_number=slot_number,
+        finding=finding,
+        estimated=estimated,
+        unusable=unusable,
     )
 
 
@@ -394,61 +440,6 @@ def align(timeline: Timeline, sequence: sequences.Sequence, option: str) -> Fram
 
 def _no_number(_slot: Slot) -> int | None:
     return None
-
-
-def _require_enough_slots(timeline: Timeline, slots: Shot, frame_of: FrameOf) -> None:
-    last = Slot(len(timeline.numbers) - 1, 0)
-    if frame_of(last) is None:
-        raise InputError(
-            f"--gbuffers {slots.sequence.pattern} has frames {ranges(slots.sequence.numbers)}, "
-            f"fewer than the {timeline.order(last) + 1} slots up to the last key frame; render the "
-            "others"
-        )
-
-
-def _key_colours(
-    keys: Shot, slots: Shot | None, timeline: Timeline, slot_number: FrameOf
-) -> KeyColours | None:
-    """Return the key frames to measure slots' vectors by, where these have no colour."""
-    if slots is None or {Role.COLOUR, Role.POSITION} & set(slots.layout.roles):
-        return None
-    if keys.display.shape != slots.display.shape:
-        return None
-    count = len(timeline.numbers)
-    return KeyColours(keys, tuple(slot_number(Slot(key, 0)) for key in range(count)))
-
-
-def _with_depth(
-    keys: Shot, slots: Shot | None, finding: MotionFinding | None, starts: Collection[int]
-) -> tuple[Shot, Shot | None]:
-    """Return key frames and slots with depth as their vectors say it grows.
-
-    Depth of the same name in both is read alike. `starts` are numbers at which shots begin.
-    """
-    if finding is None:
-        return keys, slots
-    shot = slots or keys
-    ordered = with_depth_ordered(shot, finding.convention, starts)
-    if ordered is shot:
-        return keys, slots
-    if slots is None:
-        return ordered, None
-    names = [{ref.name for ref in each.layout.roles.get(Role.DEPTH, ())} for each in (keys, slots)]
-    if names[0] == names[1] and keys.depth == slots.depth:
-        keys = read_alike(keys, ordered)
-    return keys, ordered
-
-
-def _require_vectors(
-    shot: Shot, finding: MotionFinding | None, slots: Shot | None, estimable: bool
-) -> None:
-    if finding is None:
-        raise LayoutError(no_vectors_message(shot, estimable and slots is None))
-    if slots is not None and finding.convention.to_previous is None:
-        raise LayoutError(
-            f"--gbuffers {slots.sequence.pattern} has no readable vectors to the previous slot, "
-            "along which colour is moved; render them, or leave --gbuffers out"
-        )
 
 
 def require_one_size(shot: Shot, numbers: Iterable[int]) -> None:
