@@ -32,7 +32,7 @@ from exwarp_cli.io.view_transform import DisplayLook, find_display_look, find_vi
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.ground_truth import read_display, truth_rate
 from exwarp_cli.pipeline.motion_convention import find_motion
-from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
+from exwarp_cli.pipeline.progress import FrameListener, Progress
 from exwarp_cli.pipeline.scoring import (
     ExtranetScorer,
     MetricScorer,
@@ -177,9 +177,7 @@ def evaluate(
     require_generated(measuring, origins, judged)
     scorer, notes = make_scorer(measuring, reference, truth, origins)
     try:
-        compared, shape = _score(
-            *(files, origins, scorer, progress or NoProgress(), watcher, looks)
-        )
+        compared, shape = _score(*(files, origins, scorer, progress or Progress(), watcher, looks))
     finally:
         close_sequences(truth, judged)
     if measuring.preset is None:  # a preset has its own rule for rendered frames

@@ -7,7 +7,8 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -48,46 +49,35 @@ FRAME, HOLES, VIDEO = "frame", "holes", "video"  # kinds of written files
 Sums = dict[tuple[str, int], str]  # SHA-256 of written files, by kind and number of the frame
 
 
+@dataclass
 class FrameWriter(ResourceOwner):
     """Writes the frames of a run, in order; a context manager."""
 
-    def __init__(
-        self,
-        output: OutputPlan,
-        display: Window,  # that the video and the hole masks show
-        rate: OutputRate,  # of the video, and what headers of key frames get
-        view: str = "",  # which view of written frames is read again; "" for the hero
-        behind: int = FRAMES_BEHIND,
-        look: VideoLook | None = None,  # of the video: colour, pixels and sound
-        sums: bool = False,  # whether checksums of files are wanted
-        skips: bool = False,  # whether the video shows a frame again in the place of skipped ones
-    ) -> None:
-        self._output = output
-        self._display = display
-        self._fps = rate.fps
-        self._key_rate = None if output.keeps_bytes else rate.written
-        self._view = view
-        self._behind = behind
-        self._look = look or VideoLook()
-        self._wants_sums = sums
-        self._skips = skips
-        # To what the video's codec takes
-        self._encode = to_display_16 if output.codec.is_deep else to_display
-        self._video: VideoWriter | None = None
-        self._last_shown: np.ndarray | None = None  # by the video
-        self._replaced_early: set[int] = set()
-        # Milliseconds that writing took, by the frame's number; complete at the end.
-        self.write_ms: dict[int, float] = {}
-        # Checksums of what is written, where they are wanted; complete at the end.
-        self.sums: Sums = {}
+    output: OutputPlan
+    display: Window  # that the video and the hole masks show
+    rate: OutputRate  # of the video, and what headers of key frames get
+    view: str  # which view of written frames is read again; "" for the hero
+    behind: int  # frames that may wait for a thread to write them, beyond those under way
+    look: VideoLook  # of the video: colour, pixels and sound
+    wants_sums: bool  # whether checksums of files are wanted
+    skips: bool  # whether the video shows a frame again in the place of skipped ones
+    # Milliseconds that writing took, by the frame's number; complete at the end.
+    write_ms: dict[int, float] = field(default_factory=dict)
+    # Checksums of what is written, where they are wanted; complete at the end.
+    sums: Sums = field(default_factory=dict)
+    _video: VideoWriter | None = None
+    _last_shown: np.ndarray | None = None  # by the video
+    _replaced_early: set[int] = field(default_factory=set)
 
     def _open(self, stack: ExitStack) -> None:
         threads = cores.count()
-        self._writer = stack.enter_context(AsyncWriter(threads, self._behind + threads))
-        if self._output.video is not None:
-            height, width = self._display.shape
+        self._writer = stack.enter_context(AsyncWriter(threads, self.behind + threads))
+        if self.output.video is not None:
+            # To what the video's codec takes
+            self._encode = to_display_16 if self.output.codec.is_deep else to_display
+            height, width = self.display.shape
             video = VideoWriter(
-                self._output.video, width, height, self._fps, self._look, self._output.codec
+                self.output.video, width, height, self.rate.fps, self.look, self.output.codec
             )
             self._video = stack.enter_context(video)
 
@@ -104,11 +94,15 @@ class FrameWriter(ResourceOwner):
     @property
     def keeps_frames(self) -> bool:
         """True if frames become files, and not a video alone."""
-        return self._output.frames is not None
+        return self.output.frames is not None
+
+    @property
+    def _key_rate(self) -> Fraction | None:
+        return None if self.output.keeps_bytes else self.rate.written
 
     def name(self, number: int) -> str:
         """Return the name of a frame's file, or of the video without files, without its folder."""
-        frames, video = self._output.frames, self._output.video
+        frames, video = self.output.frames, self.output.video
         if frames is None:
             assert video is not None
             return video.name
@@ -119,22 +113,22 @@ class FrameWriter(ResourceOwner):
 
         Frames that are not `masked` have no hole mask.
         """
-        if not self._output.resumes or self._output.frames is None:
+        if not self.output.resumes or self.output.frames is None:
             return False
-        patterns = [self._output.frames]
-        if self._output.holes is not None and masked:
-            patterns.append(self._output.holes)
+        patterns = [self.output.frames]
+        if self.output.holes is not None and masked:
+            patterns.append(self.output.holes)
         paths = [pattern.path(number) for pattern in patterns]
         return all(path.exists() and read_fingerprint(path) == recipe for path in paths)
 
     def copies(self, source: Path) -> bool:
         """Return True if a key frame's file is copied, not decoded and encoded."""
-        frames = self._output.frames
+        frames = self.output.frames
         return frames is not None and frames.type == source.suffix.lower()
 
     def has_copy(self, number: int, source: Path) -> bool:
         """Return True if an earlier run copied a key frame's file, and it is kept."""
-        if not self._output.resumes:
+        if not self.output.resumes:
             return False
         return key_is_there(self._path(number), plan_key_file(source, self._key_rate))
 
@@ -142,14 +136,14 @@ class FrameWriter(ResourceOwner):
         """Return True if a frame's file from before the run exists, which writing would replace."""
         # A run that may replace none began without any: what exists now is its own, as after the
         # loss of a worker.
-        may_replace = self._output.overwrites or self._output.resumes
+        may_replace = self.output.overwrites or self.output.resumes
         return may_replace and self.keeps_frames and path_exists(self._path(number))
 
     def replace_key(self, number: int, source: Path) -> None:
         """Replace an earlier copy of a key frame at once, if it is another than the source."""
         # The frames around a key frame name its digest, by which a later run knows a copy of an
         # earlier render. If they are replaced first and the run is killed, none names that copy.
-        if not self._output.resumes or not self.is_in_the_way(number):
+        if not self.output.resumes or not self.is_in_the_way(number):
             return
         if number not in self._replaced_early and not self.has_copy(number, source):
             self._copy(number, source)
@@ -184,7 +178,7 @@ class FrameWriter(ResourceOwner):
 
     def _is_marked(self, source: Path) -> bool:
         """Return True if a rendered frame's header gets ExWarp's own attributes."""
-        return source.suffix.lower() in EXR and not self._output.keeps_bytes
+        return source.suffix.lower() in EXR and not self.output.keeps_bytes
 
     def write(
         self,
@@ -202,12 +196,12 @@ class FrameWriter(ResourceOwner):
         for `io.generated_frames.write_picture`. With `inline` this thread writes, and does not
         return before; any thread may.
         """
-        if self._output.compression is not None:
-            attributes = {**attributes, "compression": self._output.compression}
+        if self.output.compression is not None:
+            attributes = {**attributes, "compression": self.output.compression}
         tasks: list[Callable[[], None]] = []
-        if self._output.frames is not None:
+        if self.output.frames is not None:
             tasks.append(partial(self._put_frame, number, image, template, attributes, layers))
-        if self._output.holes is not None and mask is not None:
+        if self.output.holes is not None and mask is not None:
             tasks.append(partial(self._put_mask, number, mask, attributes))
         for task in tasks:
             if inline:
@@ -224,14 +218,14 @@ class FrameWriter(ResourceOwner):
     def show(self, image: Image) -> None:
         """Append a frame to the video, if there is one."""
         if self._video is not None:
-            shown = self.displayed(image.on(self._display).pixels, self._output.exposure)
+            shown = self.displayed(image.on(self.display).pixels, self.output.exposure)
             code = self._encode(shown)
             self._video.write(code)
-            self._last_shown = code if self._skips else None
+            self._last_shown = code if self.skips else None
 
     def displayed(self, pixels: Float32, exposure_stops: float = 0.0) -> Float32:
         """Return the light of a display that shows scene-linear colour; see `DisplayLook`."""
-        look = DisplayLook(self._look.primaries, self._output.view)
+        look = DisplayLook(self.look.primaries, self.output.view)
         return look.apply(pixels, exposure_stops)
 
     def show_again(self) -> None:
@@ -240,21 +234,21 @@ class FrameWriter(ResourceOwner):
         Only where frames may be skipped: the last frame is kept for that.
         """
         if self._video is not None:
-            black = np.zeros((*self._display.shape, 3), np.float32)
+            black = np.zeros((*self.display.shape, 3), np.float32)
             shown = self._encode(black) if self._last_shown is None else self._last_shown
             self._video.write(shown)
 
     def read(self, number: int) -> Image:
         """Read a frame that an earlier run wrote."""
-        return read_picture(self._path(number), self._view)
+        return read_picture(self._path(number), self.view)
 
     def written(self, number: int) -> dict[str, Any]:
         """Return the attributes of a generated frame that an earlier run wrote."""
         return read_facts(self._path(number))
 
     def _path(self, number: int) -> Path:
-        assert self._output.frames is not None
-        return self._output.frames.path(number)
+        assert self.output.frames is not None
+        return self.output.frames.path(number)
 
     def _copy(
         self, number: int, source: Path, marks: Mapping[str, str | int] | None = None
@@ -266,7 +260,7 @@ class FrameWriter(ResourceOwner):
             else:
                 file = plan_marked_file(source, self._key_rate, marks)
             file.write(self._path(number))
-            if self._wants_sums:  # of what the source gives
+            if self.wants_sums:  # of what the source gives
                 self.sums[FRAME, number] = sum_of(file.pieces())
 
     def _put_frame(
@@ -279,15 +273,15 @@ class FrameWriter(ResourceOwner):
     ) -> None:
         with record_time(self.write_ms, number):
             pieces = write_picture(self._path(number), image, template, attributes, layers)
-            if self._wants_sums:  # of what is in memory
+            if self.wants_sums:  # of what is in memory
                 self.sums[FRAME, number] = sum_of(pieces)
 
     def _put_mask(self, number: int, mask: Bool, attributes: Mapping[str, Any]) -> None:
-        assert self._output.holes is not None
+        assert self.output.holes is not None
         marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
-        windows = (self._display, self._display)
-        pieces = write_mask(self._output.holes.path(number), mask, windows, marks)
-        if self._wants_sums:
+        windows = (self.display, self.display)
+        pieces = write_mask(self.output.holes.path(number), mask, windows, marks)
+        if self.wants_sums:
             self.sums[HOLES, number] = sum_of(pieces)
 
 

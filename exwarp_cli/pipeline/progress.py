@@ -137,12 +137,15 @@ def kinds_of(slots: Iterable[Slot]) -> Counter[str]:
 
 
 class Progress:
-    """Receives the progress of a pipeline; this one ignores it.
+    """Receives the progress of a pipeline; this one shows only messages, which may be warnings.
 
     `start` comes once and first; `finish` comes last, after an error too. `message` may come at any
     time. Only :func:`reporting` calls `fail`, after all others. Reporters keep any text on one
     line.
     """
+
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self._stream = stream or sys.stderr
 
     def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
         """Begin work on `total` frames; see `Estimate.start` for the other parameters."""
@@ -158,6 +161,7 @@ class Progress:
 
     def message(self, text: str) -> None:
         """Show the user one line."""
+        _print_line(self._stream, f"exwarp: {text}")
 
     def finish(self) -> None:
         """Stop reporting."""
@@ -193,18 +197,7 @@ class FrameListener(Protocol):
         """
 
 
-class NoProgress(Progress):
-    """Shows nothing but messages, which may be warnings; the base of other reporters."""
-
-    def __init__(self, stream: TextIO | None = None) -> None:
-        self._stream = stream or sys.stderr
-
-    def message(self, text: str) -> None:
-        """Print a line."""
-        _print_line(self._stream, f"exwarp: {text}")
-
-
-class _Counting(NoProgress):
+class _Counting(Progress):
     """A reporter that shows how many frames are done, and the time left."""
 
     def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
@@ -358,7 +351,7 @@ REPORTERS: dict[str, Callable[[], Progress]] = {
     "plain": PlainProgress,
     "json": JsonProgress,
     "openjd": OpenJdProgress,
-    "none": NoProgress,
+    "none": Progress,
 }
 KINDS = ("auto", *REPORTERS)  # choices of ``--progress``
 

@@ -43,7 +43,7 @@ from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.key_frames import window_note
 from exwarp_cli.pipeline.messages import announce_skipped, skipped_interval, skipped_slots
 from exwarp_cli.pipeline.output_plan import is_video_kept, video_fingerprint, video_look, video_note
-from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress, kind_of, kinds_of
+from exwarp_cli.pipeline.progress import FrameListener, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.scheduling import (
     Mode,
     ParallelSlots,
@@ -77,7 +77,7 @@ def upsample(
     ExwarpError
         For anything that a user can cause; frames written until then are complete.
     """
-    return run_job(open_job(settings), progress or NoProgress(), listener)
+    return run_job(open_job(settings), progress or Progress(), listener)
 
 
 def run_job(job: Job, progress: Progress, listener: FrameListener | None = None) -> RunSummary:
