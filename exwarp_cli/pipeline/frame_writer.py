@@ -17,7 +17,7 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, Image, Window
 from exwarp_cli.domain.results import FrameKind, FrameRecord, WrittenFile
-from exwarp_cli.domain.timeline import OutputRate, ranges
+from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError, OutputError
 from exwarp_cli.io.display_colour import to_display, to_display_16
 from exwarp_cli.io.exr.template import PREFIX, Plane, PlaneKey
@@ -55,7 +55,8 @@ class FrameWriter(ResourceOwner):
 
     output: OutputPlan
     display: Window  # that the video and the hole masks show
-    rate: OutputRate  # of the video, and what headers of key frames get
+    fps: Fraction  # of the video
+    written_fps: Fraction | None  # what headers of key frames get; None where it is not known
     view: str  # which view of written frames is read again; "" for the hero
     behind: int  # frames that may wait for a thread to write them, beyond those under way
     look: VideoLook  # of the video: colour, pixels and sound
@@ -77,7 +78,7 @@ class FrameWriter(ResourceOwner):
             self._encode = to_display_16 if self.output.codec.is_deep else to_display
             height, width = self.display.shape
             video = VideoWriter(
-                self.output.video, width, height, self.rate.fps, self.look, self.output.codec
+                self.output.video, width, height, self.fps, self.look, self.output.codec
             )
             self._video = stack.enter_context(video)
 
@@ -98,7 +99,7 @@ class FrameWriter(ResourceOwner):
 
     @property
     def _key_rate(self) -> Fraction | None:
-        return None if self.output.keeps_bytes else self.rate.written
+        return None if self.output.keeps_bytes else self.written_fps
 
     def name(self, number: int) -> str:
         """Return the name of a frame's file, or of the video without files, without its folder."""

@@ -434,7 +434,8 @@ def make_writer(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> FrameW
     return FrameWriter(
         job.targets,
         keys.display,
-        job.source.output_rate,
+        job.source.output_fps,
+        job.source.written_fps,
         keys.view,
         behind,
         video_look(job.source, job.keys, note or video_note(job.settings)),

@@ -16,7 +16,6 @@ from exwarp_cli.domain.timeline import (
     FACTOR,
     MAX_FACTOR,
     CutOption,
-    OutputRate,
     Slot,
     Timeline,
     compatible_rate,
@@ -79,11 +78,6 @@ class Source:
     def output_fps(self) -> Fraction:
         """Frames per second of the output."""
         return self.fps * self.timeline.factor
-
-    @property
-    def output_rate(self) -> OutputRate:
-        """Frames per second of the output, and what written frames say of them."""
-        return OutputRate(self.output_fps, self.written_fps)
 
     @property
     def written_fps(self) -> Fraction | None:
