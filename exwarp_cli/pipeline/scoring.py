@@ -38,7 +38,6 @@ from exwarp_cli.metrics.temporal import (
     mean_gradient,
     pulse,
 )
-from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.motion_fields import field_between, reproject, settle_motion
 
 if TYPE_CHECKING:
@@ -48,6 +47,7 @@ if TYPE_CHECKING:
     from exwarp_cli.pipeline.job import Job
     from exwarp_cli.pipeline.rendered_frames import RenderedReader
     from exwarp_cli.pipeline.source import Source
+    from exwarp_cli.synthesis.interval import Interval
 
 Scores = tuple[Score, Score | None]  # over all pixels, and in holes
 
