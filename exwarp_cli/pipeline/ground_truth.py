@@ -226,9 +226,10 @@ class TruthReader:
             if key + 1 < len(timeline.numbers):
                 wanted.append((truth.ends, Slot(key, len(timeline.between(key)) + 1)))
         for frames, slot in wanted:
-            number, output = frame_of(slot), timeline.number(slot)
+            number = frame_of(slot)
             if number is None:
                 continue
+            output = timeline.number(slot)
             try:
                 image = read_sequence_picture(sequence, number, keys.view)
                 if image.display_window.shape != keys.display.shape:
