@@ -279,9 +279,9 @@ def _with_startup_messages(callback: Callable[..., Any]) -> Callable[..., Any]:
             lines.append(f"options {'; '.join(places)}")
         if lines:
             # Imported here: most calls take nothing from files.
-            from exwarp_cli.pipeline.progress import JsonProgress, NoProgress
+            from exwarp_cli.pipeline.progress import JsonProgress, Progress
 
-            reporter = JsonProgress() if parameters.get("progress") == "json" else NoProgress()
+            reporter = JsonProgress() if parameters.get("progress") == "json" else Progress()
             for line in lines:
                 reporter.message(line)
         return callback(**parameters)

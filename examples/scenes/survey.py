@@ -36,7 +36,7 @@ from exwarp_cli.io.dataset import BENCHMARK, TRAINING, FrameSet, RenderedScene, 
 from exwarp_cli.io.exr.reader import read_headers
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.metrics.registry import score_frame
-from exwarp_cli.pipeline.progress import NoProgress
+from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.report.schema import mean_scores
 from exwarp_cli.research.training.scene_clip import SceneClip
@@ -146,7 +146,7 @@ def run(scene: RenderedScene, method: str, setting: str) -> list[FrameRecord]:
         return [record for record in upsample(settings, _Silent()).frames if record.slot]
 
 
-class _Silent(NoProgress):
+class _Silent(Progress):
     """No progress, and no word about the input either."""
 
     def message(self, text: str) -> None:

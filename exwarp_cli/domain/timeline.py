@@ -209,14 +209,6 @@ NTSC_RATIO = Fraction(1000, 1001)  # NTSC rates are integer multiples of this
 MAX_DENOMINATOR, MAX_NUMERATOR = 10**6, 2**27
 
 
-@dataclass(frozen=True)
-class OutputRate:
-    """Frames per second of an output."""
-
-    fps: Fraction  # that of a video
-    written: Fraction | None  # that of frames' headers; None where the rate is only assumed
-
-
 def parse_rate(value: Any) -> Fraction | None:
     """Return the rate of an attribute, rational, int, float, double or text; see `standard_rate`.
 

@@ -39,12 +39,12 @@ from exwarp_cli.farm.path_options import absolute, inputs_of
 from exwarp_cli.io.files import ResourceOwner, await_file, marker_file, remove_leftovers
 from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.pipeline.dry_run import DryRun
+from exwarp_cli.pipeline.frame_writer import verify_video
 from exwarp_cli.pipeline.job import Job
 from exwarp_cli.pipeline.messages import announce_skipped
-from exwarp_cli.pipeline.progress import ANY, NoProgress, Progress, kind_of, kinds_of
+from exwarp_cli.pipeline.progress import ANY, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.run import make_writer
 from exwarp_cli.pipeline.scheduling import AsyncWriter
-from exwarp_cli.pipeline.verification import verify_video
 from exwarp_cli.runtime.stop import check_stop, note_progress
 
 # Chunks for each worker: the last one keeps the others waiting for a third of its share at most.
@@ -156,7 +156,7 @@ def foresee_on_cluster(job: Job, where: ClusterSettings, dry_run: DryRun) -> Dry
         workers = where.workers or 1
     else:
         with connected(where, job.settings.threads) as client:
-            dispatcher = ChunkDispatcher(client, _requirements(job, ()), NoProgress())
+            dispatcher = ChunkDispatcher(client, _requirements(job, ()), Progress())
             workers = dispatcher.await_workers()
     chunks = chunks_of(job.key_numbers, where, workers)
     return replace(dry_run, chunks=chunks, spread=_spread(where, workers, job.settings.threads))

@@ -19,7 +19,7 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io.files import POLL_S, is_visible, make_folder
 from exwarp_cli.pipeline.job import Job, open_job
-from exwarp_cli.pipeline.progress import ANY, FrameListener, NoProgress
+from exwarp_cli.pipeline.progress import ANY, FrameListener, Progress
 from exwarp_cli.pipeline.run import write_intervals
 
 MARK_S = 2.0  # seconds for the marks to show: a worker looks for the first time, so no cache is old
@@ -71,7 +71,7 @@ class ChunkCancelled(Exception):
     """The coordinator does not want the chunk any more."""
 
 
-class ChunkProgress(NoProgress):
+class ChunkProgress(Progress):
     """Sends the progress of a chunk to the coordinator as Dask events.
 
     Messages are not sent: they are about the input, which the coordinator has read too.

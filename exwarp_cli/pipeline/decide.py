@@ -31,7 +31,7 @@ from exwarp_cli.domain.tiles import TILE_ROWS, TilePlan
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader, PolicyObservation
-from exwarp_cli.pipeline.progress import NoProgress, Progress
+from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.source import Source, open_source
 from exwarp_cli.policy.features import FrameStatistics, compare
@@ -381,7 +381,7 @@ def features(
         When the convention of its motion vectors cannot be settled.
     """
     source = open_source(settings)
-    progress = progress or NoProgress()
+    progress = progress or Progress()
     keys = source.timeline.select(frames)
     reader = IntervalReader(source, FRAMEWISE, UpsampleSettings(settings, "", CAUSAL))
     observer = Observer(source.keys.display, source.setting)

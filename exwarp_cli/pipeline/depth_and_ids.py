@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
@@ -54,15 +53,17 @@ def with_depth_measured(shot: Shot) -> Shot:
     """Return a shot whose depth is read as its first frame's world positions tell.
 
     The kind that a name or a channel map says stands, with the range that is measured for it; and
-    what nothing tells is taken for a distance.
-
-    Raises
-    ------
-    InputError
-        When the first frame cannot be read.
+    what nothing tells is taken for a distance. Raises InputError when the first frame cannot be
+    read.
     """
-    shot = _with_sign(shot)
     stated = shot.depth.kind
+    kinds = (DepthKind.UNKNOWN, DepthKind.AXIS, DepthKind.RAY)
+    if Role.DEPTH in shot.layout and stated in kinds:
+        ref = shot.layout.roles[Role.DEPTH][0]
+        planes, _ = read_planes(shot, shot.first, (ref,))
+        if is_negative(planes[ref].astype(np.float32, copy=False)):
+            evidence = f"{_depth_layer(shot)!r} is negative and read as the distance |z|"
+            return replace(shot, depth=DepthReading(DepthKind.NEGATIVE, evidence=evidence))
     is_certain = stated in (DepthKind.AXIS, DepthKind.RAY, DepthKind.NEGATIVE) or (
         stated is DepthKind.UNKNOWN and shot.layout.producer in KNOWN
     )
@@ -79,19 +80,6 @@ def with_depth_measured(shot: Shot) -> Shot:
     return replace(shot, depth=reading)
 
 
-def _with_sign(shot: Shot) -> Shot:
-    """Return a shot whose distances count where they are written below 0."""
-    kinds = (DepthKind.UNKNOWN, DepthKind.AXIS, DepthKind.RAY)
-    if Role.DEPTH not in shot.layout or shot.depth.kind not in kinds:
-        return shot
-    (ref, *_) = shot.layout.roles[Role.DEPTH]
-    planes, _ = read_planes(shot, shot.first, (ref,))
-    if not is_negative(planes[ref].astype(np.float32, copy=False)):
-        return shot
-    evidence = f"{_depth_layer(shot)!r} is negative and read as the distance |z|"
-    return replace(shot, depth=DepthReading(DepthKind.NEGATIVE, evidence=evidence))
-
-
 def with_depth_ordered(
     shot: Shot, convention: MotionConvention | None, starts: Collection[int] = ()
 ) -> Shot:
@@ -100,16 +88,7 @@ def with_depth_ordered(
     Depth that names, a channel map or world positions do not explain is taken for a distance, as
     long as vectors do not speak against it. Where they do, it is read the other way round, or left
     out. The pairs of frames are those that vectors are measured by, so that any part of the
-    sequence finds the same.
-
-    Parameters
-    ----------
-    shot
-        Its depth is read so far as a distance or as its name says.
-    convention
-        Of its vectors; None without.
-    starts
-        Numbers of frames before which cuts are known.
+    sequence finds the same. `starts` are numbers of frames before which cuts are known.
     """
     by_hand = shot.channel_map is not None and shot.channel_map.depth_kind is not None
     uncertain = shot.depth.kind in (DepthKind.UNKNOWN, DepthKind.INVERSE) and not by_hand
@@ -122,7 +101,22 @@ def with_depth_ordered(
 
     @lru_cache(maxsize=1)  # a pair is looked at twice in a row
     def both_directions(first: int) -> list[tuple[Float32, Float32, Float32]]:
-        return _read_both_directions(shot, (numbers[first], numbers[first + 1]), convention)
+        """Return depth of a frame and of its neighbour, and the motion between, both ways."""
+        try:
+            before, after = (
+                read_raw(shot, numbers[i], (Role.DEPTH, Role.MOTION))
+                .settle(convention)
+                .on(shot.display)
+                for i in (first, first + 1)
+            )
+        except InputError:  # which is said when the frame's turn comes
+            return []
+        directions = ((before, after, before.to_next), (after, before, after.to_previous))
+        return [
+            (frame.depth, neighbour.depth, motion)
+            for frame, neighbour, motion in directions
+            if motion is not None and frame.depth is not None and neighbour.depth is not None
+        ]
 
     def is_hold(first: int) -> bool:
         return any(
@@ -161,7 +155,8 @@ def _with_depth_turned(shot: Shot, votes: OrderVotes, ends: list[tuple[Float32, 
             "value, in the others the smaller one; check the pass, or say what it is by depth_kind "
             "in a channel map"
         )
-        return _without_depth(shot, evidence)
+        shot = replace(shot, depth=DepthReading(evidence=evidence))
+        return _without_role(shot, Role.DEPTH, f"{name!r} contradicts the vectors")
     if shot.depth.kind is DepthKind.INVERSE:
         evidence = (
             f"{name!r} is read as a distance, against its name, by {votes.near_large} {places}"
@@ -186,39 +181,15 @@ def _with_depth_turned(shot: Shot, votes: OrderVotes, ends: list[tuple[Float32, 
 def read_alike(shot: Shot, like: Shot) -> Shot:
     """Return a shot with depth read, or left out, as another one of the same render has it."""
     if Role.DEPTH not in like.layout:
-        return _without_depth(shot, like.depth.evidence)
+        reason = f"{_depth_layer(shot)!r} contradicts the vectors"
+        shot = _without_role(shot, Role.DEPTH, reason)
     return replace(shot, depth=like.depth)
-
-
-def _without_depth(shot: Shot, evidence: str) -> Shot:
-    reason = f"{_depth_layer(shot)!r} contradicts the vectors"
-    shot = _without_role(shot, Role.DEPTH, reason)
-    return replace(shot, depth=DepthReading(evidence=evidence))
 
 
 def _without_role(shot: Shot, role: Role, reason: str) -> Shot:
     roles = {each: refs for each, refs in shot.layout.roles.items() if each is not role}
     incomplete = {**shot.layout.incomplete, role: reason}
     return replace(shot, layout=replace(shot.layout, roles=roles, incomplete=incomplete))
-
-
-def _read_both_directions(
-    shot: Shot, pair: tuple[int, int], convention: MotionConvention
-) -> list[tuple[Float32, Float32, Float32]]:
-    """Return the depth of a frame and of its neighbour, and the motion between, both ways."""
-    try:
-        before, after = (
-            read_raw(shot, number, (Role.DEPTH, Role.MOTION)).settle(convention).on(shot.display)
-            for number in pair
-        )
-    except InputError:  # which is said when the frame's turn comes
-        return []
-    directions = ((before, after, before.to_next), (after, before, after.to_previous))
-    return [
-        (frame.depth, neighbour.depth, motion)
-        for frame, neighbour, motion in directions
-        if motion is not None and frame.depth is not None and neighbour.depth is not None
-    ]
 
 
 def _depth_layer(shot: Shot) -> str:
@@ -231,11 +202,7 @@ def with_world_positions(shot: Shot) -> Shot:
     """Return a shot without positions that are relative to its moving camera.
 
     By those no surface point is found again, and all that is judged by them would come out wrong.
-
-    Raises
-    ------
-    InputError
-        When a frame cannot be read.
+    Raises InputError when a frame cannot be read.
     """
     numbers = shot.sequence.numbers
     refs = shot.layout.roles.get(Role.POSITION)
@@ -261,19 +228,10 @@ def with_world_positions(shot: Shot) -> Shot:
 def read_ids(dynamic: str | None, keys: Shot, slots: Shot | None) -> tuple[Shot, Shot | None]:
     """Settle which ids are read of the key frames and of the slots' G-buffers.
 
-    Parameters
-    ----------
-    dynamic
-        What moves, as ``--dynamic`` takes it; None where nothing is said.
-    keys, slots
-        The key frames, and G-buffers of slots if there are some, whose ids count then.
-
-    Returns
-    -------
-    tuple
-        The same, with `Shot.ids` where ids are read from a Cryptomatte. With `dynamic` they are the
-        stencil, and the shots have no other one; without, they are only read where there is none,
-        and where they are sound.
+    `dynamic` says what moves, as ``--dynamic`` takes it. Where slots have G-buffers, their ids
+    count. The shots are returned with `Shot.ids` where ids are read from a Cryptomatte. With
+    `dynamic` they are the stencil, and the shots have no other one; without, they are only read
+    where there is none, and where they are sound.
 
     Raises
     ------
@@ -304,7 +262,7 @@ def read_ids(dynamic: str | None, keys: Shot, slots: Shot | None) -> tuple[Shot,
         roles.pop(Role.STENCIL, None)
         ids = IdReading(shot.cryptomattes[0], rounded, objects)
         shot = replace(shot, layout=replace(shot.layout, roles=roles), ids=ids)
-        _read_first_ids(shot)
+        read_raw(shot, shot.first, (Role.STENCIL,), objects=True)
         return shot
 
     return with_ids(keys), None if slots is None else with_ids(slots)
@@ -318,7 +276,8 @@ def sound_cryptomattes(shot: Shot) -> Iterator[tuple[Cryptomatte, Manifest]]:
     for matte in shot.cryptomattes:
         try:
             matte.require_exact("the file")
-            _read_first_ids(replace(shot, ids=IdReading(matte)))
+            with_ids = replace(shot, ids=IdReading(matte))
+            read_raw(with_ids, shot.first, (Role.STENCIL,), objects=True)
         except (LayoutError, DamagedFileError) as error:
             yield matte, Manifest(problem=str(error))
         else:
@@ -331,21 +290,23 @@ def _with_best_ids(shot: Shot) -> Shot:
         return shot
     with_ids = replace(shot, ids=IdReading(shot.cryptomattes[0]))
     try:
-        _read_first_ids(with_ids)
+        read_raw(with_ids, shot.first, (Role.STENCIL,), objects=True)
     except DamagedFileError:
         return shot
     return with_ids
 
 
-def _read_first_ids(shot: Shot) -> None:
-    read_raw(shot, shot.first, (Role.STENCIL,), objects=True)
-
-
-def _mattes_of_frames(shot: Shot) -> Iterator[tuple[Cryptomatte, Path]]:
-    """Yield a shot's Cryptomatte as each frame has it, with the frame's file."""
+def _read_manifests(shots: Iterable[Shot]) -> tuple[list[Manifest], bool]:
+    """Return the manifests of all frames, and whether any frame's ids are rounded."""
+    manifests: list[Manifest] = []
+    rounded = False
+    # What a manifest repeats is left out: they are large, and mostly the same in all frames.
+    read_texts: set[bytes] = set()
+    read_names: set[tuple[str, int]] = set()
     # Frames have manifests of their own: an object that comes later is in those of later frames.
-    wanted = shot.cryptomattes[0]
-    for number in shot.sequence.numbers:
+    frames = ((each, number) for each in shots for number in each.sequence.numbers)
+    for shot, number in frames:
+        wanted = shot.cryptomattes[0]
         path = shot.files(number)[wanted.aov]
         try:
             header = shot.headers.read(path)
@@ -359,25 +320,14 @@ def _mattes_of_frames(shot: Shot) -> Iterator[tuple[Cryptomatte, Path]]:
                 raise
             continue
         for matte in mattes:
-            yield matte, path
-
-
-def _read_manifests(shots: Iterable[Shot]) -> tuple[list[Manifest], bool]:
-    """Return the manifests of all frames, and whether any frame's ids are rounded."""
-    manifests: list[Manifest] = []
-    rounded = False
-    # What a manifest repeats is left out: they are large, and mostly the same in all frames.
-    read_texts: set[bytes] = set()
-    read_names: set[tuple[str, int]] = set()
-    for matte, path in (pair for shot in shots for pair in _mattes_of_frames(shot)):
-        rounded = rounded or matte.rounded
-        text = repr((matte.manifest, matte.sidecar, str(path.parent)))
-        digest = hashlib.sha256(text.encode()).digest()
-        if digest in read_texts:
-            continue
-        read_texts.add(digest)
-        manifest = read_manifest(matte, path)
-        new = {name: bits for name, bits in manifest.ids.items() if (name, bits) not in read_names}
-        read_names.update(new.items())
-        manifests.append(replace(manifest, ids=new))
+            rounded = rounded or matte.rounded
+            text = repr((matte.manifest, matte.sidecar, str(path.parent)))
+            digest = hashlib.sha256(text.encode()).digest()
+            if digest in read_texts:
+                continue
+            read_texts.add(digest)
+            manifest = read_manifest(matte, path)
+            new = {name: ids for name, ids in manifest.ids.items() if (name, ids) not in read_names}
+            read_names.update(new.items())
+            manifests.append(replace(manifest, ids=new))
     return manifests, rounded

@@ -2,49 +2,74 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence as Listed
 from dataclasses import dataclass, field
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Float32, place_on_canvas
-from exwarp_cli.domain.metric import METRICS
+from exwarp_cli.domain.decision import infer_maker
+from exwarp_cli.domain.frame import place_on_canvas
+from exwarp_cli.domain.metric import GENERATED, METRICS
 from exwarp_cli.domain.results import FrameKind, Score
-from exwarp_cli.domain.settings import MeasureSettings
+from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.domain.timeline import parse_frames, ranges
 from exwarp_cli.domain.wording import pluralise
-from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
+from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError, UsageError
 from exwarp_cli.io.exr.reader import read_headers
 from exwarp_cli.io.footage import (
     clip_rate,
     close_sequences,
     find_frames,
     is_plain,
-    read_sequence_picture,
 )
 from exwarp_cli.io.frames import read_plane
-from exwarp_cli.io.generated_frames import frame_rate
+from exwarp_cli.io.generated_frames import frame_rate, read_facts
 from exwarp_cli.io.sequences import Sequence, find_sequence
+from exwarp_cli.io.shot import open_shot
+from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.view_transform import DisplayLook, find_display_look, find_view_transform
 from exwarp_cli.io.views import expand_view
-from exwarp_cli.pipeline.ground_truth import truth_rate
-from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
-from exwarp_cli.pipeline.sequence_scores import (
-    Origin,
+from exwarp_cli.pipeline.ground_truth import read_display, truth_rate
+from exwarp_cli.pipeline.motion_convention import find_motion
+from exwarp_cli.pipeline.progress import FrameListener, Progress
+from exwarp_cli.pipeline.scoring import (
+    ExtranetScorer,
+    MetricScorer,
     Pair,
-    SequenceScorer,
-    make_scorer,
-    origins_of,
-    rendered_note,
-    require_consistent,
-    require_generated,
+    SequenceMotion,
 )
 from exwarp_cli.runtime.stop import check_stop
 
 KEY = FrameKind.KEY.value
 
 MASK_CHANNEL = "holes"  # of a mask file; above 0.5 is a hole
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a frame came from, by its header; all None for a frame that ExWarp did not make."""
+
+    kind: str | None = None  # a value of `FrameKind`: "generated" or "dropped"
+    # "warp", "extrapolate", "softsplat", "blend", "interpolate" or "hold"
+    made_by: str | None = None
+    # Decision path of its key interval, S1 to S6; None outside the paper's paths
+    path: str | None = None
+
+    @property
+    def generated(self) -> bool:
+        """Whether it is a new frame: not a rendered one and no repeat."""
+        return self.kind == FrameKind.GENERATED.value
+
+    @property
+    def dropped(self) -> bool:
+        """Whether it repeats the frame before."""
+        return self.kind == FrameKind.DROPPED.value
+
+    @property
+    def choice(self) -> str | None:
+        """What was decided for a generated frame; None outside the decision tree."""
+        return self.made_by if self.generated and self.path is not None else None
 
 
 @dataclass(frozen=True)
@@ -137,7 +162,13 @@ def evaluate(
     looks = find_display_look(truth, transform), find_display_look(judged, transform)
     masks = None if holes is None else find_sequence(holes)
     matched_by, paired, pairing_notes = pair(truth, judged, measuring.view)
-    selected = _select(paired, frames)
+    wanted = list(paired) if frames is None else parse_frames(frames)
+    if absent := [number for number in wanted if number not in paired]:
+        raise MissingFrameError(
+            f"frame {ranges(absent)} of --frames {frames} is not in both sequences, "
+            f"which share {ranges(list(paired))}"
+        )
+    selected = {number: paired[number] for number in wanted}
     mask_files = {} if masks is None else _mask_files(masks, judged, paired)
     files = [
         _Files(a, b, truth, judged, mask_files.get(b), measuring.view) for a, b in selected.items()
@@ -146,18 +177,19 @@ def evaluate(
     require_generated(measuring, origins, judged)
     scorer, notes = make_scorer(measuring, reference, truth, origins)
     try:
-        compared, shape = _score(
-            *(files, origins, scorer, progress or NoProgress(), watcher, looks)
-        )
+        compared, shape = _score(*(files, origins, scorer, progress or Progress(), watcher, looks))
     finally:
         close_sequences(truth, judged)
     if measuring.preset is None:  # a preset has its own rule for rendered frames
         notes = (*rendered_note(origins), *notes)
+    rate = clip_rate(judged)
+    if rate is None and not is_plain(judged):
+        rate = frame_rate(read_headers(judged.files[min(judged.files)])[0])
     result = Comparison(
         *(truth, judged, masks, matched_by, shape[1], shape[0], compared),
         measuring=measuring,
         notes=(*pairing_notes, *notes, *scorer.notes),
-        fps=_stated_rate(judged),
+        fps=None if rate is None else float(rate),
     )
     if all(frame.score == Score() for frame in compared):
         why = "; ".join(result.notes) or "nothing was chosen"
@@ -182,7 +214,6 @@ class _Files:
     view: str
 
     def read(self) -> Pair:
-        """Read the pair and its mask, all of one size."""
         reference = self.reference.files[self.a]
         truth = read_display(self.reference, self.a, self.view)
         test = read_display(self.test, self.b, self.view)
@@ -194,20 +225,6 @@ class _Files:
             _require_shape(display.shape, self.mask, shape, reference)
             mask = np.asarray(place_on_canvas(plane, data, display) > 0.5)
         return Pair(self.a, truth, test, mask)
-
-
-def _stated_rate(sequence: Sequence) -> float | None:
-    rate = clip_rate(sequence)
-    if rate is None and not is_plain(sequence):
-        header = read_headers(sequence.files[min(sequence.files)])[0]
-        rate = frame_rate(header)
-    return None if rate is None else float(rate)
-
-
-def read_display(sequence: Sequence, number: int, view: str) -> Float32:
-    """Read the display window of a frame, float32 [H, W, C], scene-linear."""
-    image = read_sequence_picture(sequence, number, view)
-    return image.on(image.display_window).pixels
 
 
 def _require_shape(
@@ -223,7 +240,7 @@ def _require_shape(
 def _score(
     files: list[_Files],
     origins: list[Origin],
-    scorer: SequenceScorer,
+    scorer: MetricScorer | ExtranetScorer,
     progress: Progress,
     watcher: FrameListener | None,
     looks: tuple[DisplayLook, DisplayLook],
@@ -279,24 +296,30 @@ def pair(
     longer one has are left out. Else by order, if both have equally many, or one has the tail that
     ExWarp writes. Where both begin alike and their pictures show different rates, by instant.
 
-    Returns
-    -------
-    str, dict of int to int, tuple of str
-        "number" or "order"; the test's number by the reference's, ascending; and what a reader of
-        the numbers should know.
-
-    Raises
-    ------
-    MissingFrameError
-        When neither is possible.
+    Return "number" or "order"; the test's number by the reference's, ascending; and what a reader
+    of the numbers should know. Raises MissingFrameError when frames cannot be paired.
     """
     a, b = sorted(reference.files), sorted(test.files)
     by_number = set(a) <= set(b) or set(b) <= set(a)
     if len(a) != len(b) and (a[0] == b[0] or not by_number):
         kinds = [origin.kind for origin in origins_of([test.files[n] for n in b])]
-        rate = _rate(reference, test, kinds, view)
+        # Rendered frames are the reference's own pictures; without headers, any frame will do.
+        rendered = [index for index, kind in enumerate(kinds) if kind is None or kind == KEY]
+        rate = truth_rate(
+            rendered,
+            len(b),
+            len(a),
+            lambda index: read_display(test, b[index], view),
+            lambda index: read_display(reference, a[index], view),
+        )
         if rate != 1:
-            return "order", *_by_instant(a, b, rate)
+            instants = ((index * rate, number) for index, number in enumerate(b))
+            paired = {a[int(i)]: n for i, n in instants if i.denominator == 1 and i < len(a)}
+            note = (
+                f"the first sequence has {rate.numerator} frames for each {rate.denominator} of "
+                "the second, as the pictures show: those of the same instant are compared"
+            )
+            return "order", paired, (note,)
         # Frames up to the next rendered one, at most; none where no header names its kind.
         runs = "".join("r" if kind in (None, KEY) else "n" for kind in kinds).split("r")
         interval = 0 if set(kinds) <= {None} else max(map(len, runs)) + 1
@@ -314,49 +337,6 @@ def pair(
     return "order", dict(zip(a, b, strict=True)), ()
 
 
-def _rate(reference: Sequence, test: Sequence, kinds: list[str | None], view: str) -> Fraction:
-    """Return how many frames the reference has per frame of the test, as the pictures show."""
-    a, b = sorted(reference.files), sorted(test.files)
-    # Rendered frames are the reference's own pictures; without headers, any frame will do.
-    rendered = [index for index, kind in enumerate(kinds) if kind is None or kind == KEY]
-    return truth_rate(
-        rendered,
-        len(b),
-        len(a),
-        lambda index: read_sequence_picture(test, b[index], view),
-        lambda index: read_sequence_picture(reference, a[index], view),
-    )
-
-
-def _by_instant(
-    a: list[int], b: list[int], rate: Fraction
-) -> tuple[dict[int, int], tuple[str, ...]]:
-    """Pair frames of sequences that begin alike, the first with `rate` times as many frames."""
-    paired = {}
-    for index, number in enumerate(b):
-        instant = index * rate
-        if instant.denominator == 1 and instant < len(a):
-            paired[a[int(instant)]] = number
-    note = (
-        f"the first sequence has {rate.numerator} frames for each {rate.denominator} of the "
-        f"second, as the pictures show: those of the same instant are compared"
-    )
-    return paired, (note,)
-
-
-def _select(paired: dict[int, int], frames: str | None) -> dict[int, int]:
-    if frames is None:
-        return paired
-    wanted = parse_frames(frames)
-    absent = [number for number in wanted if number not in paired]
-    if absent:
-        raise MissingFrameError(
-            f"frame {ranges(absent)} of --frames {frames} is not in both sequences, "
-            f"which share {ranges(list(paired))}"
-        )
-    return {number: paired[number] for number in wanted}
-
-
 def _mask_files(masks: Sequence, test: Sequence, paired: dict[int, int]) -> dict[int, Path]:
     """Return mask files by the test's frame number."""
     by_test = {b: masks.files[b] for b in paired.values() if b in masks.files}
@@ -368,3 +348,105 @@ def _mask_files(masks: Sequence, test: Sequence, paired: dict[int, int]) -> dict
             "give the masks that were written with these frames"
         )
     return by_test or by_reference
+
+
+def origins_of(files: Listed[Path]) -> list[Origin]:
+    """Read where frames came from, of every header once.
+
+    Raises DamagedFileError when a header cannot be read.
+    """
+    origins = []
+    for path in files:
+        facts = {} if is_clip(str(path)) else read_facts(path)
+        values = (facts.get(name) for name in ("kind", "madeBy", "path", "method"))
+        kind, made_by, decided, method = (v if isinstance(v, str) else None for v in values)
+        origins.append(Origin(kind, infer_maker(made_by, method), decided))
+    return origins
+
+
+def require_consistent(measuring: MeasureSettings, holes: str | None) -> None:
+    """Refuse contradicting options, before any work; raises UsageError."""
+    if holes is None:
+        limits = [limit for limit in measuring.thresholds if limit.scope == "holes"]
+        if limits:
+            raise UsageError(
+                f"{limits[0].option} {limits[0].name} is on holes, which are not known; give masks "
+                "with --holes"
+            )
+    if measuring.preset is None:
+        return
+    offered = PRESETS[measuring.preset]
+    if foreign := [name for name in measuring.measured if name not in offered]:
+        names = {metric.field: metric.option for metric in METRICS}
+        raise UsageError(
+            f"--preset {measuring.preset} measures {', '.join(names[o] for o in offered)} and not "
+            f"{names[foreign[0]]}; "
+            "leave that or the preset out"
+        )
+    if holes is not None:
+        raise UsageError(
+            f"--preset {measuring.preset} measures whole frames; leave --holes or the preset out"
+        )
+
+
+def require_generated(measuring: MeasureSettings, origins: Listed[Origin], test: Sequence) -> None:
+    """Refuse limits on generated frames where no header names any; raises UsageError."""
+    limits = [limit for limit in measuring.thresholds if limit.scope == GENERATED]
+    if limits and not any(origin.generated for origin in origins):
+        raise UsageError(
+            f"{limits[0].option} {limits[0].name} is on generated frames, and by their headers "
+            f"none of the compared frames of {test.pattern} is one; write {limits[0].metric.option}"
+            f"={limits[0].limit:g} for all frames"
+        )
+
+
+def make_scorer(
+    measuring: MeasureSettings, spec: str, reference: Sequence, origins: Listed[Origin]
+) -> tuple[MetricScorer | ExtranetScorer, tuple[str, ...]]:
+    """Return a scorer, and what a reader of its numbers should know.
+
+    The true sequence is `reference`, which the user named `spec`. The origins are those of the
+    frames that will be scored, in order.
+    """
+    if measuring.preset is not None:
+        generated = [origin.generated for origin in origins]
+        has_headers = any(origin.kind is not None for origin in origins)
+        if has_headers and not any(generated):
+            raise InputError(
+                "by their headers none of the frames of the second sequence is generated, and "
+                f"--preset {measuring.preset} scores nothing else; leave the preset out"
+            )
+        flags = generated if has_headers else None
+        return ExtranetScorer(measuring.measured, len(origins), flags), ()
+    motion: SequenceMotion | str | None = None
+    if "flicker" in measuring.measured:
+        motion = open_motion(spec, reference, measuring.view)
+    if not isinstance(motion, str):
+        return MetricScorer(measuring.measured, motion), ()
+    note = f"flicker is not measured, as it follows the motion of the first sequence: {motion}"
+    return MetricScorer(measuring.measured, None), (note,)
+
+
+def open_motion(spec: str, sequence: Sequence, view: str = "") -> SequenceMotion | str:
+    """Return the motion of a sequence, which the user named `spec`, or why it has none."""
+    try:
+        shot = open_shot(spec, view or None)
+        finding = find_motion(shot, None)
+    except (InputError, MotionError) as error:
+        return str(error)
+    if finding is None:
+        return f"{sequence.pattern} has no motion vectors"
+    if not set(sequence.files) <= set(shot.sequence.files):
+        return f"the vectors beside {sequence.pattern} are of other frames"
+    return SequenceMotion(shot, finding.convention)
+
+
+def rendered_note(origins: Listed[Origin]) -> tuple[str, ...]:
+    """Return a note where rendered frames raise the means over an upsampled sequence."""
+    rendered = sum(not (origin.generated or origin.dropped) for origin in origins)
+    if rendered in (0, len(origins)):
+        return ()
+    return (
+        f"the means of all pixels are over all {len(origins)} frames, {rendered} of which are "
+        "rendered ones by their headers",
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -82,10 +82,8 @@ class Content:
     @cached_property
     def motion(self) -> tuple[ChannelRef, ...]:
         """The motion channels that have to be read to write any of them; () without."""
-        if (
-            all(layer.kind is not LayerKind.MOTION for layer in self.extra)
-            or self.convention is None
-        ):
+        has_motion = any(layer.kind is LayerKind.MOTION for layer in self.extra)
+        if not has_motion or self.convention is None:
             return ()
         return self.source.keys.layout.roles[Role.MOTION]
 
@@ -93,13 +91,8 @@ class Content:
 def contents_of(sources: tuple[Source, ...], text: str) -> tuple[Content, ...]:
     """Choose the layers of every view, the one that leads first.
 
-    The other views' layers have the same names as the leader's, as far as they have them. `text`
-    is as `io.layers.select_layers` takes it.
-
-    Raises
-    ------
-    UsageError
-        When a name matches nothing.
+    The other views' layers have the same names as the leader's, as far as they have them. `text` is
+    as `io.layers.select_layers` takes it; raises UsageError when a name matches nothing.
     """
     if text == BEAUTY:
         return tuple(Content(source, leads=source is sources[0]) for source in sources)
@@ -132,27 +125,11 @@ def _layers_in(shot: Shot, main: bool) -> tuple[Layer, ...]:
     return group_layers(files, shot.layout, cryptomattes)
 
 
-def files_apart(shot: Shot) -> tuple[str, ...]:
-    """Return the AOVs whose layers lie in files of their own, which are not written."""
-    return tuple(aov for aov in shot.aovs if aov)
-
-
 def template_of(contents: tuple[Content, ...], suffix: str, number: int) -> FrameTemplate:
-    """Return what frames made of a key frame take over from its file.
+    """Return what frames made of a key frame, by its number, take over from its file.
 
-    Parameters
-    ----------
-    contents
-        What is written of each view.
-    suffix
-        Of the frames' files, which counts where the input has colour alone.
-    number
-        Of the key frame.
-
-    Raises
-    ------
-    InputError
-        When its file cannot be read.
+    `suffix` is that of the frames' files; it counts where the input has colour alone. Raises
+    InputError when the key frame's file cannot be read.
     """
     keys = contents[0].source.keys
     if is_plain(keys.sequence):
@@ -195,41 +172,35 @@ class LayerStore:
     def frame(self, number: int) -> Planes:
         """Return the channels of a frame.
 
-        Raises
-        ------
-        InputError
-            When a file is missing, damaged, of another size, or lacks a channel.
+        Raises InputError when a file is missing, damaged, of another size, or lacks a channel.
         """
-        if number not in self._frames:
-            planes: dict[ChannelRef, Plane] = {}
-            for group in self._groups:
-                decoded, windows = read_planes(self._shot, number, list(group))
-                for ref, is_half in group.items():
-                    planes[ref] = Plane(_own_copy(decoded[ref], is_half), windows[ref])
-            self._frames[number] = planes
-            self._shot.nonfinite.note(number, dict(self._count_broken(planes)))
-        return self._frames[number]
-
-    def _count_broken(self, planes: Planes) -> Iterator[tuple[str, int]]:
-        """Count the pixels of layers that are not finite; those of a role have its name."""
+        if number in self._frames:
+            return self._frames[number]
+        planes: dict[ChannelRef, Plane] = {}
+        for group in self._groups:
+            decoded, windows = read_planes(self._shot, number, list(group))
+            for ref, is_half in group.items():
+                # Copied, so that the part that it was decoded with can be freed.
+                if is_half and decoded[ref].dtype == np.float32:
+                    with np.errstate(over="ignore"):  # another frame may hold the channel as float
+                        values = decoded[ref].astype(np.float16)
+                else:
+                    values = np.ascontiguousarray(decoded[ref])
+                planes[ref] = Plane(values, windows[ref])
+        self._frames[number] = planes
         roles = {refs: role for role, refs in self._shot.layout.roles.items()}
+        broken = {}
         for layer in self._layers:
             role = roles.get(layer.refs)
             counted_as = Role.DEPTH if layer.kind is LayerKind.DEPTH else role
             count = count_nonfinite((planes[ref].values for ref in layer.refs), counted_as)
-            yield layer.name if role is None else role.value, count
+            broken[layer.name if role is None else role.value] = count
+        self._shot.nonfinite.note(number, broken)
+        return planes
 
     def keep(self, numbers: Iterable[int]) -> None:
         """Drop all other frames."""
         self._frames = {n: self._frames[n] for n in numbers if n in self._frames}
-
-
-def _own_copy(values: np.ndarray, is_half: bool) -> np.ndarray:
-    """Return a plane of its own, so that the part that it was decoded with can be freed."""
-    if is_half and values.dtype == np.float32:
-        with np.errstate(over="ignore"):  # another frame may hold the channel as float
-            return values.astype(np.float16)
-    return np.ascontiguousarray(values)
 
 
 class LayerReader:
@@ -248,12 +219,24 @@ class LayerReader:
 
         With `lookahead` the next key frame is used; `older` is the index of an older one, if used.
         """
-        numbers = self._content.source.timeline.numbers
+        source = self._content.source
+        numbers = source.timeline.numbers
         before = self._keys.frame(numbers[key])
         after = self._keys.frame(numbers[key + 1]) if lookahead else None
         back = None if older is None else self._keys.frame(numbers[older])
         self.release_before(key)
-        return LayerFrames(before, after, back, self._read_slots(key))
+        slots = source.timeline.between(key)
+        in_slots = [number for number in map(source.slot_number, slots) if number is not None]
+        if self._slots is None or len(in_slots) < len(slots):
+            return LayerFrames(before, after, back, ())
+        refs: dict[ChannelRef, ChannelRef] = {}  # the slots' channels by the key frames'
+        for layer, rendered in self._content.rendered.items():
+            own = {ref.component: ref for ref in rendered.refs}
+            refs |= {ref: own[ref.component] for ref in layer.refs}
+        frames = (self._slots.frame(number) for number in in_slots)
+        planes = tuple({ref: frame[own] for ref, own in refs.items()} for frame in frames)
+        self._slots.keep(())
+        return LayerFrames(before, after, back, planes)
 
     def require(self, key: int) -> None:
         """Read a key frame's layers ahead; raises InputError where that fails."""
@@ -263,57 +246,33 @@ class LayerReader:
         """Drop what no interval after this one needs."""
         self._keys.keep(self._content.source.timeline.numbers[key : key + 2])
 
-    def _read_slots(self, key: int) -> tuple[Planes, ...]:
-        """Read what the slots' own files have; () where a slot has no file."""
-        if self._slots is None:
-            return ()
-        source = self._content.source
-        slots = [source.slot_number(slot) for slot in source.timeline.between(key)]
-        numbers = [number for number in slots if number is not None]
-        if len(numbers) < len(slots):
-            return ()
-        refs: dict[ChannelRef, ChannelRef] = {}  # the slots' channels by the key frames'
-        for layer, rendered in self._content.rendered.items():
-            own = {ref.component: ref for ref in rendered.refs}
-            refs |= {ref: own[ref.component] for ref in layer.refs}
-        frames = (self._slots.frame(number) for number in numbers)
-        planes = tuple({ref: frame[own] for ref, own in refs.items()} for frame in frames)
-        self._slots.keep(())
-        return planes
 
-
+@dataclass
 class ExtraLayers:
-    """Makes the planes that are written with the beauty of the view that leads.
+    """Makes the planes that are written with the beauty of the view that leads."""
 
-    `contents` is what is written of each view, the one that leads first; `builders` are those of
-    the other views, in the same order.
-    """
-
-    def __init__(
-        self, contents: tuple[Content, ...], builders: tuple[IntervalBuilder, ...] = ()
-    ) -> None:
-        self._contents = contents
-        self._builders = builders
-        self._views: tuple[ViewInterval, ...] = ()
+    contents: tuple[Content, ...]  # what is written of each view, the one that leads first
+    builders: tuple[IntervalBuilder, ...] = ()  # of the other views, in the same order
+    _views: tuple[ViewInterval, ...] = field(default=(), init=False)
 
     @property
     def any(self) -> bool:
         """True if more than the beauty of the view that leads is written."""
-        return len(self._contents) > 1 or bool(self._contents[0].extra)
+        return len(self.contents) > 1 or bool(self.contents[0].extra)
 
     @property
     def kinds(self) -> set[LayerKind]:
         """What the layers of all views are, beside the beauty."""
-        return {layer.kind for content in self._contents for layer in content.extra}
+        return {layer.kind for content in self.contents for layer in content.extra}
 
     def begin(self, inputs: IntervalInputs, interval: Interval | None) -> None:
         """Turn to an interval; None where nothing of it has to be made, and to drop the last."""
         self._views = ()
         if interval is None:
             return
-        views = [ViewInterval(self._contents[0], inputs, interval)]
+        views = [ViewInterval(self.contents[0], inputs, interval)]
         for content, builder, view in zip(
-            self._contents[1:], self._builders, inputs.views, strict=True
+            self.contents[1:], self.builders, inputs.views, strict=True
         ):
             # One view decides which network mixes all of them.
             built = replace(builder.build(view), interpolator=interval.interpolator)
@@ -323,25 +282,18 @@ class ExtraLayers:
     def make(
         self, slot: int, shown: Predicted, predict: Predict, template: Template
     ) -> dict[PlaneKey, Plane]:
-        """Make the planes of a slot.
+        """Make the planes of a slot, 1 or more, that `template` has.
 
-        Parameters
-        ----------
-        slot
-            1 or more.
-        shown
-            The beauty of the view that leads; its method is a path's name where a path made it.
-        predict
-            Makes that of another view.
-        template
-            Which planes there have to be.
+        `shown` is the beauty of the view that leads; its method is a path's name where a path made
+        it. `predict` makes that of another view.
         """
         needed = {plane.key for plane in template.planes}
         leader, *further = self._views
         planes = leader.planes(slot, shown, needed)
         for view in further:
-            beauty = predict(view.interval)
-            planes |= view.beauty(beauty)
+            beauty, wanted = predict(view.interval), view.content.wanted
+            for i, ref in enumerate(wanted.colour):
+                planes[wanted.view, ref] = Plane(beauty.pixels[..., i], view.window)
             planes |= view.planes(slot, beauty, needed)
         return planes
 
@@ -366,19 +318,8 @@ class ViewInterval:
         if key is None or not key.has_motion:
             return None
         older = None if self.inputs.older is None else self.inputs.older.extended(self.window)
-        return LayerMotion(
-            key,
-            None if following is None else following.gbuffer,
-            None if older is None else older.gbuffer,
-        )
-
-    def beauty(self, shown: Predicted) -> dict[PlaneKey, Plane]:
-        """Return the planes of the beauty."""
-        wanted = self.content.wanted
-        return {
-            (wanted.view, ref): Plane(shown.pixels[..., i], self.window)
-            for i, ref in enumerate(wanted.colour)
-        }
+        others = (None if frame is None else frame.gbuffer for frame in (following, older))
+        return LayerMotion(key, *others)
 
     def planes(self, slot: int, shown: Predicted, needed: set[PlaneKey]) -> dict[PlaneKey, Plane]:
         """Make the layers beside the beauty `shown`, one after the other.
@@ -392,10 +333,17 @@ class ViewInterval:
         retimer = _LayerRetimer(self, frames, make_retimer(self.interval, slot, shown), slot)
         planes: dict[PlaneKey, Plane] = {}
         for layer in self.content.extra:
-            if any((view, ref) in needed for ref in layer.refs):
-                for ref, values in retimer.retime(layer).items():
-                    if ref not in beauty:
-                        planes[view, ref] = Plane(values, self.window)
+            if not any((view, ref) in needed for ref in layer.refs):
+                continue
+            values = retimer.retime(layer)
+            if layer.kind is not LayerKind.COLOUR:  # which is mended where it is mixed
+                background = np.inf if layer.kind is LayerKind.DEPTH else 0.0
+                retimer.retiming.sources.mend(list(values.values()), background)
+            planes |= {
+                (view, ref): Plane(plane, self.window)
+                for ref, plane in values.items()
+                if ref not in beauty
+            }
         return planes
 
 
@@ -409,14 +357,7 @@ class _LayerRetimer:
     slot: int
 
     def retime(self, layer: Layer) -> dict[ChannelRef, np.ndarray]:
-        """Make a layer's channels, [H, W] each; all finite, but for infinity in a depth."""
-        values = self._values(layer)
-        if layer.kind is not LayerKind.COLOUR:  # which is mended where it is mixed
-            background = np.inf if layer.kind is LayerKind.DEPTH else 0.0
-            self.retiming.sources.mend(list(values.values()), background)
-        return values
-
-    def _values(self, layer: Layer) -> dict[ChannelRef, np.ndarray]:
+        """Make a layer's channels, [H, W] each."""
         frames, refs = self.frames, layer.refs
         rendered = frames.slots[self.slot - 1] if frames.slots else {}
         if all(ref in rendered for ref in refs):
@@ -471,15 +412,16 @@ class _LayerRetimer:
                 after = plane.astype(before.values.dtype, copy=False)
         return self.retiming.data(self._placed(before), after)
 
-    def _placed(self, plane: Plane, fill: float = 0.0) -> np.ndarray:
-        return place_on_canvas(plane.values, plane.window, self.view.window, fill)
+    def _placed(self, plane: Plane) -> np.ndarray:
+        return place_on_canvas(plane.values, plane.window, self.view.window, 0.0)
 
     def _stack(self, planes: Planes, refs: tuple[ChannelRef, ...], fill: float = 0.0) -> Float32:
-        members = [
-            Plane(planes[ref].values.astype(np.float32, copy=False), planes[ref].window)
-            for ref in refs
-        ]
-        return np.stack([self._placed(plane, fill) for plane in members], axis=-1)
+        values = {ref: planes[ref].values.astype(np.float32, copy=False) for ref in refs}
+        window = self.view.window
+        return np.stack(
+            [place_on_canvas(values[ref], planes[ref].window, window, fill) for ref in refs],
+            axis=-1,
+        )
 
     def _light(self, planes: Planes, refs: tuple[ChannelRef, ...]) -> Float32:
         """Return a layer [H, W, C] for warping: what no data tells is unknown, as in the beauty."""

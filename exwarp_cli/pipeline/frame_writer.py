@@ -1,9 +1,14 @@
-"""Writes the frames of a run: files, behind the work, and a video."""
+"""Writes the frames of a run: files, behind the work, and a video; and verifies them at the end."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+import hashlib
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,71 +16,69 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, Image, Window
-from exwarp_cli.domain.timeline import OutputRate
+from exwarp_cli.domain.results import FrameKind, FrameRecord, WrittenFile
+from exwarp_cli.domain.timeline import ranges
+from exwarp_cli.errors import InputError, OutputError
 from exwarp_cli.io.display_colour import to_display, to_display_16
 from exwarp_cli.io.exr.template import PREFIX, Plane, PlaneKey
 from exwarp_cli.io.exr.writer import Buffer
-from exwarp_cli.io.files import ResourceOwner, path_exists
+from exwarp_cli.io.files import ResourceOwner, output_error, path_exists
 from exwarp_cli.io.generated_frames import (
     FrameTemplate,
     read_facts,
+    read_fingerprint,
     read_picture,
     write_mask,
     write_picture,
 )
 from exwarp_cli.io.key_file import open_key_file, plan_key_file, plan_marked_file
 from exwarp_cli.io.sequences import EXR
+from exwarp_cli.io.video_reader import open_clip
 from exwarp_cli.io.video_writer import VideoLook, VideoWriter
 from exwarp_cli.io.view_transform import DisplayLook
-from exwarp_cli.pipeline.output_plan import OutputPlan, key_is_there, slot_is_there
+from exwarp_cli.pipeline.output_plan import OutputPlan, key_is_there
 from exwarp_cli.pipeline.scheduling import AsyncWriter, record_time
-from exwarp_cli.pipeline.verification import FRAME, HOLES, Sums, sum_of
 from exwarp_cli.runtime import cores
+from exwarp_cli.runtime.stop import check_stop
 
 # Frames that may wait for a thread to write them, beyond those under way.
 FRAMES_BEHIND = 4
 
+FRAME, HOLES, VIDEO = "frame", "holes", "video"  # kinds of written files
 
+Sums = dict[tuple[str, int], str]  # SHA-256 of written files, by kind and number of the frame
+
+
+@dataclass
 class FrameWriter(ResourceOwner):
     """Writes the frames of a run, in order; a context manager."""
 
-    def __init__(
-        self,
-        output: OutputPlan,
-        display: Window,  # that the video and the hole masks show
-        rate: OutputRate,  # of the video, and what headers of key frames get
-        view: str = "",  # which view of written frames is read again; "" for the hero
-        behind: int = FRAMES_BEHIND,
-        look: VideoLook | None = None,  # of the video: colour, pixels and sound
-        sums: bool = False,  # whether checksums of files are wanted
-        skips: bool = False,  # whether the video shows a frame again in the place of skipped ones
-    ) -> None:
-        self._output = output
-        self._display = display
-        self._fps = rate.fps
-        self._key_rate = None if output.keeps_bytes else rate.written
-        self._view = view
-        self._behind = behind
-        self._look = look or VideoLook()
-        self._wants_sums = sums
-        self._skips = skips
-        # To what the video's codec takes
-        self._encode = to_display_16 if output.codec.is_deep else to_display
-        self._video: VideoWriter | None = None
-        self._last_shown: np.ndarray | None = None  # by the video
-        self._replaced_early: set[int] = set()
-        # Milliseconds that writing took, by the frame's number; complete at the end.
-        self.write_ms: dict[int, float] = {}
-        # Checksums of what is written, where they are wanted; complete at the end.
-        self.sums: Sums = {}
+    output: OutputPlan
+    display: Window  # that the video and the hole masks show
+    fps: Fraction  # of the video
+    written_fps: Fraction | None  # what headers of key frames get; None where it is not known
+    view: str  # which view of written frames is read again; "" for the hero
+    behind: int  # frames that may wait for a thread to write them, beyond those under way
+    look: VideoLook  # of the video: colour, pixels and sound
+    wants_sums: bool  # whether checksums of files are wanted
+    skips: bool  # whether the video shows a frame again in the place of skipped ones
+    # Milliseconds that writing took, by the frame's number; complete at the end.
+    write_ms: dict[int, float] = field(default_factory=dict)
+    # Checksums of what is written, where they are wanted; complete at the end.
+    sums: Sums = field(default_factory=dict)
+    _video: VideoWriter | None = None
+    _last_shown: np.ndarray | None = None  # by the video
+    _replaced_early: set[int] = field(default_factory=set)
 
     def _open(self, stack: ExitStack) -> None:
         threads = cores.count()
-        self._writer = stack.enter_context(AsyncWriter(threads, self._behind + threads))
-        if self._output.video is not None:
-            height, width = self._display.shape
+        self._writer = stack.enter_context(AsyncWriter(threads, self.behind + threads))
+        if self.output.video is not None:
+            # To what the video's codec takes
+            self._encode = to_display_16 if self.output.codec.is_deep else to_display
+            height, width = self.display.shape
             video = VideoWriter(
-                self._output.video, width, height, self._fps, self._look, self._output.codec
+                self.output.video, width, height, self.fps, self.look, self.output.codec
             )
             self._video = stack.enter_context(video)
 
@@ -92,11 +95,15 @@ class FrameWriter(ResourceOwner):
     @property
     def keeps_frames(self) -> bool:
         """True if frames become files, and not a video alone."""
-        return self._output.frames is not None
+        return self.output.frames is not None
+
+    @property
+    def _key_rate(self) -> Fraction | None:
+        return None if self.output.keeps_bytes else self.written_fps
 
     def name(self, number: int) -> str:
         """Return the name of a frame's file, or of the video without files, without its folder."""
-        frames, video = self._output.frames, self._output.video
+        frames, video = self.output.frames, self.output.video
         if frames is None:
             assert video is not None
             return video.name
@@ -107,21 +114,22 @@ class FrameWriter(ResourceOwner):
 
         Frames that are not `masked` have no hole mask.
         """
-        if not self._output.resumes or self._output.frames is None:
+        if not self.output.resumes or self.output.frames is None:
             return False
-        patterns = [self._output.frames]
-        if self._output.holes is not None and masked:
-            patterns.append(self._output.holes)
-        return all(slot_is_there(pattern.path(number), recipe) for pattern in patterns)
+        patterns = [self.output.frames]
+        if self.output.holes is not None and masked:
+            patterns.append(self.output.holes)
+        paths = [pattern.path(number) for pattern in patterns]
+        return all(path.exists() and read_fingerprint(path) == recipe for path in paths)
 
     def copies(self, source: Path) -> bool:
         """Return True if a key frame's file is copied, not decoded and encoded."""
-        frames = self._output.frames
+        frames = self.output.frames
         return frames is not None and frames.type == source.suffix.lower()
 
     def has_copy(self, number: int, source: Path) -> bool:
         """Return True if an earlier run copied a key frame's file, and it is kept."""
-        if not self._output.resumes:
+        if not self.output.resumes:
             return False
         return key_is_there(self._path(number), plan_key_file(source, self._key_rate))
 
@@ -129,14 +137,14 @@ class FrameWriter(ResourceOwner):
         """Return True if a frame's file from before the run exists, which writing would replace."""
         # A run that may replace none began without any: what exists now is its own, as after the
         # loss of a worker.
-        may_replace = self._output.overwrites or self._output.resumes
+        may_replace = self.output.overwrites or self.output.resumes
         return may_replace and self.keeps_frames and path_exists(self._path(number))
 
     def replace_key(self, number: int, source: Path) -> None:
         """Replace an earlier copy of a key frame at once, if it is another than the source."""
         # The frames around a key frame name its digest, by which a later run knows a copy of an
         # earlier render. If they are replaced first and the run is killed, none names that copy.
-        if not self._output.resumes or not self.is_in_the_way(number):
+        if not self.output.resumes or not self.is_in_the_way(number):
             return
         if number not in self._replaced_early and not self.has_copy(number, source):
             self._copy(number, source)
@@ -145,10 +153,7 @@ class FrameWriter(ResourceOwner):
     def pass_key(self, number: int, source: Path) -> bool:
         """Copy a key frame's file, all its layers and attributes but for another frame rate.
 
-        Returns
-        -------
-        bool
-            True if an earlier run had copied it.
+        Return True if an earlier run had copied it.
         """
         if number in self._replaced_early:
             return False
@@ -174,7 +179,7 @@ class FrameWriter(ResourceOwner):
 
     def _is_marked(self, source: Path) -> bool:
         """Return True if a rendered frame's header gets ExWarp's own attributes."""
-        return source.suffix.lower() in EXR and not self._output.keeps_bytes
+        return source.suffix.lower() in EXR and not self.output.keeps_bytes
 
     def write(
         self,
@@ -188,25 +193,16 @@ class FrameWriter(ResourceOwner):
     ) -> None:
         """Write a generated frame, and its hole mask if masks are written and it has one.
 
-        Parameters
-        ----------
-        number
-            Of the output.
-        image
-            Its colour.
-        mask
-            bool [H, W] on the display window.
-        template, attributes, layers
-            As for `io.output.write_picture`.
-        inline
-            Whether this thread writes, and does not return before; any thread may.
+        `mask` is bool [H, W] on the display window; `template`, `attributes` and `layers` are as
+        for `io.generated_frames.write_picture`. With `inline` this thread writes, and does not
+        return before; any thread may.
         """
-        if self._output.compression is not None:
-            attributes = {**attributes, "compression": self._output.compression}
+        if self.output.compression is not None:
+            attributes = {**attributes, "compression": self.output.compression}
         tasks: list[Callable[[], None]] = []
-        if self._output.frames is not None:
+        if self.output.frames is not None:
             tasks.append(partial(self._put_frame, number, image, template, attributes, layers))
-        if self._output.holes is not None and mask is not None:
+        if self.output.holes is not None and mask is not None:
             tasks.append(partial(self._put_mask, number, mask, attributes))
         for task in tasks:
             if inline:
@@ -223,14 +219,14 @@ class FrameWriter(ResourceOwner):
     def show(self, image: Image) -> None:
         """Append a frame to the video, if there is one."""
         if self._video is not None:
-            shown = self.displayed(image.on(self._display).pixels, self._output.exposure)
+            shown = self.displayed(image.on(self.display).pixels, self.output.exposure)
             code = self._encode(shown)
             self._video.write(code)
-            self._last_shown = code if self._skips else None
+            self._last_shown = code if self.skips else None
 
     def displayed(self, pixels: Float32, exposure_stops: float = 0.0) -> Float32:
         """Return the light of a display that shows scene-linear colour; see `DisplayLook`."""
-        look = DisplayLook(self._look.primaries, self._output.view)
+        look = DisplayLook(self.look.primaries, self.output.view)
         return look.apply(pixels, exposure_stops)
 
     def show_again(self) -> None:
@@ -239,21 +235,21 @@ class FrameWriter(ResourceOwner):
         Only where frames may be skipped: the last frame is kept for that.
         """
         if self._video is not None:
-            black = np.zeros((*self._display.shape, 3), np.float32)
+            black = np.zeros((*self.display.shape, 3), np.float32)
             shown = self._encode(black) if self._last_shown is None else self._last_shown
             self._video.write(shown)
 
     def read(self, number: int) -> Image:
         """Read a frame that an earlier run wrote."""
-        return read_picture(self._path(number), self._view)
+        return read_picture(self._path(number), self.view)
 
     def written(self, number: int) -> dict[str, Any]:
         """Return the attributes of a generated frame that an earlier run wrote."""
         return read_facts(self._path(number))
 
     def _path(self, number: int) -> Path:
-        assert self._output.frames is not None
-        return self._output.frames.path(number)
+        assert self.output.frames is not None
+        return self.output.frames.path(number)
 
     def _copy(
         self, number: int, source: Path, marks: Mapping[str, str | int] | None = None
@@ -265,7 +261,7 @@ class FrameWriter(ResourceOwner):
             else:
                 file = plan_marked_file(source, self._key_rate, marks)
             file.write(self._path(number))
-            if self._wants_sums:  # of what the source gives
+            if self.wants_sums:  # of what the source gives
                 self.sums[FRAME, number] = sum_of(file.pieces())
 
     def _put_frame(
@@ -278,15 +274,158 @@ class FrameWriter(ResourceOwner):
     ) -> None:
         with record_time(self.write_ms, number):
             pieces = write_picture(self._path(number), image, template, attributes, layers)
-            self._add_sum(FRAME, number, pieces)
+            if self.wants_sums:  # of what is in memory
+                self.sums[FRAME, number] = sum_of(pieces)
 
     def _put_mask(self, number: int, mask: Bool, attributes: Mapping[str, Any]) -> None:
-        assert self._output.holes is not None
+        assert self.output.holes is not None
         marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
-        windows = (self._display, self._display)
-        pieces = write_mask(self._output.holes.path(number), mask, windows, marks)
-        self._add_sum(HOLES, number, pieces)
+        windows = (self.display, self.display)
+        pieces = write_mask(self.output.holes.path(number), mask, windows, marks)
+        if self.wants_sums:
+            self.sums[HOLES, number] = sum_of(pieces)
 
-    def _add_sum(self, kind: str, number: int, pieces: list[Buffer]) -> None:
-        if self._wants_sums:  # of what is in memory
-            self.sums[kind, number] = sum_of(pieces)
+
+def sum_of(pieces: Iterable[Buffer]) -> str:
+    """Return the SHA-256 of a file in pieces, hexadecimal."""
+    digest = hashlib.sha256()
+    for piece in pieces:
+        digest.update(piece)
+    return digest.hexdigest()
+
+
+def sum_in(path: Path) -> str:
+    """Return the SHA-256 of a file, hexadecimal; raises OSError."""
+    check_stop()
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def files_of(
+    targets: OutputPlan, frames: Iterable[FrameRecord], sums: Sums
+) -> tuple[WrittenFile, ...]:
+    """List the files of a run with their checksums; those without a known one are read.
+
+    Raises OutputError when a file cannot be read.
+    """
+    files = []
+    for kind, number, path, _ in _list_files(targets, frames):
+        digest = None if number is None else sums.get((kind, number))
+        try:
+            files.append(WrittenFile(kind, number, path.name, digest or sum_in(path)))
+        except OSError as error:
+            raise output_error(path, error) from error
+    return tuple(files)
+
+
+def verify(
+    targets: OutputPlan,
+    frames: Iterable[FrameRecord],
+    files: Iterable[WrittenFile],
+    view: str,
+    shown: int,
+) -> int:
+    """Read all files of a run again, compare them with what was written, and return how many.
+
+    `files` are as `files_of` returned them; `shown` is how many frames a video has. `view` is that
+    of frames of an earlier run, which is decoded: "" for the hero, and without views. Raises
+    OutputError when some files differ; these are removed.
+    """
+    sums = {(file.kind, file.frame): file.sha256 for file in files}
+    checks = [
+        _Check(kind, number, path, sums[kind, number], is_sealed, view, shown)
+        for kind, number, path, is_sealed in _list_files(targets, frames)
+    ]
+    _require_sound(checks)
+    return len(checks)
+
+
+def verify_video(path: Path, shown: int) -> None:
+    """Read a video of `shown` frames again that was written with frames. Raises OutputError."""
+    try:
+        digest = sum_in(path)
+    except OSError as error:
+        raise output_error(path, error) from error
+    _require_sound([_Check(VIDEO, None, path, digest, False, "", shown)])
+
+
+@dataclass(frozen=True)
+class _Check:
+    """A file, and what it must be.
+
+    `is_sealed` is True for a frame of an earlier run, which has its own checksum.
+    """
+
+    kind: str
+    number: int | None
+    path: Path
+    sha256: str
+    is_sealed: bool
+    view: str
+    shown: int
+
+    def is_sound(self) -> bool:
+        """Read the file from the disk, and compare it."""
+        try:
+            drop_cached(self.path)
+            if sum_in(self.path) != self.sha256:
+                return False
+            if self.kind == VIDEO:
+                return open_clip(self.path).count == self.shown
+            if self.is_sealed:
+                read_picture(self.path, self.view)
+                return read_fingerprint(self.path) is not None
+        except (OSError, InputError):
+            return False
+        return True
+
+
+def drop_cached(path: Path) -> None:
+    """Have the system drop its copy of a file in memory, if it can."""
+    if not hasattr(os, "posix_fadvise"):
+        return
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
+    finally:
+        os.close(handle)
+
+
+def _require_sound(checks: list[_Check]) -> None:
+    with ThreadPoolExecutor(cores.count(), "exwarp-verify") as pool:
+        sound = list(pool.map(_Check.is_sound, checks))
+    bad = [check for check, is_sound in zip(checks, sound, strict=True) if not is_sound]
+    if not bad:
+        return
+    for check in bad:
+        with suppress(OSError):
+            check.path.unlink()
+    names = []
+    for kind, word in ((FRAME, "frame"), (HOLES, "hole mask")):
+        numbers = [c.number for c in bad if c.kind == kind and c.number is not None]
+        if numbers:
+            names.append(f"{word}{'s' if len(numbers) > 1 else ''} {ranges(numbers)}")
+    names += [f"the video {check.path.name}" for check in bad if check.kind == VIDEO]
+    raise OutputError(
+        f"{' and '.join(names)} in {bad[0].path.parent} {'is' if len(bad) == 1 else 'are'} not on "
+        "the disk as written, and removed; check the disk or the network share, and run again with "
+        "--skip-existing"
+    )
+
+
+def _list_files(
+    targets: OutputPlan, frames: Iterable[FrameRecord]
+) -> Iterator[tuple[str, int | None, Path, bool]]:
+    """Yield kind, frame number and path of a run's files, and whether they have their own checksum.
+
+    A video with frames is not among them: it can be made from the frames at any time.
+    """
+    for frame in frames:
+        is_copy = frame.kind in (FrameKind.KEY, FrameKind.RENDERED)  # maybe byte for byte
+        if targets.frames is not None:
+            is_sealed = frame.resumed and not is_copy
+            yield FRAME, frame.number, targets.frames.path(frame.number), is_sealed
+        if targets.holes is not None and frame.hole_fraction is not None:
+            yield HOLES, frame.number, targets.holes.path(frame.number), False
+    if targets.frames is None and targets.video is not None:
+        yield VIDEO, None, targets.video, False

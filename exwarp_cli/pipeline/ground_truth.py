@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import abc
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Image, UInt8, Window
+from exwarp_cli.domain.frame import Float32, Image, Window
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import Slot, Timeline
 from exwarp_cli.errors import InputError, LayoutError
@@ -20,7 +20,7 @@ from exwarp_cli.io.footage import find_frames, read_display_window, read_sequenc
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot_files import NonFinite, count_nonfinite, first_usable
 from exwarp_cli.io.views import expand_view
-from exwarp_cli.pipeline.source import FrameOf, Source, align
+from exwarp_cli.pipeline.source import FrameOf, Source, align, read_display_windows
 
 # What the report calls the channels of ground truth.
 CHANNELS = "ground truth"
@@ -38,8 +38,14 @@ ANCHORS = 3
 # moves, or noise is all that differs, it is not reached.
 CLEAR = 0.75
 
-# Returns the frame at a position from 0; raises InputError where it cannot be read.
-Read = Callable[[int], Image]
+# Returns the display window of the frame at a position from 0, as `read_display` does.
+Read = Callable[[int], Float32]
+
+
+def read_display(sequence: Sequence, number: int, view: str) -> Float32:
+    """Read the display window of a frame, float32 [H, W, C], scene-linear; raises InputError."""
+    image = read_sequence_picture(sequence, number, view)
+    return image.on(image.display_window).pixels
 
 
 def find_truth(
@@ -49,12 +55,8 @@ def find_truth(
 
     Its first frame tells, or where some may be of no use (`tolerant`) the first that is of any.
     Where it is certainly at another rate than the output, its frames go to the slots at their
-    instants; see `OtherRate`.
-
-    Raises
-    ------
-    InputError
-        When it is not found, has gaps, is of another size, or has no frame at any slot's instant.
+    instants; see `OtherRate`. Raises InputError when it is not found, has gaps, is of another size,
+    or has no frame at any slot's instant.
     """
     sequence = find_frames(expand_view(spec, source.keys.view or None)[0], tolerant, scan)
     frame_of = align(source.timeline, sequence, "--ground-truth")
@@ -68,9 +70,29 @@ def find_truth(
                 f"input is {display.width}x{display.height}; give one of the same resolution"
             )
 
-    numbers = sequence.numbers
-    first_usable(numbers if tolerant else numbers[:1], require_same_size)
-    return sequence, _match_by_rate(source, sequence, frame_of)
+    first_usable(sequence.numbers if tolerant else sequence.numbers[:1], require_same_size)
+    timeline, keys = source.timeline, source.keys
+    first = frame_of(Slot(0, 0))
+    numbers = tuple(n for n in sorted(sequence.numbers) if first is not None and n >= first)
+    indices = range(len(timeline.numbers))
+    key_at = {timeline.order(Slot(key, 0)): key for key in indices if timeline.shows(key)}
+    rate = truth_rate(
+        sorted(key_at),
+        math.ceil(len(timeline.numbers) * timeline.factor),
+        len(numbers),
+        lambda place: read_display(keys.sequence, timeline.numbers[key_at[place]], keys.view),
+        lambda place: read_display(sequence, numbers[place], keys.view),
+    )
+    if rate == 1:
+        return sequence, frame_of
+    match = OtherRate(timeline, numbers, rate)
+    if all(match(slot) is None for key in indices for slot in timeline.made_of(key)):
+        raise InputError(
+            f"--ground-truth {sequence.pattern} has {float(timeline.factor * rate):g} frames for "
+            f"each key frame and the output {float(timeline.factor):g}, so none is of a new "
+            f"frame's instant; give a sequence at {float(source.output_fps):g} fps"
+        )
+    return sequence, match
 
 
 @dataclass(frozen=True)
@@ -99,71 +121,39 @@ class OtherRate:
         )
 
 
-def _match_by_rate(source: Source, sequence: Sequence, frame_of: FrameOf) -> FrameOf:
-    """Return what matches ground truth to slots at the rate that its pictures show."""
-    timeline, keys = source.timeline, source.keys
-    first = frame_of(Slot(0, 0))
-    numbers = tuple(n for n in sorted(sequence.numbers) if first is not None and n >= first)
-    key_at = {
-        timeline.order(Slot(k, 0)): k for k in range(len(timeline.numbers)) if timeline.shows(k)
-    }
-    rate = truth_rate(
-        sorted(key_at),
-        math.ceil(len(timeline.numbers) * timeline.factor),
-        len(numbers),
-        lambda place: read_sequence_picture(
-            keys.sequence, timeline.numbers[key_at[place]], keys.view
-        ),
-        lambda place: read_sequence_picture(sequence, numbers[place], keys.view),
-    )
-    if rate == 1:
-        return frame_of
-    match = OtherRate(timeline, numbers, rate)
-    slots = (slot for key in range(len(timeline.numbers)) for slot in timeline.made_of(key))
-    if all(match(slot) is None for slot in slots):
-        raise InputError(
-            f"--ground-truth {sequence.pattern} has {float(timeline.factor * rate):g} frames for "
-            f"each key frame and the output {float(timeline.factor):g}, so none is of a new "
-            f"frame's instant; give a sequence at {float(source.output_fps):g} fps"
-        )
-    return match
-
-
 def truth_rate(
     outputs: abc.Sequence[int], count: int, truth: int, of_output: Read, of_truth: Read
 ) -> Fraction:
     """Return how many frames a true sequence has per frame of the output; 1 unless it is certain.
 
-    Both begin at the same instant. A length that fits is believed without looking.
-
-    Parameters
-    ----------
-    outputs
-        Positions of output frames that are rendered, ascending, from 0: their truth is the same
-        picture. Also others will do, if less surely.
-    count
-        Length of the output, with frames past the last key frame.
-    truth
-        Length of the true sequence.
-    of_output, of_truth
-        Read a frame of either.
+    Both begin at the same instant. A length that fits is believed without looking. `outputs` are
+    positions of output frames that are rendered, ascending, from 0: their truth is the same
+    picture. Also others will do, if less surely. `count` is the length of the output, with frames
+    past the last key frame, `truth` that of the true sequence. `of_output` and `of_truth` read a
+    frame of either.
     """
     last = outputs[-1] if outputs else 0
     if last < truth <= count:
         return Fraction(1)
 
-    def display(image: Image) -> UInt8:
-        return to_display(image.on(image.display_window).pixels)
-
-    output = cache(lambda place: display(of_output(place)))
+    output = cache(lambda place: to_display(of_output(place)))
 
     def error(place: int, truth_place: int) -> float:
-        shown = display(of_truth(truth_place))
+        shown = to_display(of_truth(truth_place))
         return float(np.abs(output(place).astype(np.int16) - shown).mean())
 
     def error_share(rate: Fraction) -> float:
         """Return the error at a rate as a share of that at one frame per frame."""
-        places = _anchors(outputs, rate, truth)
+        # Frames, far apart, that have a truth at one frame per frame and at this rate.
+        usable = [
+            p
+            for p in outputs
+            if p and p < truth and p * rate < truth and (p * rate).denominator == 1
+        ]
+        count = len(usable) - 1
+        places = sorted(
+            {usable[round(i * count / (ANCHORS - 1))] for i in range(ANCHORS) if usable}
+        )
         usual = sum(error(place, place) for place in places)
         if not usual:
             return math.inf
@@ -179,14 +169,21 @@ def truth_rate(
     return rate if share < CLEAR else Fraction(1)
 
 
-def _anchors(outputs: abc.Sequence[int], rate: Fraction, truth: int) -> list[int]:
-    """Choose frames, far apart, that have a truth at one frame per frame and at another rate."""
-    usable = [
-        p for p in outputs if p and p < truth and p * rate < truth and (p * rate).denominator == 1
-    ]
-    if not usable:
-        return []
-    return sorted({usable[round(i * (len(usable) - 1) / (ANCHORS - 1))] for i in range(ANCHORS)})
+def require_truth_size(
+    truth: tuple[Sequence, FrameOf], source: Source, keys: tuple[int, ...]
+) -> None:
+    """Refuse ground truth of another size than the input, for slots of some key intervals.
+
+    `keys` are indices of key frames; raises LayoutError.
+    """
+    sequence, frame_of = truth
+    timeline, display = source.timeline, source.keys.display
+    slots = [slot for key in keys for slot in timeline.made_of(key)]
+    wanted = {slot: n for slot in slots if (n := frame_of(slot)) is not None}
+    windows = read_display_windows((sequence, number) for number in wanted.values())
+    for slot, window in zip(wanted, windows, strict=True):
+        if window is not None and window.shape != display.shape:
+            raise truth_of_another_size(timeline.number(slot), window, display)
 
 
 @dataclass(frozen=True)
@@ -215,53 +212,36 @@ class TruthReader:
     def read(self, key: int) -> IntervalTruth:
         """Read what an interval is scored by.
 
-        Raises
-        ------
-        InputError
-            When a frame is damaged, holds no colour or is of another size, unless tolerant.
+        Raises InputError when a frame is damaged, holds no colour or is of another size, unless
+        tolerant.
         """
         truth = IntervalTruth()
         if self.truth is None:
             return truth
-        timeline = self.source.timeline
-        self._read_into(truth.frames, timeline.made_of(key), truth.unscored)
+        sequence, frame_of = self.truth
+        timeline, keys = self.source.timeline, self.source.keys
+        wanted = [(truth.frames, slot) for slot in timeline.made_of(key)]
         if "vmaf" in self.measured:
-            ends = [Slot(key, 0)]
+            wanted.append((truth.ends, Slot(key, 0)))
             if key + 1 < len(timeline.numbers):
-                ends.append(Slot(key, len(timeline.between(key)) + 1))
-            self._read_into(truth.ends, ends, truth.unscored)
-        return truth
-
-    def _read_into(
-        self, frames: dict[int, Image], slots: Iterable[Slot], unscored: dict[int, str]
-    ) -> None:
-        for slot in slots:
+                wanted.append((truth.ends, Slot(key, len(timeline.between(key)) + 1)))
+        for frames, slot in wanted:
+            number = frame_of(slot)
+            if number is None:
+                continue
+            output = timeline.number(slot)
             try:
-                image = self._frame(slot)
+                image = read_sequence_picture(sequence, number, keys.view)
+                if image.display_window.shape != keys.display.shape:
+                    raise truth_of_another_size(output, image.display_window, keys.display)
             except InputError as error:
                 if not self.tolerant:
                     raise
-                unscored[slot.index] = str(error)
+                truth.unscored[slot.index] = str(error)
                 continue
-            if image is not None:
-                frames[slot.index] = image
-
-    def _frame(self, slot: Slot) -> Image | None:
-        """Read a frame; None where the sequence has none for the slot."""
-        assert self.truth is not None
-        sequence, frame_of = self.truth
-        number = frame_of(slot)
-        if number is None:
-            return None
-        image, display = (
-            read_sequence_picture(sequence, number, self.source.keys.view),
-            self.source.keys.display,
-        )
-        output = self.source.timeline.number(slot)
-        if image.display_window.shape != display.shape:
-            raise truth_of_another_size(output, image.display_window, display)
-        self.nonfinite.note(output, {CHANNELS: count_nonfinite((image.pixels,))})
-        return image
+            self.nonfinite.note(output, {CHANNELS: count_nonfinite((image.pixels,))})
+            frames[slot.index] = image
+        return truth
 
 
 def truth_of_another_size(output: int, size: Window, display: Window) -> LayoutError:

@@ -21,9 +21,8 @@ from exwarp_cli.io.footage import describe_footage
 from exwarp_cli.io.producers import UNKNOWN
 from exwarp_cli.io.shot import MAIN, Shot, channel_label
 from exwarp_cli.pipeline.depth_and_ids import read_ids, sound_cryptomattes, with_depth_ordered
-from exwarp_cli.pipeline.frame_sizes import require_one_size
 from exwarp_cli.pipeline.motion_convention import find_motion, motion_names
-from exwarp_cli.pipeline.source import open_keys, open_plain, rate_of, step_note
+from exwarp_cli.pipeline.source import open_keys, open_plain, rate_of, require_one_size, step_note
 
 
 @dataclass(frozen=True)

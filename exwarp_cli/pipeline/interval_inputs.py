@@ -18,10 +18,9 @@ from exwarp_cli.io.generated_frames import FrameTemplate
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.pipeline.extra_layers import Content, LayerFrames, LayerReader, template_of
 from exwarp_cli.pipeline.fingerprint import Fingerprinter
-from exwarp_cli.pipeline.frame_sizes import Regions
 from exwarp_cli.pipeline.gate import TrialInputs, TrialReader
 from exwarp_cli.pipeline.ground_truth import IntervalTruth, TruthReader
-from exwarp_cli.pipeline.key_frames import HistoryFrame, KeyFrameStore, reads_late
+from exwarp_cli.pipeline.key_frames import HistoryFrame, KeyFrameStore, Regions, reads_late
 from exwarp_cli.pipeline.output_plan import frame_suffix
 from exwarp_cli.pipeline.rendered_frames import (
     IntervalRendered,
@@ -327,7 +326,6 @@ class IntervalReader:
             self._layers.release_before(key)
             oldest = min(oldest, key) if self._contents[0].looks_back else oldest
         self.store.release_before(oldest, key)
-        self._regions.release_before(key)
 
     def fingerprints(self, key: int) -> dict[int, str]:
         """Digest what the frame of each slot depends on, but for those that were rendered."""

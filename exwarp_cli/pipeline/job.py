@@ -16,12 +16,7 @@ from exwarp_cli.io.generated_frames import parse_compression
 from exwarp_cli.io.layers import BEAUTY
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.extra_layers import Content, contents_of
-from exwarp_cli.pipeline.frame_sizes import (
-    require_one_size_of,
-    require_rendered_size,
-    require_truth_size,
-)
-from exwarp_cli.pipeline.ground_truth import find_truth
+from exwarp_cli.pipeline.ground_truth import find_truth, require_truth_size
 from exwarp_cli.pipeline.messages import (
     Models,
     announce,
@@ -32,9 +27,9 @@ from exwarp_cli.pipeline.messages import (
     input_summary,
 )
 from exwarp_cli.pipeline.output_plan import OutputPlan, require_own
-from exwarp_cli.pipeline.rendered_frames import find_rendered
+from exwarp_cli.pipeline.rendered_frames import find_rendered, require_rendered_size
 from exwarp_cli.pipeline.scoring import require_measurable
-from exwarp_cli.pipeline.source import open_sources
+from exwarp_cli.pipeline.source import open_sources, require_one_size_of
 from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
 from exwarp_cli.synthesis.methods import (
     CAUSAL,
@@ -150,7 +145,7 @@ class Job:
         """Say what was found, and what is going to happen."""
         announce(progress, self.settings, self.source, self.method, self.keys)
         if self.rendered is not None:
-            progress.message(self.rendered.note(self.source.timeline))
+            progress.message(self.rendered.note)
         if self.truth is not None:
             announce_truth(progress, *self.truth, self.source)
         if self.targets.video is not None:

@@ -1,14 +1,19 @@
-"""Key frames of one view: read on demand by role, remembered, and dropped once per interval."""
+"""Key frames of one view: read on demand by role, remembered, and dropped once per interval.
+
+Also what a data window smaller than the picture means, see `Regions`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cache
 
 from exwarp_cli.domain.frame import (
     SURFACE_PARTS,
     GBuffer,
+    Image,
     KeyFrame,
     Window,
     place_on_canvas,
@@ -26,6 +31,11 @@ from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.holds import is_still_one_way
 from exwarp_cli.synthesis.methods import Method
 from exwarp_cli.synthesis.optical_flow import Flow, estimate_flow, with_estimated_motion
+
+GEOMETRY_WITHOUT_NORMAL = tuple(role for role in GEOMETRY if role is not Role.NORMAL)
+
+# Alpha from which on a pixel is opaque: denoisers and half floats take a little off.
+OPAQUE = 0.99
 
 
 @dataclass(frozen=True)
@@ -62,7 +72,6 @@ class KeyFrameStore:
         self.source = source
         self.unreadable = unreadable
         self._digest = digest
-        self._roles = _key_roles(source, method, reads_late)
         self._slot_roles = (*GEOMETRY, *SURFACE) if method.extrapolates else GEOMETRY
         self._keeps_slots = method.older_keys(method.lookahead) > 0
         self._keeps_shapes = keeps_shapes
@@ -82,8 +91,19 @@ class KeyFrameStore:
         self._estimates = None
         if source.estimated:
             self._estimates = MotionEstimates(self._read_colour, len(numbers), unreadable.has)
-        self._normals_tell = cuts_need_normals(source.keys, source.cuts.detect)
-        self._needs_normals = frames_need_normals(source.keys, method.extrapolates)
+        keys = source.keys
+        # Cuts are found by the same channels whatever the method.
+        self._normals_tell = bool(keys.aovs) or (
+            source.cuts.detect and Role.POSITION not in keys.layout
+        )
+        self._needs_normals = frames_need_normals(keys, method.extrapolates)
+        # What is read of key frames without slots' G-buffers. Methods without motion report holes
+        # by the geometry. Networks need the surface, too.
+        self._roles: tuple[Role, ...] = (Role.COLOUR,)
+        if source.finding is not None:
+            reads_normals = self._needs_normals or self._normals_tell
+            self._roles += GEOMETRY if reads_normals else GEOMETRY_WITHOUT_NORMAL
+            self._roles += SURFACE if method.extrapolates and not reads_late else ()
 
     def read_with(self, read: Callable[[int], object]) -> None:
         """Read more with each key frame, where frames may be unreadable.
@@ -95,10 +115,7 @@ class KeyFrameStore:
     def get(self, key: int) -> KeyFrame:
         """Return a key frame as it was read; it is shown to the search for cuts.
 
-        Raises
-        ------
-        InputError
-            When a file cannot be read.
+        Raises InputError when a file cannot be read.
         """
         if key not in self._frames:
             with self.reading(Slot(key, 0)):
@@ -125,24 +142,23 @@ class KeyFrameStore:
     def get_complete(self, key: int, frame: KeyFrame | None = None) -> KeyFrame:
         """Return a key frame with its surface, without vectors that lead to another shot.
 
-        Of a `frame` without its surface that is in memory, only the surface is read.
-
-        Raises
-        ------
-        InputError
-            When a file cannot be read.
+        Of a `frame` without its surface that is in memory, only the surface is read. Raises
+        InputError when a file cannot be read.
         """
         if key not in self._complete:
+            keys = self.source.keys
             if frame is None:
-                number = self.source.timeline.numbers[key]
-                roles = (Role.COLOUR, *GEOMETRY, *SURFACE)
-                frame = read_raw(self.source.keys, number, roles, objects=True).key(
-                    self.source.convention
-                )
-                complete = self._within_shot(key, frame)
-            else:
-                complete = self._with_surface(frame)
-            self._complete[key] = self.source.scratch.store(complete)
+                number, everything = self.source.timeline.numbers[key], (*GEOMETRY, *SURFACE)
+                raw = read_raw(keys, number, (Role.COLOUR, *everything), objects=True)
+                frame = self._within_shot(key, raw.key(self.source.convention))
+            elif frame.gbuffer is not None:
+                # With colour everything lies on its data window.
+                on_display = frame.gbuffer.window == keys.display
+                roles = SURFACE if on_display else (Role.COLOUR, *SURFACE)
+                surface = read_raw(keys, frame.number, roles).gbuffer
+                parts = {part: getattr(surface, part) for part in SURFACE_PARTS}
+                frame = replace(frame, gbuffer=replace(frame.gbuffer, **parts))
+            self._complete[key] = self.source.scratch.store(frame)
         return self._complete[key]
 
     def get_slot(self, slot: Slot) -> GBuffer:
@@ -255,7 +271,6 @@ class KeyFrameStore:
         if source.slots is None:
             raw = read_raw(source.keys, number, self._roles, objects=True)
             frame = raw.key(source.convention)
-            # Cuts are found by the same channels whatever the method.
             self.shots.see(key, frame if self._normals_tell else frame.without("normal"))
             return frame if self._needs_normals else frame.without("normal")
         frame = read_raw(source.keys, number, (Role.COLOUR,)).key(None)
@@ -273,46 +288,16 @@ class KeyFrameStore:
                 return KeyFrame(number, read_key_picture(keys, number), None)
             return read_raw(keys, number, (Role.COLOUR,)).key(None)
 
-    def _with_surface(self, frame: KeyFrame) -> KeyFrame:
-        """Read a key frame's surface, on the window of its geometry."""
-        if frame.gbuffer is None:
-            return frame
-        # With colour everything lies on its data window.
-        on_display = frame.gbuffer.window == self.source.keys.display
-        roles = SURFACE if on_display else (Role.COLOUR, *SURFACE)
-        surface = read_raw(self.source.keys, frame.number, roles).gbuffer
-        parts = {part: getattr(surface, part) for part in SURFACE_PARTS}
-        return replace(frame, gbuffer=replace(frame.gbuffer, **parts))
-
     def _within_shot(self, key: int, frame: KeyFrame) -> KeyFrame:
         if frame.gbuffer is None:
             return frame
         return replace(frame, gbuffer=self.shots.within(key, frame.gbuffer))
 
 
-def _key_roles(source: Source, method: Method, reads_late: bool) -> tuple[Role, ...]:
-    """Return what is read of key frames without slots' G-buffers."""
-    if source.finding is None:
-        return (Role.COLOUR,)
-    # Methods without motion report holes by the geometry. Networks need the surface, too.
-    if method.extrapolates and not reads_late:
-        return (Role.COLOUR, *GEOMETRY, *SURFACE)
-    if frames_need_normals(source.keys, method.extrapolates) or cuts_need_normals(
-        source.keys, source.cuts.detect
-    ):
-        return (Role.COLOUR, *GEOMETRY)
-    return (Role.COLOUR, *(role for role in GEOMETRY if role is not Role.NORMAL))
-
-
 def frames_need_normals(shot: Shot, extrapolates: bool) -> bool:
     """Return True if frames are made by key frames' normals."""
     # Warps use them for Unreal's background alone, in sets of one file per AOV.
     return extrapolates or bool(shot.aovs)
-
-
-def cuts_need_normals(shot: Shot, detects: bool) -> bool:
-    """Return True if cuts are found by key frames' normals: the same for every method."""
-    return bool(shot.aovs) or (detects and Role.POSITION not in shot.layout)
 
 
 def reads_late(shot: Shot, method: Method) -> bool:
@@ -350,6 +335,7 @@ def over_interval(gbuffer: GBuffer, steps: int) -> GBuffer:
     )
 
 
+@dataclass
 class MotionEstimates:
     """Key frames without vectors, by index, and the flows between neighbouring ones.
 
@@ -357,46 +343,34 @@ class MotionEstimates:
     sequence finds the same.
     """
 
-    def __init__(
-        self,
-        read: Callable[[int], KeyFrame],  # reads the colour of a key frame
-        count: int,  # of key frames
-        is_unreadable: Callable[[int], bool] = lambda key: False,  # none moves towards such a one
-    ) -> None:
-        self._read = read
-        self._count = count
-        self._is_unreadable = is_unreadable
-        self._frames: dict[int, KeyFrame] = {}
-        self._flows: dict[int, tuple[Flow, Flow]] = {}
+    read: Callable[[int], KeyFrame]  # reads the colour of a key frame
+    count: int  # of key frames
+    is_unreadable: Callable[[int], bool] = lambda key: False  # none moves towards such a one
+    _frames: dict[int, KeyFrame] = field(default_factory=dict)
+    _flows: dict[int, tuple[Flow, Flow]] = field(default_factory=dict)
 
     def frame(self, key: int) -> KeyFrame:
         """Return a key frame, colour alone."""
         if key not in self._frames:
-            self._frames[key] = replace(self._read(key), gbuffer=None)
+            self._frames[key] = replace(self.read(key), gbuffer=None)
         return self._frames[key]
 
     def flowing(self, key: int) -> KeyFrame:
         """Return a key frame with all that was estimated, as cuts are found by it."""
         frame = self.frame(key)
-        flows = self._to_previous(key), self._to_next(key)
+        flows = self._flow(key, key - 1), self._flow(key, key + 1)
         back, ahead = (None if flow is None else flow.motion for flow in flows)
         window = frame.image.data_window
         return replace(frame, gbuffer=GBuffer(window, to_previous=back, to_next=ahead))
 
     def moving(self, key: int, back: bool, ahead: bool, before: bool = False) -> KeyFrame:
-        """Return a key frame for synthesis.
+        """Return a key frame, by its index, for synthesis.
 
-        Parameters
-        ----------
-        key
-            Its index.
-        back, ahead
-            Whether the key frames before and after it may tell how it moves.
-        before
-            True for the interval before the key frame, False for the one after it.
+        `back` and `ahead` say whether the key frames before and after it may tell how it moves.
+        `before` is True for the interval before the key frame, False for the one after it.
         """
-        to_previous = self._to_previous(key) if back else None
-        to_next = self._to_next(key) if ahead else None
+        to_previous = self._flow(key, key - 1) if back else None
+        to_next = self._flow(key, key + 1) if ahead else None
         # Where the picture stands towards one neighbour and moves towards the other, the motion
         # between them is no parabola, and what fits the repeated picture best is no motion. Then
         # the flow across the interval counts alone.
@@ -413,18 +387,13 @@ class MotionEstimates:
         self._frames = {i: frame for i, frame in self._frames.items() if i >= oldest}
         self._flows = {i: pair for i, pair in self._flows.items() if i >= oldest - 1}
 
-    def _to_previous(self, key: int) -> Flow | None:
-        leads = key > 0 and not self._is_unreadable(key - 1)
-        return self._between(key - 1)[1] if leads else None
-
-    def _to_next(self, key: int) -> Flow | None:
-        leads = key + 1 < self._count and not self._is_unreadable(key + 1)
-        return self._between(key)[0] if leads else None
-
-    def _between(self, key: int) -> tuple[Flow, Flow]:
-        """Return the flows from a key frame to the next, and back, each on its frame's window."""
-        if key not in self._flows:
-            frames = self.frame(key), self.frame(key + 1)
+    def _flow(self, key: int, neighbour: int) -> Flow | None:
+        """Return the flow from a key frame to one beside it, on its window; None without one."""
+        if not 0 <= neighbour < self.count or self.is_unreadable(neighbour):
+            return None
+        first = min(key, neighbour)
+        if first not in self._flows:
+            frames = self.frame(first), self.frame(first + 1)
             windows = [frame.image.data_window for frame in frames]
             canvas = windows[0].union(windows[1])
             require_canvas(f"frame {frames[0].number} and the next one", canvas)
@@ -436,5 +405,71 @@ class MotionEstimates:
                 )
                 for flow, window in zip(flows, windows, strict=True)
             )
-            self._flows[key] = to_next, to_previous
-        return self._flows[key]
+            self._flows[first] = to_next, to_previous
+        return self._flows[first][0 if first == key else 1]
+
+
+class Regions:
+    """Which key frames, by index, show a region of a picture.
+
+    A data window smaller than the display window means one of two things. Of an object that was
+    cropped to what it covers, nothing is around: it may move out of the window, and new frames
+    cover more. Of a picture of which only a region was rendered, something is around that no
+    file holds: what moves in over the edge is unknown, and new frames have the window of their
+    key frame.
+
+    A window is a region if its picture is opaque everywhere and a neighbouring key frame has
+    the same window. Objects have transparent pixels around them, or windows that go with them.
+    So an opaque window that moves with every key frame counts as an object's: a crop that
+    follows something looks the same as a card that fills its window. Only key frames next to
+    the interval's own decide, so any part of a sequence decides alike.
+
+    `window_of` returns the data window of a key frame's colour; None where there is no such frame,
+    or it cannot be read.
+    """
+
+    def __init__(self, display: Window, window_of: Callable[[int], Window | None]) -> None:
+        self._display = display
+        self._window_of = cache(window_of)
+
+    def is_steady(self, key: int) -> bool:
+        """Return True if a window does not cover the display, and a neighbour's is the same.
+
+        A single key frame has no neighbours that could contradict.
+        """
+        window = self._window_of(key)
+        if window is None or window.covers(self._display):
+            return False
+        neighbours = [self._window_of(key - 1), self._window_of(key + 1)]
+        readable = [neighbour for neighbour in neighbours if neighbour is not None]
+        return window in readable or not readable
+
+    def is_region(self, key: int, image: Image, following: Image | None) -> bool:
+        """Return True if the slots after a key frame show a region.
+
+        `image` is its colour, `following` that of the next key frame where slots are made of it.
+        """
+        images = [image] if following is None else [image, following]
+        return self.is_steady(key) and all(map(is_opaque, images))
+
+
+def is_opaque(image: Image) -> bool:
+    """Return True if a picture has no alpha, or is opaque in every pixel of its data window."""
+    alpha = image.pixels[..., 3:]
+    return not bool((alpha < OPAQUE).any())
+
+
+def window_note(image: Image, region: bool) -> str | None:
+    """Say how a key frame's window is read; None where it speaks for itself."""
+    window, display = image.data_window, image.display_window
+    if window.covers(display):
+        return None
+    if region:
+        return f"the data window {window} is a region of the picture {display}: new frames keep it"
+    if not is_opaque(image):
+        return None
+    return (
+        f"the data window {window} is opaque and differs from those of the key frames around: "
+        f"taken for a cropped object with nothing around it; if it is a region of the picture "
+        f"{display}, render all key frames with the same one"
+    )

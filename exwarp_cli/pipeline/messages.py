@@ -28,7 +28,7 @@ from exwarp_cli.io.footage import is_plain, lost_alpha_message, uneven_rate_mess
 from exwarp_cli.io.shot import alpha_note
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.models.model_file import shipped_folder
-from exwarp_cli.pipeline.extra_layers import Content, files_apart
+from exwarp_cli.pipeline.extra_layers import Content
 from exwarp_cli.pipeline.ground_truth import OtherRate
 from exwarp_cli.pipeline.output_plan import frame_suffix, video_look
 from exwarp_cli.pipeline.progress import Progress
@@ -63,7 +63,7 @@ class Models:
         policy: PolicyFile | None,
     ) -> Models:
         """Summarise loaded models."""
-        extrapolator = interpolator_summary = None
+        extrapolator = interpolator_summary = policy_summary = None
         if network is not None:
             extrapolator = NetworkSummary(
                 str(network.path), network.checksum, network.device, not _missing_colours(source)
@@ -76,7 +76,31 @@ class Models:
                 interpolator.card_checksum,
                 interpolator.device,
             )
-        policy_summary = None if policy is None else _policy_summary(policy, source, network)
+        if policy is not None:
+            note = None if network is None else other_extrapolator(policy, network)
+            objects_from, missing = None, []
+            if not policy.of_tiles:  # one of tiles uses what the warp uses, so it lacks nothing
+                shot = source.slots or source.keys
+                layout = shot.layout
+                placed = Role.POSITION in layout or Role.DEPTH in layout
+                if Role.STENCIL in layout:
+                    objects_from = "ids"
+                elif shot.ids is not None and (placed or shot.ids.dynamic is not None):
+                    objects_from = "cryptomatte"
+                elif placed:
+                    objects_from = "motion"
+                else:
+                    missing.append("N_d")
+                needed = {"EMD_Wn": Role.NORMAL, "EMD_Wp": Role.POSITION}
+                missing += [name for name, role in needed.items() if role not in layout]
+            policy_summary = PolicySummary(
+                str(policy.path),
+                policy.checksum,
+                objects_from,
+                tuple(missing),
+                policy.trained_for,
+                note,
+            )
         return cls(extrapolator, interpolator_summary, policy_summary)
 
 
@@ -139,36 +163,6 @@ def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator) -> str | N
     )
 
 
-def _policy_summary(
-    policy: PolicyFile, source: Source, network: OnnxExtrapolator | None
-) -> PolicySummary:
-    note = None if network is None else other_extrapolator(policy, network)
-    if policy.of_tiles:  # it uses what the warp uses, so it lacks nothing
-        return PolicySummary(str(policy.path), policy.checksum, None, (), policy.trained_for, note)
-    shot = source.slots or source.keys
-    layout = shot.layout
-    placed = Role.POSITION in layout or Role.DEPTH in layout
-    objects_from: str | None
-    if Role.STENCIL in layout:
-        objects_from = "ids"
-    elif shot.ids is not None and (placed or shot.ids.dynamic is not None):
-        objects_from = "cryptomatte"
-    else:
-        objects_from = "motion" if placed else None
-    needed = {"EMD_Wn": Role.NORMAL, "EMD_Wp": Role.POSITION}
-    missing = [name for name, role in needed.items() if role not in layout]
-    if objects_from is None:
-        missing.insert(0, "N_d")
-    return PolicySummary(
-        str(policy.path),
-        policy.checksum,
-        objects_from,
-        tuple(missing),
-        policy.trained_for,
-        note,
-    )
-
-
 def _missing_colours(source: Source) -> list[str]:
     """Return the names of absent surface colours, by which shading would have to be divided."""
     layout = (source.slots or source.keys).layout
@@ -201,7 +195,7 @@ def announce(
         )
     if source.motion_origin is not None:
         progress.message("motion {}: {}".format(*source.motion_origin))
-    if (depth := _depth(source)) is not None:
+    if depth := (source.slots or source.keys).depth.evidence:
         progress.message(f"depth {depth}")
     names = _dynamic(source)
     if names is not None:
@@ -288,7 +282,7 @@ def announce_contents(progress: Progress, contents: tuple[Content, ...]) -> None
     if leader.names:
         many = pluralise(len(leader.names), "layer")
         progress.message(f"{many} beside the beauty: {', '.join(leader.names)}")
-    if leader.layers and (apart := files_apart(shot)):
+    if leader.layers and (apart := [aov for aov in shot.aovs if aov]):
         progress.message(
             f"layers in files of their own are not written: {', '.join(apart)}; generated frames "
             "hold those of the file with the colour"
@@ -309,13 +303,8 @@ def input_summary(source: Source) -> InputSummary:
         motion_evidence=None if motion is None else motion[1],
         dynamic=_dynamic(source),
         step=next((b - a for a, b in pairwise(source.timeline.numbers)), 1),
-        depth=_depth(source),
+        depth=(source.slots or source.keys).depth.evidence or None,
     )
-
-
-def _depth(source: Source) -> str | None:
-    """Return how depth is read, if otherwise than its name says."""
-    return (source.slots or source.keys).depth.evidence or None
 
 
 def _dynamic(source: Source) -> tuple[str, ...] | None:
@@ -332,18 +321,15 @@ def skipped_interval(
     return LeftOut(timeline.numbers[key], frames, reason)
 
 
-def skipped_scores(timeline: Timeline, key: int, reasons: Mapping[int, str]) -> Iterator[LeftOut]:
-    """Yield the records of slots whose ground truth cannot be used."""
-    for slot, reason in sorted(reasons.items()):
-        number = timeline.number(Slot(key, slot))
-        yield LeftOut(timeline.numbers[key], (), reason, (number,))
-
-
-def skipped_rendered(timeline: Timeline, key: int, reasons: Mapping[int, str]) -> Iterator[LeftOut]:
-    """Yield the records of slots whose rendered frames cannot be used."""
-    for slot, reason in sorted(reasons.items()):
-        number = timeline.number(Slot(key, slot))
-        yield LeftOut(timeline.numbers[key], (), reason, rendered=(number,))
+def skipped_slots(
+    timeline: Timeline, key: int, unscored: Mapping[int, str], unusable: Mapping[int, str]
+) -> Iterator[LeftOut]:
+    """Yield the records of slots whose ground truth or rendered frame cannot be used, and why."""
+    number = timeline.numbers[key]
+    for slot, reason in sorted(unscored.items()):
+        yield LeftOut(number, (), reason, (timeline.number(Slot(key, slot)),))
+    for slot, reason in sorted(unusable.items()):
+        yield LeftOut(number, (), reason, rendered=(timeline.number(Slot(key, slot)),))
 
 
 def announce_skipped(progress: Progress, skipped: LeftOut) -> None:

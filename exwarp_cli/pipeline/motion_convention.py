@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -71,9 +72,7 @@ def motion_names(shot: Shot) -> tuple[str, ...]:
     return tuple(channel_label(ref) for ref in refs)
 
 
-def parse_motion(
-    text: str, names: tuple[str, ...], size: tuple[int, int] | None = None
-) -> MotionConvention:
+def parse_motion(text: str, names: tuple[str, ...], size: tuple[int, int]) -> MotionConvention:
     """Read the ``--motion`` option.
 
     Either a preset's name (blender, unreal, forward …), or the channels that hold the displacement
@@ -89,20 +88,8 @@ def parse_motion(
     - premultiplied vectors are divided by alpha: ``next=R/A,-G/A``,
       ``next=9*(R/A-0.5),9*(G/A-0.5)``.
 
-    Parameters
-    ----------
-    text
-        What the user wrote.
-    names
-        The motion channels' names, in order.
-    size
-        Width and height of the display window. Without it, a convention in shares of the frame
-        stays so (see `MotionConvention.of_frame`).
-
-    Raises
-    ------
-    UsageError
-        When the text is neither.
+    `names` are the motion channels' names, in order; `size` is width and height of the display
+    window. Raises UsageError when the text is neither.
     """
     preset = PRESETS.get(text.strip().lower())
     if preset is not None:
@@ -111,11 +98,15 @@ def parse_motion(
                 f"--motion {text} needs {preset.count} motion channels and there are "
                 f"{len(names)}: {', '.join(names)}"
             )
-        return preset if size is None else preset.sized(*size)
+        return preset.sized(*size)
     terms: dict[str, tuple[_Term, _Term]] = {}
     for clause in filter(None, _CLAUSES.split(text.strip())):
         direction, _, axes = clause.partition("=")
-        pair = _parse_pair(axes, names)
+        commas = (match.start() for match in re.finditer(",", axes))
+        pairs = (
+            [_parse_term(part, names, size) for part in (axes[:i], axes[i + 1 :])] for i in commas
+        )
+        pair = next(((x, y) for x, y in pairs if x and y and x.shared == y.shared), None)
         if direction not in ("previous", "next") or direction in terms or pair is None:
             raise UsageError(
                 f"--motion {text!r} is not understood; write a preset ({', '.join(PRESETS)}) or "
@@ -125,16 +116,13 @@ def parse_motion(
         terms[direction] = pair
     if not terms:
         raise UsageError("--motion is empty; write a preset or a convention, or leave it out")
-    of_frame = size is None and all((x.unit, y.unit) == UNITS for x, y in terms.values())
-    if size is None and not of_frame and any(t.unit for pair in terms.values() for t in pair):
-        raise UsageError(f"--motion {text!r} counts in frame sizes, and that is not known here")
+    if max(abs(term.scale) for pair in terms.values() for term in pair) > MOST:
+        raise UsageError(f"--motion {text!r} has a factor above {MOST:g}; correct it")
     maps = {
-        direction: AxisMap(x.channel, y.channel, x.pixels(size), y.pixels(size), *x.shared)
+        direction: AxisMap(x.channel, y.channel, x.scale, y.scale, *x.shared)
         for direction, (x, y) in terms.items()
     }
-    if max(abs(term.pixels(size)) for pair in terms.values() for term in pair) > MOST:
-        raise UsageError(f"--motion {text!r} has a factor above {MOST:g}; correct it")
-    return MotionConvention(maps.get("previous"), maps.get("next"), of_frame)
+    return MotionConvention(maps.get("previous"), maps.get("next"))
 
 
 @dataclass(frozen=True)
@@ -143,33 +131,10 @@ class _Term:
 
     channel: int
     scale: float
-    unit: str  # "", "width" or "height"
-    still: float
-    length: int | None
-    alpha: int | None
-
-    @property
-    def shared(self) -> tuple[float, int | None, int | None]:
-        """What both axes must have in common."""
-        return self.still, self.length, self.alpha
-
-    def pixels(self, size: tuple[int, int] | None) -> float:
-        """Return the factor in pixels, as far as the frame's size is known."""
-        if size is None or not self.unit:
-            return self.scale
-        return self.scale * size[UNITS.index(self.unit)]
+    shared: tuple[float, int | None, int | None]  # `still`, `length` and `alpha`: of both axes
 
 
-def _parse_pair(axes: str, names: tuple[str, ...]) -> tuple[_Term, _Term] | None:
-    """Read both axes of a displacement, parted by a comma; None when they are not that."""
-    for comma in (match.start() for match in re.finditer(",", axes)):
-        x, y = _parse_term(axes[:comma], names), _parse_term(axes[comma + 1 :], names)
-        if x is not None and y is not None and x.shared == y.shared:
-            return x, y
-    return None
-
-
-def _parse_term(text: str, names: tuple[str, ...]) -> _Term | None:
+def _parse_term(text: str, names: tuple[str, ...], size: tuple[int, int]) -> _Term | None:
     """Read one axis of a convention; None when it is not one."""
     name = "|".join(re.escape(n) for n in sorted(names, key=len, reverse=True))
     match = re.fullmatch(
@@ -188,7 +153,9 @@ def _parse_term(text: str, names: tuple[str, ...]) -> _Term | None:
         None if match[key] is None else names.index(match[key]) for key in ("length", "alpha")
     )
     scale = -factor if match["sign"] == "-" else factor
-    return _Term(names.index(match["name"]), scale, match["unit"] or "", still, length, alpha)
+    if match["unit"]:
+        scale *= size[UNITS.index(match["unit"])]
+    return _Term(names.index(match["name"]), scale, (still, length, alpha))
 
 
 @dataclass(frozen=True)
@@ -208,23 +175,10 @@ def find_motion(
 ) -> MotionFinding | None:
     """Settle the motion convention of a shot, by hand or by measuring; None without motion.
 
-    Parameters
-    ----------
-    shot
-        Whose vectors.
-    given
-        A convention by hand.
-    detect
-        Whether to look for cuts, where vectors explain nothing: what crosses one is no motion.
-    starts
-        Numbers of frames before which cuts are known.
-    colours
-        Key frames with colour, where the shot itself has none.
-
-    Raises
-    ------
-    MotionError
-        When the convention cannot be settled.
+    `given` is a convention by hand. `detect` says whether to look for cuts, where vectors explain
+    nothing: what crosses one is no motion. `starts` are numbers of frames before which cuts are
+    known, `colours` key frames with colour, where the shot itself has none. Raises MotionError when
+    the convention cannot be settled.
     """
     if Role.MOTION not in shot.layout:
         return None
@@ -243,6 +197,7 @@ def find_motion(
     return MotionFinding(convention, "given", evidence)
 
 
+@dataclass
 class _Measurement:
     """Measures the vectors of a shot in some pairs of its frames; see `find_motion`.
 
@@ -250,28 +205,23 @@ class _Measurement:
     although they have world positions.
     """
 
-    def __init__(
-        self,
-        shot: Shot,
-        starts: Collection[int],
-        colours: KeyColours | None,
-        names: tuple[str, ...],
-        detect: bool,
-    ) -> None:
-        self._shot = shot
-        self._starts = starts
-        self._colours = colours
-        self._names = names
-        self._detect = detect
-        self._numbers = shot.sequence.numbers
-        self._frames: dict[tuple[int, bool], FrameSamples] = {}
+    shot: Shot
+    starts: Collection[int]
+    colours: KeyColours | None
+    names: tuple[str, ...]
+    detect: bool
+    _frames: dict[tuple[int, bool], FrameSamples] = field(default_factory=dict)
 
     def finding(self, guess: MotionConvention | None) -> MotionFinding:
         """Measure by world positions if there are any, else by depth and colour."""
-        firsts = pairs_within(len(self._numbers), self._is_parted)
-        if self._are_zero(firsts):
+        firsts = pairs_within(len(self.shot.sequence.numbers), self._is_parted)
+        # The last of an odd number of channels is a length or an alpha.
+        used = 2 * (len(self.names) // 2)
+        # Read one by one: the first pair nearly always tells.
+        ends = (self._frame(first + i) for first in firsts for i in (0, 1))
+        if firsts and not any(np.any(f.motion[:, :used]) or np.any(f.moving) for f in ends):
             return self._at_rest(firsts, guess)
-        has_both = Role.POSITION in self._shot.layout and Role.COLOUR in self._shot.layout
+        has_both = Role.POSITION in self.shot.layout and Role.COLOUR in self.shot.layout
         # World positions of what moves by itself are not found again. Before a resting camera,
         # nothing else moves, so there colour tells.
         try:
@@ -284,29 +234,18 @@ class _Measurement:
                 return finding
         return self._measure_within_shots(guess, by_colour=True)
 
-    def _are_zero(self, firsts: list[int]) -> bool:
-        """Return True if the vectors of all these pairs are 0; the first pair nearly always tells.
-
-        The last of an odd number of channels is a length or an alpha.
-        """
-        used = 2 * (len(self._names) // 2)
-        ends = (self._frame(first + i) for first in firsts for i in (0, 1))
-        return bool(firsts) and not any(
-            np.any(frame.motion[:, :used]) or np.any(frame.moving) for frame in ends
-        )
-
     def _at_rest(self, firsts: list[int], guess: MotionConvention | None) -> MotionFinding:
         """Return what is read of vectors that are 0; raises MotionError if the picture moves."""
-        numbers = self._numbers
+        numbers = self.shot.sequence.numbers
         frames = ", ".join(f"{numbers[i]}-{numbers[i + 1]}" for i in firsts)
         if any(self._picture_moves(first) for first in firsts):
-            producer = self._shot.layout.producer
+            producer = self.shot.layout.producer
             advice = next(
                 (text for name, text in BLUR_ADVICE.items() if producer.startswith(name)),
                 "switch it off in the renderer's settings",
             )
             raise MotionError(
-                f"the motion channels {', '.join(self._names)} are 0 throughout in frames "
+                f"the motion channels {', '.join(self.names)} are 0 throughout in frames "
                 f"{frames}, while the picture moves: motion blur was on, or the pass is empty; "
                 f"{advice}, and render the motion pass again; if nothing is meant to move, give "
                 "--motion"
@@ -320,23 +259,23 @@ class _Measurement:
     def _picture_moves(self, first: int) -> bool:
         """Return True if the picture of a pair moves; what changes at a cut is no motion."""
         moves = has_geometry_moved(self._frame(first), self._frame(first + 1))
-        if Role.COLOUR not in self._shot.layout:
+        if Role.COLOUR not in self.shot.layout:
             return moves is True
         if moves is None:
             before, after = (self._frame(i, by_colour=True).perceived for i in (first, first + 1))
             moves = before is not None and after is not None and has_colour_moved(before, after)
-        return moves and not (self._detect and self._is_cut_by_colour(first + 1))
+        return moves and not (self.detect and self._is_cut_by_colour(first + 1))
 
     def _measure_within_shots(
         self, guess: MotionConvention | None, by_colour: bool
     ) -> MotionFinding:
         """Measure in pairs that cross no known cut, and where that fails, none that is seen."""
-        count = len(self._numbers)
+        count = len(self.shot.sequence.numbers)
         firsts = pairs_within(count, self._is_unseen) or pairs_within(count, self._is_parted)
         try:
             return self._measure_first(firsts, guess, by_colour)
         except MotionError:
-            if not self._detect or Role.COLOUR not in self._shot.layout:
+            if not self.detect or Role.COLOUR not in self.shot.layout:
                 raise
             uncut = pairs_within(count, lambda i: self._is_unseen(i) or self._is_cut_by_colour(i))
             if uncut == firsts:
@@ -366,37 +305,34 @@ class _Measurement:
     ) -> MotionFinding:
         # One after the other: each is decoded on all threads, and two at once took a sixth more.
         pairs = [(self._frame(i, by_colour), self._frame(i + 1, by_colour)) for i in firsts]
-        width, height = self._shot.display.width, self._shot.display.height
+        width, height = self.shot.display.width, self.shot.display.height
         return calibrate(
             pairs,
             guess,
-            self._names,
+            self.names,
             self._intervals(len(firsts)),
             {name: preset.sized(width, height) for name, preset in PRESETS.items()},
-            number_step(self._numbers),
+            number_step(self.shot.sequence.numbers),
         )
 
     def _beside_holds(self, firsts: list[int], by_colour: bool) -> list[int]:
         """Return the pairs, in place of those that show one picture twice others nearby."""
-
-        def is_hold_near(first: int) -> Callable[[int], bool]:
-            def is_hold(index: int) -> bool:
-                if abs(index - first) > 1:
-                    self._frames.clear()  # so that few are in memory
-                return self._shows_one_picture(index, by_colour)
-
-            return is_hold
-
-        count = len(self._numbers)
+        count = len(self.shot.sequence.numbers)
         return sorted(
-            {pair_beside_hold(i, count, self._is_parted, is_hold_near(i)) for i in firsts}
+            {
+                pair_beside_hold(i, count, self._is_parted, partial(self._is_hold, i, by_colour))
+                for i in firsts
+            }
         )
 
-    def _shows_one_picture(self, first: int, by_colour: bool) -> bool:
+    def _is_hold(self, wanted: int, by_colour: bool, first: int) -> bool:
         """Return True if both frames of a pair are the same, though their vectors are not at rest.
 
-        Of a pair at rest, others are looked for where all of them are.
+        Of a pair at rest, others are looked for where all of them are. `wanted` is the pair in
+        whose place others are looked through.
         """
+        if abs(first - wanted) > 1:
+            self._frames.clear()  # so that few are in memory
         before, after = self._frame(first, by_colour), self._frame(first + 1, by_colour)
         if not (before.moving.any() or after.moving.any()):
             return False
@@ -407,7 +343,7 @@ class _Measurement:
 
     def _moving_pairs(self, firsts: list[int], by_colour: bool) -> list[int]:
         """Return pairs in which something moves, of some that are evenly spread; few at most."""
-        count = len(self._numbers) - 1
+        count = len(self.shot.sequence.numbers) - 1
         candidates = sorted({count * i // SPREAD for i in range(SPREAD)} - set(firsts))
         moving: list[int] = []
         for first in candidates:
@@ -422,27 +358,27 @@ class _Measurement:
 
     def _frame(self, index: int, by_colour: bool = False) -> FrameSamples:
         """Read and reduce a frame; what was reduced before is kept."""
-        number = self._numbers[index]
+        number = self.shot.sequence.numbers[index]
         key = number, by_colour
         if key not in self._frames:
             # On the display window: data windows differ, and normalised vectors go by it. World
             # positions tell points apart best, and alone; reading the rest takes most of the time.
-            by_position = Role.POSITION in self._shot.layout and not by_colour
+            by_position = Role.POSITION in self.shot.layout and not by_colour
             compared = Role.POSITION if by_position else Role.COLOUR
-            raw = read_raw(self._shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, compared))
+            raw = read_raw(self.shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, compared))
             assert raw.motion is not None
-            motion = place_on_canvas(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
-            colour = None if raw.image is None else raw.image.on(self._shot.display).pixels
+            motion = place_on_canvas(raw.motion, raw.gbuffer.window, self.shot.display, np.nan)
+            colour = None if raw.image is None else raw.image.on(self.shot.display).pixels
             self._frames[key] = sample_frame(
-                MotionFrame(number, raw.gbuffer.on(self._shot.display), motion, colour)
+                MotionFrame(number, raw.gbuffer.on(self.shot.display), motion, colour)
             )
         return self._frames[key]
 
     def _is_parted(self, index: int) -> bool:
         """Return True if a frame and the one before do not belong together, or are unreadable."""
-        if self._numbers[index] in self._starts:
+        if self.shot.sequence.numbers[index] in self.starts:
             return True
-        if self._shot.keep_going:
+        if self.shot.keep_going:
             try:
                 self._frame(index - 1)
                 self._frame(index)
@@ -452,54 +388,50 @@ class _Measurement:
 
     def _is_unseen(self, index: int) -> bool:
         """Return True if a frame and the one before it tell nothing: one is beyond the display."""
-        pair = self._numbers[index - 1 : index + 1]
-        return self._is_parted(index) or not all(is_visible(self._shot, number) for number in pair)
+        pair = self.shot.sequence.numbers[index - 1 : index + 1]
+        return self._is_parted(index) or not all(is_visible(self.shot, number) for number in pair)
 
     def _is_cut_by_colour(self, index: int) -> bool:
         """Return True if a cut lies before a frame, as far as colour tells without motion."""
         before, after = (
-            read_raw(self._shot, number, (Role.COLOUR,)).key(None)
-            for number in self._numbers[index - 1 : index + 1]
+            read_raw(self.shot, number, (Role.COLOUR,)).key(None)
+            for number in self.shot.sequence.numbers[index - 1 : index + 1]
         )
         return compare_frames(before, after).found
 
     def _intervals(self, count: int) -> list[KeyPair]:
-        """Read so many intervals between key frames whose colours tell; [] without colours."""
-        colours = self._colours
-        if colours is None:
+        """Read so many intervals between key frames whose colours tell, and the vectors between.
+
+        [] without colours; intervals of which a frame cannot be read are left out.
+        """
+        if self.colours is None:
             return []
-        instants = colours.numbers
-
-        def is_parted(index: int) -> bool:
-            return instants[index] in self._starts or None in instants[index - 1 : index + 1]
-
-        intervals = (
-            self._interval(colours.keys, i, instants[i], instants[i + 1])
-            for i in pairs_within(len(instants), is_parted)[:count]
+        keys, instants = self.colours.keys, self.colours.numbers
+        firsts = pairs_within(
+            len(instants), lambda i: instants[i] in self.starts or None in instants[i - 1 : i + 1]
         )
-        return [each for each in intervals if each is not None]
-
-    def _interval(
-        self, keys: Shot, index: int, first: int | None, last: int | None
-    ) -> KeyPair | None:
-        """Read two key frames' colours and the vectors between; None where one cannot be read."""
-        assert first is not None and last is not None
-        numbers = keys.sequence.numbers[index], keys.sequence.numbers[index + 1]
-        try:
-            before, after = (
-                read_raw(keys, number, (Role.COLOUR,)).key(None).image.on(keys.display).pixels
-                for number in numbers
-            )
-            between = [number for number in self._numbers if first <= number <= last]
-            vectors = []
-            for number in between:
-                raw = read_raw(self._shot, number, (Role.MOTION,))
-                assert raw.motion is not None
-                vectors.append(
-                    place_on_canvas(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
+        intervals = []
+        for index in firsts[:count]:
+            first, last = instants[index], instants[index + 1]
+            assert first is not None and last is not None
+            numbers = keys.sequence.numbers[index], keys.sequence.numbers[index + 1]
+            try:
+                before, after = (
+                    read_raw(keys, number, (Role.COLOUR,)).key(None).image.on(keys.display).pixels
+                    for number in numbers
                 )
-        except InputError:
-            if not keys.keep_going:
-                raise
-            return None
-        return sample_key_pair(numbers, before, after, vectors)
+                vectors = []
+                for number in self.shot.sequence.numbers:
+                    if not first <= number <= last:
+                        continue
+                    raw = read_raw(self.shot, number, (Role.MOTION,))
+                    assert raw.motion is not None
+                    vectors.append(
+                        place_on_canvas(raw.motion, raw.gbuffer.window, self.shot.display, np.nan)
+                    )
+            except InputError:
+                if not keys.keep_going:
+                    raise
+                continue
+            intervals.append(sample_key_pair(numbers, before, after, vectors))
+        return intervals

@@ -11,7 +11,6 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -33,7 +32,6 @@ from exwarp_cli.io.generated_frames import (
     FileState,
     file_digest,
     find_authorship,
-    read_fingerprint,
 )
 from exwarp_cli.io.key_file import KeyFile, possible_key_files
 from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, output_pattern
@@ -98,18 +96,24 @@ class OutputPlan:
     ) -> OutputPlan:
         """Read the output options.
 
-        Raises
-        ------
-        UsageError
-            When they name the same folder and pattern twice, or a video of an unknown kind, or a
-            view transform for footage or of an unknown name.
-        InstallationError
-            When the video's codec or the view transform is not installed.
+        Raises UsageError when they name the same folder and pattern twice, or a video of an unknown
+        kind, or a view transform for footage or of an unknown name; InstallationError when the
+        video's codec or the view transform is not installed.
         """
         video_alone = is_clip(settings.output)
         if video_alone and settings.video is not None:
             raise UsageError("-o names a video already; leave --video out, or name a folder in -o")
-        frames = None if video_alone else _frame_pattern(settings, source)
+        frames = None
+        if not video_alone:  # EXR as EXR, others as EXR or stills of any kind
+            types = (*STILLS, *EXR) if is_plain(source) else EXR
+            frames = output_pattern(settings.output, source, types)
+            if frames.type in STILLS:
+                require_writer(frames.path(0))
+            if frames.type in STILLS and settings.compression is not None:
+                raise UsageError(
+                    f"--compression is for EXR, and frames are written as {frames.type}; leave it "
+                    "out, or name a pattern such as out.####.exr"
+                )
         holes = None
         if settings.write_holes is not None:
             text = source.suffix[: -len(source.type)]
@@ -156,12 +160,8 @@ class OutputPlan:
     def check_conflicts(self, timeline: Timeline, slots: list[Slot]) -> None:
         """Refuse to overwrite, and touch nothing.
 
-        Raises
-        ------
-        OutputExistsError
-            When something is in the way and neither --overwrite nor --skip-existing was given.
-        OutputError
-            When a folder is where the video would be.
+        Raises OutputExistsError when something is in the way and neither --overwrite nor
+        --skip-existing was given; OutputError when a folder is where the video would be.
         """
         if self.overwrites and self.resumes:
             raise UsageError("--overwrite and --skip-existing contradict each other; give one")
@@ -192,19 +192,6 @@ def frame_suffix(output: str, source: Sequence) -> str:
     return suffix if named else source.suffix
 
 
-def _frame_pattern(settings: UpsampleSettings, source: Sequence) -> OutputPattern:
-    """Read where frames go: those of EXR as EXR, others as EXR or stills of any kind."""
-    pattern = output_pattern(settings.output, source, (*STILLS, *EXR) if is_plain(source) else EXR)
-    if pattern.type in STILLS:
-        require_writer(pattern.path(0))
-        if settings.compression is not None:
-            raise UsageError(
-                f"--compression is for EXR, and frames are written as {pattern.type}; leave it "
-                "out, or name a pattern such as out.####.exr"
-            )
-    return pattern
-
-
 def key_is_there(target: Path, source: KeyFile) -> bool:
     """Return True if a key frame was passed through already: the bytes that this job writes."""
     try:
@@ -213,23 +200,12 @@ def key_is_there(target: Path, source: KeyFile) -> bool:
         return False
 
 
-def slot_is_there(target: Path, recipe: str) -> bool:
-    """Return True if a generated frame exists, undamaged, and as this run would make it."""
-    return target.exists() and read_fingerprint(target) == recipe
-
-
 def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> VideoLook:
     """Return what a video of some key intervals is like, with the input's sound if it has one.
 
-    Parameters
-    ----------
-    source
-        The input.
-    keys
-        Indices of the key frames that are written. Sound goes along with those that lie side by
-        side, as cut up it would be of no use; and where the rate is the input's own.
-    note
-        What the video says of itself.
+    `keys` are indices of the key frames that are written. Sound goes along with those that lie side
+    by side, as cut up it would be of no use; and where the rate is the input's own. `note` is what
+    the video says of itself.
     """
     timeline = source.timeline
     first, last = keys[0], keys[-1]
@@ -307,32 +283,19 @@ def require_own(
 ) -> None:
     """Refuse to replace what the run's earlier parts did not write.
 
-    Parameters
-    ----------
-    targets
-        The files that the run writes.
-    source
-        Its input.
-    method
-        Makes its frames.
-    slots
-        The output instants that it writes. No other frame is looked at, but for those next to a key
-        frame that was rendered again.
-    rendered
-        Frames that were rendered after all, by output number; None without.
-
-    Raises
-    ------
-    OutputExistsError
-        When files are in the way that are not the run's own.
-    UnreadableError
-        When the system does not let one of them through.
+    `slots` are the output instants that the run writes. No other frame is looked at, but for those
+    next to a key frame that was rendered again. `rendered` are frames that were rendered after all,
+    by output number. Raises OutputExistsError when files are in the way that are not the run's own;
+    UnreadableError when the system does not let one of them through.
     """
     ownership = _Ownership(targets, source, method, rendered)
     with ThreadPoolExecutor(min(cores.count(), READERS), "exwarp-own") as pool:
         foreign = [pair for pairs in pool.map(ownership.foreign_files, slots) for pair in pairs]
-    if targets.video is not None and _is_foreign_video(targets.video):
-        foreign.append((targets.video, "not written by ExWarp"))
+    video = targets.video
+    if video is not None and path_exists(video) and video.stat().st_size:
+        note = read_video_note(video) or ""
+        if not note.startswith(BY_EXWARP):
+            foreign.append((video, "not written by ExWarp"))
     if not foreign:
         return
     listed = ", ".join(f"{path.name} ({reason})" for path, reason in foreign[:NAMED])
@@ -362,24 +325,33 @@ class _Ownership:
             reasons.append((path, self._why_foreign(path, slot)))
         if self.targets.holes is not None and slot.index:
             path = self.targets.holes.path(number)
-            reasons.append((path, self._why_not_written(self._authorship(path))))
+            reasons.append((path, self._why_not_written(path)))
         return [(path, reason) for path, reason in reasons if reason is not None]
 
     def _why_foreign(self, path: Path, slot: Slot) -> str | None:
         """Return why a frame is not the run's own; None if it is, or there is none."""
-        copied_from = self._rendered_file(slot)
+        keys = self.source.keys.sequence
+        copied_from = None  # where the run copies the frame
+        if not slot.index:
+            copied_from = keys.files[self.source.timeline.numbers[slot.key]]
+        elif self.rendered is not None:
+            copied_from = self.rendered.files.get(self.source.timeline.number(slot))
         if copied_from is not None and _is_copy(path, copied_from):
             return None
-        reason = self._why_not_written(self._authorship(path))
+        reason = self._why_not_written(path)
         if reason is None:
             return None
         try:
-            copied = self._is_copy_of_any_key(path) or (
+            size = path.stat().st_size
+            similar = (
+                k for k, length in self._key_sizes.items() if abs(size - length) <= HEADER_GROWTH
+            )
+            is_own = any(_is_copy(path, key) for key in similar) or (
                 not slot.index and self._was_key(path, slot)
             )
         except FileNotFoundError:  # another chunk has just replaced it
             return None
-        return None if copied else reason
+        return None if is_own else reason
 
     def _authorship(self, path: Path) -> Authorship | None:
         """Return what a file says of itself; None where there is none."""
@@ -387,33 +359,26 @@ class _Ownership:
             self._authorships[path] = find_authorship(path)
         return self._authorships[path]
 
-    def _why_not_written(self, authorship: Authorship | None) -> str | None:
+    def _why_not_written(self, path: Path) -> str | None:
         """Return why a file is none that the run's method wrote, by what it says of itself."""
+        authorship = self._authorship(path)
         if authorship is None:
             return None
         if authorship.state is FileState.FOREIGN:
             return "not written by ExWarp"
         if authorship.state is FileState.EDITED:
             return "changed since ExWarp wrote it"
-        by = _other_method(authorship, self.method)
-        return None if by is None else f"made by {by} and not by {self.method.name}"
-
-    def _rendered_file(self, slot: Slot) -> Path | None:
-        """Return the file that a slot's frame is a copy of, if it is one."""
-        if not slot.index:
-            return self._key_file(slot.key)
-        files = {} if self.rendered is None else self.rendered.files
-        return files.get(self.source.timeline.number(slot))
-
-    def _key_file(self, key: int) -> Path:
-        return self.source.keys.sequence.files[self.source.timeline.numbers[key]]
-
-    def _is_copy_of_any_key(self, path: Path) -> bool:
-        size = path.stat().st_size
-        similar = (
-            k for k, length in self._key_sizes.items() if abs(size - length) <= HEADER_GROWTH
-        )
-        return any(_is_copy(path, key) for key in similar)
+        facts = authorship.facts
+        if facts.get("kind") in (FrameKind.KEY.value, FrameKind.RENDERED.value):
+            return None
+        by = facts.get(REQUESTED_METHOD)
+        if by is None:
+            # Frames of earlier builds name only their own method; after the last key frame it may
+            # be a fallback of the run's.
+            by = facts.get("method")
+            if by is None or (self.method.lookahead and by in FALLBACKS):
+                return None
+        return None if by == self.method.name else f"made by {by} and not by {self.method.name}"
 
     @cached_property
     def _key_sizes(self) -> dict[Path, int]:
@@ -430,14 +395,33 @@ class _Ownership:
 
         Or the beginning of what the key frame is now.
         """
-        source = self._key_file(slot.key)
+        number = self.source.timeline.numbers[slot.key]
+        source = self.source.keys.sequence.files[number]
         if source.suffix.lower() != path.suffix.lower():
             return False  # key frames are decoded there, and carry a checksum
-        if _is_broken_copy(path, source):
+        try:
+            beginning = path.read_bytes().rstrip(b"\0")  # zeros may follow it
+        except OSError:
+            beginning = None
+        if beginning is not None and any(
+            form.begins_with(beginning) for form in possible_key_files(source, path)
+        ):
             return True
-        number = self.source.timeline.numbers[slot.key]
-        around = list(self._generated_around(slot.key))
-        named = [_key_frames_named(authorship) for _, authorship in around]
+        timeline, frames = self.source.timeline, self.targets.frames
+        assert frames is not None
+        # Generated frames before and after the key frame that are as they were written, and the
+        # digests of key frames by number that each names.
+        around, named = [], []
+        for index in (slot.key, slot.key - 1):
+            for each in timeline.made_of(index) if index >= 0 else ():
+                frame = frames.path(timeline.number(each))
+                authorship = self._authorship(frame)
+                if authorship is None or authorship.state is not FileState.INTACT:
+                    continue
+                around.append(frame)
+                words = str(authorship.facts.get(KEY_FRAMES, "")).split(",")
+                pairs = (word.partition(":") for word in words)
+                named.append({int(n): sha for n, _, sha in pairs if n.lstrip("-").isdecimal()})
         digest = file_digest(path)
         if any(digest in keys.values() for keys in named):
             return True
@@ -445,59 +429,10 @@ class _Ownership:
             return False
         # Earlier builds name none. Without a tail no frame is made of the last key frame, unless
         # the method looks ahead. It is as old as the frames around it.
-        times = [frame.stat().st_mtime for frame, _ in around]
+        times = [frame.stat().st_mtime for frame in around]
         return bool(times) and path.stat().st_mtime <= max(times) + SLACK_S
-
-    def _generated_around(self, key: int) -> Iterator[tuple[Path, Authorship]]:
-        """Yield the generated frames before and after a key frame that are as they were written."""
-        timeline, frames = self.source.timeline, self.targets.frames
-        assert frames is not None
-        for index in (key, key - 1):
-            for slot in timeline.made_of(index) if index >= 0 else ():
-                path = frames.path(timeline.number(slot))
-                authorship = self._authorship(path)
-                if authorship is not None and authorship.state is FileState.INTACT:
-                    yield path, authorship
-
-
-def _is_foreign_video(path: Path) -> bool:
-    """Return True if something is where a video goes that does not name ExWarp in its comment."""
-    if not path_exists(path) or not path.stat().st_size:
-        return False
-    return not (read_video_note(path) or "").startswith(BY_EXWARP)
-
-
-def _other_method(authorship: Authorship, method: Method) -> str | None:
-    """Return the method that made a frame, if it is another than the run's."""
-    facts = authorship.facts
-    if facts.get("kind") in (FrameKind.KEY.value, FrameKind.RENDERED.value):
-        return None
-    requested = facts.get(REQUESTED_METHOD)
-    if requested is not None:
-        return None if requested == method.name else str(requested)
-    # Frames of earlier builds name only their own method; after the last key frame it may be a
-    # fallback of the run's.
-    own = facts.get("method")
-    fell_back = method.lookahead and own in FALLBACKS
-    return None if own in (None, method.name) or fell_back else str(own)
-
-
-def _key_frames_named(authorship: Authorship) -> dict[int, str]:
-    """Read the digests of key frames by number that a generated frame names."""
-    words = str(authorship.facts.get(KEY_FRAMES, "")).split(",")
-    pairs = (word.partition(":") for word in words)
-    return {int(number): digest for number, _, digest in pairs if number.lstrip("-").isdecimal()}
 
 
 def _is_copy(path: Path, source: Path) -> bool:
     """Return True if a file holds a key frame, as it is or with another rate in its header."""
     return any(key_is_there(path, form) for form in possible_key_files(source, path))
-
-
-def _is_broken_copy(path: Path, source: Path) -> bool:
-    """Return True if a file is the beginning of another's copy, maybe with zeros at its end."""
-    try:
-        copied = path.read_bytes().rstrip(b"\0")
-    except OSError:
-        return False
-    return any(form.begins_with(copied) for form in possible_key_files(source, path))

@@ -55,15 +55,9 @@ class Estimate:
     def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
         """Set the count and start the clock.
 
-        Parameters
-        ----------
-        total
-            Frames to do.
-        kinds
-            How many of them are of which kind; None where all take about as long.
-        at_once
-            Processes that work in parallel. So many first frames of a kind are left out of its
-            mean: they pay for compiled kernels and full caches.
+        `kinds` says how many of the frames are of which kind; None where all take about as long.
+        `at_once` processes work in parallel. So many first frames of a kind are left out of its
+        mean: they pay for compiled kernels and full caches.
         """
         self.total, self.done = total, 0
         self._remaining = Counter({ANY: total} if kinds is None else kinds)
@@ -85,11 +79,6 @@ class Estimate:
             seconds = self._first_s if self._counts[kind] <= self._at_once else self._later_s
             seconds[kind] += now - self._last
         self._last = now
-
-    @property
-    def percent(self) -> int:
-        """Whole per cent done; 100 only at the end."""
-        return 100 * self.done // self.total if self.total else 100
 
     @property
     def tenths(self) -> float:
@@ -148,12 +137,15 @@ def kinds_of(slots: Iterable[Slot]) -> Counter[str]:
 
 
 class Progress:
-    """Receives the progress of a pipeline; this one ignores it.
+    """Receives the progress of a pipeline; this one shows only messages, which may be warnings.
 
     `start` comes once and first; `finish` comes last, after an error too. `message` may come at any
     time. Only :func:`reporting` calls `fail`, after all others. Reporters keep any text on one
     line.
     """
+
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self._stream = stream or sys.stderr
 
     def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
         """Begin work on `total` frames; see `Estimate.start` for the other parameters."""
@@ -161,22 +153,15 @@ class Progress:
     def advance(
         self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
     ) -> None:
-        """Count one more frame as done.
+        """Count one more frame as done, by its output number.
 
-        Parameters
-        ----------
-        frame
-            Its output number.
-        note
-            A word about it, such as "skipped".
-        kind
-            One of those that `start` received.
-        made
-            False where no work was done.
+        `note` is a word about it, such as "skipped", `kind` one of those that `start` received.
+        `made` is False where no work was done.
         """
 
     def message(self, text: str) -> None:
         """Show the user one line."""
+        _print_line(self._stream, f"exwarp: {text}")
 
     def finish(self) -> None:
         """Stop reporting."""
@@ -195,10 +180,7 @@ class FrameListener(Protocol):
     def plan(self, groups: Sequence[Sequence[int]]) -> None:
         """Receive, before the work, the numbers of all frames that will come.
 
-        Parameters
-        ----------
-        groups
-            Frames that are best seen together: the slots of a key interval, or single frames.
+        Frames of a group are best seen together: the slots of a key interval, or single frames.
         """
 
     def wants(self, number: int, score: Score | None, risk: Risk | None = None) -> bool:
@@ -207,35 +189,15 @@ class FrameListener(Protocol):
     def frame(
         self, number: int, shown: Float32, truth: Float32 | None, mask: Bool | None, is_key: bool
     ) -> None:
-        """Show a frame.
+        """Show a frame, by its output number.
 
-        Parameters
-        ----------
-        number
-            Its output number.
-        shown
-            float32 [H, W, 3] or more, scene-linear, on the display window.
-        truth
-            What it ought to be, as `shown`; None without ground truth. A key frame is the truth.
-        mask
-            bool [H, W], its holes; None where they are unknown.
-        is_key
-            Whether it is a rendered frame.
+        `shown` is float32 [H, W, 3] or more, scene-linear, on the display window; `truth` is what
+        it ought to be, alike, None without ground truth. A key frame is the truth. `mask` is bool
+        [H, W], its holes; None where they are unknown. `is_key` is True for a rendered frame.
         """
 
 
-class NoProgress(Progress):
-    """Shows nothing but messages, which may be warnings; the base of other reporters."""
-
-    def __init__(self, stream: TextIO | None = None) -> None:
-        self._stream = stream or sys.stderr
-
-    def message(self, text: str) -> None:
-        """Print a line."""
-        _print_line(self._stream, f"exwarp: {text}")
-
-
-class _Counting(NoProgress):
+class _Counting(Progress):
     """A reporter that shows how many frames are done, and the time left."""
 
     def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
@@ -243,38 +205,33 @@ class _Counting(NoProgress):
         self._estimate = Estimate(clock)
 
     def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
-        """Show how many frames there are to do."""
         self._estimate.start(total, kinds, at_once)
-        self._show_start()
+        self._show()
 
     def advance(
         self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
     ) -> None:
-        """Count a frame, and show it."""
         self._estimate.advance(kind, made)
-        self._show_frame(frame, note)
+        self._show(frame, note)
 
-    def _show_start(self) -> None:
-        raise NotImplementedError
-
-    def _show_frame(self, frame: int, note: str | None) -> None:
+    def _show(self, frame: int | None = None, note: str | None = None) -> None:
+        """Show a frame that is done; without one, at the start, what there is to do."""
         raise NotImplementedError
 
 
 class PlainProgress(_Counting):
     """Lines such as ``exwarp:  25% 10/40, frame 1010, 1:20 left``, for logs."""
 
-    def _show_start(self) -> None:
-        self._show(f"{pluralise(self._estimate.total, 'frame')} to do")
-
-    def _show_frame(self, frame: int, note: str | None) -> None:
+    def _show(self, frame: int | None = None, note: str | None = None) -> None:
         estimate = self._estimate
-        if estimate.is_log_due():
+        if frame is None:
+            self._print_status(f"{pluralise(estimate.total, 'frame')} to do")
+        elif estimate.is_log_due():
             done = f"{estimate.done}/{estimate.total}"
-            self._show(f"{done}, {_frame_text(frame, note)}, {estimate.left}")
+            self._print_status(f"{done}, {_frame_text(frame, note)}, {estimate.left}")
 
-    def _show(self, status: str) -> None:
-        percent = f"{self._estimate.percent:3d}% " if self._estimate.done else ""
+    def _print_status(self, status: str) -> None:
+        percent = f"{int(self._estimate.tenths):3d}% " if self._estimate.done else ""
         self.message(f"{percent}{status}")
 
 
@@ -300,7 +257,7 @@ class OpenJdProgress(PlainProgress):
         # Never empty: runners ignore a line that ends with the colon.
         _print_line(self._stream, f"openjd_fail: {one_line(text) or f'exit code {exit_code}'}")
 
-    def _show(self, status: str) -> None:
+    def _print_status(self, status: str) -> None:
         estimate = self._estimate
         if estimate.done and estimate.done == estimate.total:
             status = f"{pluralise(estimate.total, 'frame')} done"
@@ -316,10 +273,10 @@ class JsonProgress(_Counting):
     "fail" also ``text``; with "fail" also ``exit_code``.
     """
 
-    def _show_start(self) -> None:
-        self._write("start")
-
-    def _show_frame(self, frame: int, note: str | None) -> None:
+    def _show(self, frame: int | None = None, note: str | None = None) -> None:
+        if frame is None:
+            self._write("start")
+            return
         eta = self._estimate.eta_s
         self._write("frame", frame=frame, note=note, eta_s=None if eta is None else round(eta, 3))
 
@@ -347,7 +304,13 @@ class BarProgress(_Counting):
     _bar: RichProgress | None = None
     _task: TaskID | None = None
 
-    def _show_start(self) -> None:
+    def _show(self, frame: int | None = None, note: str | None = None) -> None:
+        left = self._estimate.left
+        if frame is not None:
+            if self._bar is not None and self._task is not None:
+                description = one_line(_frame_text(frame, note))
+                self._bar.update(self._task, advance=1, description=description, left=left)
+            return
         # Imported here: it takes 60 ms, which runs without a terminal need not pay.
         from rich.console import Console
         from rich.progress import (
@@ -366,14 +329,8 @@ class BarProgress(_Counting):
             TextColumn("{task.description}", markup=False),
             console=Console(file=self._stream, emoji=False),
         )
-        self._task = self._bar.add_task("", total=self._estimate.total, left=self._estimate.left)
+        self._task = self._bar.add_task("", total=self._estimate.total, left=left)
         self._bar.start()
-
-    def _show_frame(self, frame: int, note: str | None) -> None:
-        if self._bar is not None and self._task is not None:
-            description = one_line(_frame_text(frame, note))
-            left = self._estimate.left
-            self._bar.update(self._task, advance=1, description=description, left=left)
 
     def message(self, text: str) -> None:
         """Print a line above the bar."""
@@ -394,45 +351,27 @@ REPORTERS: dict[str, Callable[[], Progress]] = {
     "plain": PlainProgress,
     "json": JsonProgress,
     "openjd": OpenJdProgress,
-    "none": NoProgress,
+    "none": Progress,
 }
 KINDS = ("auto", *REPORTERS)  # choices of ``--progress``
 
 
-def make_progress(kind: str = "auto", *, results_on_stdout: bool = False) -> Progress:
-    """Make the reporter that ``--progress`` names.
+@contextmanager
+def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterator[Progress]:
+    """Yield the reporter that ``--progress`` names; it receives the reason of a failure.
 
-    Parameters
-    ----------
-    kind
-        A name in `REPORTERS`, or "auto": the bar on a terminal, else plain lines.
-    results_on_stdout
-        Whether the command prints a table or a JSON document there, which a program reads: then
-        ``openjd`` goes to stderr too.
-
-    Raises
-    ------
-    UsageError
-        For another name.
+    `kind` is a name in `REPORTERS`, or "auto": the bar on a terminal, else plain lines. With
+    `results_on_stdout` the command prints a table or a JSON document there, which a program reads:
+    then ``openjd`` goes to stderr too. Interruptions are no failure: the sender knows about them.
+    Raises UsageError for another name.
     """
     if kind == "auto":
         is_terminal = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
         kind = "bar" if is_terminal else "plain"
     if kind not in REPORTERS:
         raise UsageError(f"--progress {kind!r} is unknown; choose one of {', '.join(KINDS)}")
-    if kind == "openjd" and results_on_stdout:
-        return OpenJdProgress(sys.stderr)
-    return REPORTERS[kind]()
-
-
-@contextmanager
-def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterator[Progress]:
-    """Yield a reporter; it receives the reason when the block raises an error.
-
-    Interruptions are no failure: the sender knows about them. Parameters and errors are those of
-    :func:`make_progress`.
-    """
-    progress = make_progress(kind, results_on_stdout=results_on_stdout)
+    redirects = kind == "openjd" and results_on_stdout
+    progress = OpenJdProgress(sys.stderr) if redirects else REPORTERS[kind]()
     try:
         with compilation.messages_to(progress.message):
             yield progress

@@ -15,11 +15,11 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.frame import KeyFrame
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.settings import SourceSettings
-from exwarp_cli.domain.timeline import Slot, Timeline, ranges
+from exwarp_cli.domain.timeline import Slot, ranges
 from exwarp_cli.errors import InputError, LayoutError, OutputError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import digest_frame, find_frames, is_plain, read_key_picture
-from exwarp_cli.io.frames import GEOMETRY, read_raw
+from exwarp_cli.io.frames import read_raw
 from exwarp_cli.io.generated_frames import FileState, find_authorship
 from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
@@ -27,11 +27,9 @@ from exwarp_cli.io.shot_files import NonFinite, count_nonfinite, require_sound
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.extra_layers import Content, LayerStore
-from exwarp_cli.pipeline.source import Source
+from exwarp_cli.pipeline.key_frames import GEOMETRY_WITHOUT_NORMAL
+from exwarp_cli.pipeline.source import Source, read_display_windows
 from exwarp_cli.synthesis.methods import Method
-
-# Roles by which frames lead to the slots around them.
-LEADING = tuple(role for role in GEOMETRY if role is not Role.NORMAL)
 
 # Kinds of frames that no renderer made.
 NEW = (FrameKind.GENERATED.value, FrameKind.DROPPED.value)
@@ -42,22 +40,11 @@ class RenderedFrames:
     """Frames of the output, between key frames, that were rendered after all."""
 
     sequence: Sequence  # their files by output number; no others
-    # Numbers that the user's sequence has beside these: of key frames, and outside the output.
-    unused: tuple[int, ...]
+    note: str  # says which frames are used, and which are not
 
     def has(self, number: int) -> bool:
         """Return True if an output frame was rendered."""
         return number in self.sequence.files
-
-    def note(self, timeline: Timeline) -> str:
-        """Say which frames are used, and which are not."""
-        used = f"rendered frames of {self.sequence.pattern}: {ranges(self.sequence.numbers)}"
-        if not self.unused:
-            return used
-        return (
-            f"{used}; not used are {ranges(self.unused)}, which are numbers of key frames or not "
-            f"in the output, {_output_range(timeline)}"
-        )
 
     def require_apart(self, frames: OutputPattern | None) -> None:
         """Refuse to write over the rendered frames themselves; raises OutputError."""
@@ -72,33 +59,49 @@ class RenderedFrames:
 def find_rendered(spec: str, source: Source, scan: str = SourceSettings.scan) -> RenderedFrames:
     """Find rendered frames by their output numbers; any of them may exist.
 
-    Key frames that are EXR are joined by EXR alone, as others lack channels.
-
-    Raises
-    ------
-    InputError
-        When there is no such sequence, or none of its frames is a new one of the output.
+    Key frames that are EXR are joined by EXR alone, as others lack channels. Raises InputError when
+    there is no such sequence, or none of its frames is a new one of the output.
     """
     pattern = expand_view(spec, source.keys.view or None)[0]
     plain = is_plain(source.keys.sequence)
     sequence = find_frames(pattern, scan=scan) if plain else find_sequence(pattern)
     timeline = source.timeline
-    slots = [slot for key in range(len(timeline.numbers)) for slot in timeline.made_of(key)]
-    new = {timeline.number(slot) for slot in slots}
+    slots = [slot for key in range(len(timeline.numbers)) for slot in timeline.slots_of(key)]
+    output = f"{timeline.number(slots[0])}-{timeline.number(slots[-1])}"
+    new = {timeline.number(slot) for slot in slots if slot.index}
     used = [number for number in sequence.numbers if number in new]
+    unused = [number for number in sequence.numbers if number not in new]
     if not used:
         raise InputError(
             f"--rendered {sequence.pattern} has frames {ranges(sequence.numbers)}, and none of "
-            f"them is a new frame of the output, {_output_range(timeline)}; number them as "
-            "review.txt does"
+            f"them is a new frame of the output, {output}; number them as review.txt does"
         )
-    return RenderedFrames(sequence.over(used), tuple(n for n in sequence.numbers if n not in new))
+    note = f"rendered frames of {sequence.pattern}: {ranges(used)}"
+    if unused:
+        note += (
+            f"; not used are {ranges(unused)}, which are numbers of key frames or not in the "
+            f"output, {output}"
+        )
+    return RenderedFrames(sequence.over(used), note)
 
 
-def _output_range(timeline: Timeline) -> str:
-    """Return the first and the last number of the whole output."""
-    slots = [slot for key in range(len(timeline.numbers)) for slot in timeline.slots_of(key)]
-    return f"{timeline.number(slots[0])}-{timeline.number(slots[-1])}"
+def require_rendered_size(sequence: Sequence, source: Source, keys: tuple[int, ...]) -> None:
+    """Refuse rendered frames, by output number, of another size than the key frames.
+
+    `keys` are indices of key frames; raises LayoutError, unless such frames are skipped.
+    """
+    if source.keys.keep_going:
+        return
+    timeline, display = source.timeline, source.keys.display
+    slot_numbers = (timeline.number(slot) for key in keys for slot in timeline.made_of(key))
+    numbers = [number for number in slot_numbers if number in sequence.files]
+    windows = read_display_windows((sequence, number) for number in numbers)
+    for number, window in zip(numbers, windows, strict=True):
+        if window is not None and window != display:
+            raise LayoutError(
+                f"frame {number} of --rendered is {window} and the input is {display}; render it "
+                "at the resolution and with the windows of the key frames"
+            )
 
 
 @dataclass(frozen=True)
@@ -171,10 +174,7 @@ class RenderedReader:
     def read(self, key: int) -> IntervalRendered:
         """Read those of an interval, by the index of its key frame; the last one is kept.
 
-        Raises
-        ------
-        InputError
-            When a frame cannot be used, unless tolerant.
+        Raises InputError when a frame cannot be used, unless tolerant.
         """
         if self._last_key == key:
             return self._last
@@ -198,7 +198,16 @@ class RenderedReader:
         path = self._sequence.files[number]
         if path.suffix.lower() in EXR:
             require_sound((path,))
-        _refuse_generated(path)
+        authorship = None if is_clip(str(path)) else find_authorship(path)
+        if (
+            authorship is not None
+            and authorship.state is FileState.INTACT
+            and authorship.facts.get("kind") in NEW
+        ):
+            raise LayoutError(
+                f"{path} was not rendered but made by ExWarp; name a folder of rendered frames "
+                "alone"
+            )
         frames = [self._read_as_key(shot, number) for shot in self._shots]
         for layers in self._layers:
             layers.frame(number)
@@ -214,7 +223,7 @@ class RenderedReader:
             return KeyFrame(number, read_key_picture(shot, number), None)
         if self._leads:
             with suppress(LayoutError):  # a frame without geometry takes its place all the same
-                raw = read_raw(shot, number, (Role.COLOUR, *LEADING), objects=True)
+                raw = read_raw(shot, number, (Role.COLOUR, *GEOMETRY_WITHOUT_NORMAL), objects=True)
                 return raw.key(self._convention)
         return replace(read_raw(shot, number, (Role.COLOUR,)).key(None), gbuffer=None)
 
@@ -227,14 +236,3 @@ def leads_on(source: Source, method: Method, contents: tuple[Content, ...]) -> b
     is_alone = len(contents) == 1 and not contents[0].extra
     has_vectors = source.finding is not None and source.slots is None and not source.keys.aovs
     return is_alone and has_vectors and method.lookahead and method.needs_motion
-
-
-def _refuse_generated(path: Path) -> None:
-    """Refuse a frame that ExWarp made; raises LayoutError."""
-    authorship = None if is_clip(str(path)) else find_authorship(path)
-    if authorship is None or authorship.state is not FileState.INTACT:
-        return
-    if authorship.facts.get("kind") in NEW:
-        raise LayoutError(
-            f"{path} was not rendered but made by ExWarp; name a folder of rendered frames alone"
-        )

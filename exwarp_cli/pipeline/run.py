@@ -24,8 +24,14 @@ from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.fingerprint import key_fingerprint
-from exwarp_cli.pipeline.frame_sizes import window_note
-from exwarp_cli.pipeline.frame_writer import FRAMES_BEHIND, FrameWriter
+from exwarp_cli.pipeline.frame_writer import (
+    FRAMES_BEHIND,
+    FrameWriter,
+    Sums,
+    files_of,
+    verify,
+    verify_video,
+)
 from exwarp_cli.pipeline.interval_builder import IntervalPreparer, PreparedInterval, make_builders
 from exwarp_cli.pipeline.interval_inputs import (
     IntervalInputs,
@@ -34,14 +40,10 @@ from exwarp_cli.pipeline.interval_inputs import (
     ViewsReader,
 )
 from exwarp_cli.pipeline.job import Job, open_job
-from exwarp_cli.pipeline.messages import (
-    announce_skipped,
-    skipped_interval,
-    skipped_rendered,
-    skipped_scores,
-)
+from exwarp_cli.pipeline.key_frames import window_note
+from exwarp_cli.pipeline.messages import announce_skipped, skipped_interval, skipped_slots
 from exwarp_cli.pipeline.output_plan import is_video_kept, video_fingerprint, video_look, video_note
-from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress, kind_of, kinds_of
+from exwarp_cli.pipeline.progress import FrameListener, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.scheduling import (
     Mode,
     ParallelSlots,
@@ -52,7 +54,6 @@ from exwarp_cli.pipeline.scheduling import (
 )
 from exwarp_cli.pipeline.scoring import IntervalScores, KeyedPulses, broken_pixels_of
 from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_attribute, rounded
-from exwarp_cli.pipeline.verification import Sums, files_of, verify, verify_video
 from exwarp_cli.runtime.cores import hold_cores
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.runtime.stop import check_stop
@@ -76,7 +77,7 @@ def upsample(
     ExwarpError
         For anything that a user can cause; frames written until then are complete.
     """
-    return run_job(open_job(settings), progress or NoProgress(), listener)
+    return run_job(open_job(settings), progress or Progress(), listener)
 
 
 def run_job(job: Job, progress: Progress, listener: FrameListener | None = None) -> RunSummary:
@@ -224,9 +225,8 @@ class Run:
                 raise
             self._skip(SkippedInterval(inputs.key, str(error), inputs.without_geometry()))
             return
-        for problem in (
-            *skipped_scores(self._timeline, inputs.key, inputs.truth.unscored),
-            *skipped_rendered(self._timeline, inputs.key, inputs.rendered.unusable),
+        for problem in skipped_slots(
+            self._timeline, inputs.key, inputs.truth.unscored, inputs.rendered.unusable
         ):
             self.left_out.append(problem)
             announce_skipped(self._progress, problem)
@@ -434,7 +434,8 @@ def make_writer(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> FrameW
     return FrameWriter(
         job.targets,
         keys.display,
-        job.source.output_rate,
+        job.source.output_fps,
+        job.source.written_fps,
         keys.view,
         behind,
         video_look(job.source, job.keys, note or video_note(job.settings)),

@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from enum import Enum
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
@@ -46,18 +46,9 @@ def mode(
 ) -> Mode:
     """Decide how the slots of an interval are rendered.
 
-    Parameters
-    ----------
-    prepared
-        The interval.
-    method
-        Of the run.
-    pixels
-        Of a frame: in a pool several slots are in memory at a time.
-    has_layers
-        Whether more than the beauty is written: layers of a slot are made in order.
-    workers
-        Threads of the pool.
+    `pixels` is of a frame: in a pool several slots are in memory at a time. `has_layers` says
+    whether more than the beauty is written: layers of a slot are made in order. `workers` are the
+    threads of the pool.
     """
     # A kernel that all threads share waits for the last of them, whose core may be reading or
     # writing: of two cores, 1.6 were busy. Networks use all threads by themselves.
@@ -115,7 +106,7 @@ def prefetch(tasks: Iterable[Callable[[], T]], depth: int) -> Iterator[T]:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-class ParallelSlots:
+class ParallelSlots(AbstractContextManager["ParallelSlots"]):
     """Renders the slots of intervals, in a pool or in line; a context manager.
 
     `threads` is how many there are in all, `slots` the most slots that an interval has.
@@ -125,9 +116,6 @@ class ParallelSlots:
         self.workers = max(1, min(threads, slots))
         self._share = max(1, threads // self.workers)
         self._pool: ThreadPoolExecutor | None = None
-
-    def __enter__(self) -> ParallelSlots:
-        return self
 
     def __exit__(self, *exc: object) -> None:
         if self._pool is not None:
@@ -156,7 +144,7 @@ class ParallelSlots:
             return render(slot)
 
 
-class AsyncWriter:
+class AsyncWriter(AbstractContextManager["AsyncWriter"]):
     """Runs writes on their own threads, at most `depth` behind; a context manager.
 
     The first error stops everything: it is raised by the next call of `submit`, or at the end.
@@ -167,9 +155,6 @@ class AsyncWriter:
         self._pool = ThreadPoolExecutor(threads, "exwarp-write", limit_kernel_threads)
         self._depth = depth
         self._waiting: deque[Future[None]] = deque()
-
-    def __enter__(self) -> AsyncWriter:
-        return self
 
     def submit(self, write: Callable[[], None]) -> None:
         """Queue a write; blocks while `depth` writes are under way."""

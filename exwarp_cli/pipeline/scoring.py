@@ -1,45 +1,60 @@
-"""Scores of a run: each frame's own, and those that depend on the frames around it."""
+"""Scores of a run, and of a sequence against another: frames' own, and those of several frames."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
-from itertools import takewhile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field, replace
+from itertools import pairwise, takewhile
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, Image, UInt8, Window, place_on_canvas
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Image, UInt8, Window, place_on_canvas
 from exwarp_cli.domain.metric import WITHOUT_TRUTH
 from exwarp_cli.domain.results import BrokenPixels, FrameRecord, Score
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.display_colour import to_display
-from exwarp_cli.io.ffmpeg_filters import compute_vmaf, require_vmaf_size
+from exwarp_cli.io.ffmpeg_filters import (
+    EncodedVmafStream,
+    VmafStream,
+    compute_vmaf,
+    require_vmaf_size,
+)
+from exwarp_cli.io.files import ResourceOwner
 from exwarp_cli.io.footage import read_sequence_picture
+from exwarp_cli.io.frames import GEOMETRY, read_raw
+from exwarp_cli.metrics.display import round_display
 from exwarp_cli.metrics.temporal import (
     Transition,
     compare_with_previous,
     compare_with_rendered,
     display_error,
+    frame_flicker,
     interpolate_gradient,
     interval_flicker,
     mean_gradient,
     pulse,
 )
-from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.motion_fields import field_between, reproject, settle_motion
 
 if TYPE_CHECKING:
+    from exwarp_cli.domain.motion import MotionConvention
+    from exwarp_cli.io.shot import Shot
     from exwarp_cli.io.shot_files import NonFinite
     from exwarp_cli.pipeline.job import Job
     from exwarp_cli.pipeline.rendered_frames import RenderedReader
     from exwarp_cli.pipeline.source import Source
+    from exwarp_cli.synthesis.interval import Interval
 
 Scores = tuple[Score, Score | None]  # over all pixels, and in holes
 
 SLOTS = range(1, FACTOR)  # the slots that the paper's decisions are for
+
+ENDS_LEFT_OUT = 4  # frames at either end that ExtraNet's videos lack
+SHORTEST_CUT = 12  # videos of no more frames keep their ends
 
 
 @dataclass(frozen=True)
@@ -72,39 +87,28 @@ def flicker_of(
 ) -> list[tuple[float | None, float | None]]:
     """Return the flicker of an interval's slots, in order, over all pixels and in holes.
 
-    Parameters
-    ----------
-    errors
-        By slot, from `metrics.flicker.error`; the key frames around have none. The flicker of a
-        slot that is missing is (None, None).
-    masks
-        By slot, bool [H, W].
-    steps
-        Of the interval.
+    `errors` are by slot, from `metrics.temporal.display_error`; the key frames around have none.
+    The flicker of a slot that is missing is (None, None). `masks` are by slot, bool [H, W].
     """
-
-    def into(slot: int) -> Transition | None:
-        if slot not in errors or (slot > 1 and slot - 1 not in errors):
-            return None
-        before = errors.get(slot - 1)
-        return compare_with_previous(errors[slot], before, steps.fields[slot], steps.hidden[slot])
-
     slots = sorted(steps.fields)
+    transitions: list[Transition | None] = []
+    for slot in slots:
+        change = None
+        if slot in errors and (slot == 1 or slot - 1 in errors):
+            before, step = errors.get(slot - 1), (steps.fields[slot], steps.hidden[slot])
+            change = compare_with_previous(errors[slot], before, *step)
+        transitions.append(change)
     last = errors.get(slots[-1]) if steps.followed else None
-    transitions = [*map(into, slots), None if last is None else compare_with_rendered(last)]
+    transitions.append(None if last is None else compare_with_rendered(last))
     return interval_flicker(transitions, [masks.get(slot) for slot in slots])
 
 
 def vmaf_of(truth: Mapping[int, Float32], rows: Sequence[Sequence[Float32]]) -> list[list[float]]:
     """Return the VMAF of the slots of several versions of an interval.
 
-    Parameters
-    ----------
-    truth
-        Slot 0, those after it and, where a rendered frame follows, one more: float32 [H, W, 3] or
-        more, scene-linear. What is shown at the first and at the rendered one counts as right.
-    rows
-        A version each: its frames at the slots after the first.
+    `truth` has slot 0, those after it and, where a rendered frame follows, one more: float32 [H, W,
+    3] or more, scene-linear. What is shown at the first and at the rendered one counts as right.
+    Each of `rows` is a version: its frames at the slots after the first.
     """
     reference = [to_display(truth[slot]) for slot in sorted(truth)]
     slots = len(rows[0])
@@ -122,13 +126,8 @@ def require_measurable(settings: UpsampleSettings, display: Window, whole: bool 
     """Refuse metrics that cannot be measured, before any work begins.
 
     `display` is the window that is scored; `whole` is True if all key frames are output instants.
-
-    Raises
-    ------
-    UsageError
-        For metrics without ground truth, or of the video between key frames that are not shown.
-    LayoutError
-        For VMAF of frames that are too small for it.
+    Raises UsageError for metrics without ground truth, or of the video between key frames that are
+    not shown; LayoutError for VMAF of frames that are too small for it.
     """
     has_truth = settings.ground_truth is not None
     if not has_truth and set(settings.metrics or ()) - set(WITHOUT_TRUTH):
@@ -153,18 +152,9 @@ class IntervalScores:
 
     Any division into chunks gives the same scores, because VMAF and flicker depend on nothing
     outside the interval: of VMAF's features only the reference's own motion spans frames, and
-    rendered frames have no error.
-
-    Parameters
-    ----------
-    interval
-        With the motion along which flicker is measured; without motion it is not measured.
-    display
-        The window that is scored.
-    names
-        What is measured, as in `Score`.
-    followed
-        Whether a rendered frame comes after the last slot.
+    rendered frames have no error. Flicker is measured along the interval's motion, and not without.
+    `names` is what is measured, as in `Score`; `followed` is True if a rendered frame comes after
+    the last slot.
     """
 
     def __init__(
@@ -179,16 +169,10 @@ class IntervalScores:
         self._shown: dict[int, tuple[UInt8, UInt8]] = {}
 
     def frame(self, slot: int, truth: Float32, test: Float32, mask: Bool | None) -> Scores:
-        """Score a slot's frame by the metrics of single frames.
+        """Score a slot's frame, 1 or more, by the metrics of single frames.
 
-        Parameters
-        ----------
-        slot
-            1 or more.
-        truth, test
-            float32 [H, W, 3] or more, scene-linear.
-        mask
-            bool [H, W], the slot's holes; None without motion.
+        `truth` and `test` are float32 [H, W, 3] or more, scene-linear; `mask` is bool [H, W], the
+        slot's holes, None without motion.
         """
         from exwarp_cli.metrics.registry import score_frame  # not every run needs its kernels
 
@@ -204,16 +188,23 @@ class IntervalScores:
     def complete(self, ends: Mapping[int, Float32]) -> dict[int, Scores]:
         """Return the scores of all slots, with those that depend on several frames.
 
-        Parameters
-        ----------
-        ends
-            Ground truth at slot 0 and, counted on as a slot, at the next key frame's instant, if
-            it exists; float32 [H, W, 3] or more, scene-linear. Only for VMAF.
+        `ends` are for VMAF: ground truth at slot 0 and, counted on as a slot, at the next key
+        frame's instant, if it exists; float32 [H, W, 3] or more, scene-linear.
         """
         scores = dict(self._scores)
         if "vmaf" in self._names:
-            for slot, value in self._vmaf(ends).items():
-                scores[slot] = (replace(scores[slot][0], vmaf=value), scores[slot][1])
+            # The interval as a video between two rendered frames, which count as the truth.
+            pairs = dict(self._shown)
+            for slot, pixels in ends.items():
+                pairs[slot] = (to_display(pixels),) * 2
+            # From the key frame on, up to the first instant without truth.
+            video = list(takewhile(pairs.__contains__, range(self._count + 2)))
+            vmaf = compute_vmaf(
+                (pairs[slot][0] for slot in video), (pairs[slot][1] for slot in video)
+            )
+            for slot, value in zip(video, vmaf, strict=True):
+                if slot in self._shown:
+                    scores[slot] = (replace(scores[slot][0], vmaf=value), scores[slot][1])
         if self._steps is not None:
             values = flicker_of(self._errors, self._masks, self._steps)
             for slot, (overall, masked) in zip(sorted(self._steps.fields), values, strict=True):
@@ -222,18 +213,6 @@ class IntervalScores:
                     inside = None if inside is None else replace(inside, flicker=masked)
                     scores[slot] = (replace(all_pixels, flicker=overall), inside)
         return scores
-
-    def _vmaf(self, ends: Mapping[int, Float32]) -> dict[int, float]:
-        """Score the interval as a video between two rendered frames, which count as the truth."""
-        pairs = dict(self._shown)
-        for slot, pixels in ends.items():
-            pairs[slot] = (to_display(pixels),) * 2
-        # From the key frame on, up to the first instant without truth.
-        video = list(takewhile(pairs.__contains__, range(self._count + 2)))
-        values = compute_vmaf(
-            (pairs[slot][0] for slot in video), (pairs[slot][1] for slot in video)
-        )
-        return {slot: v for slot, v in zip(video, values, strict=True) if slot in self._shown}
 
 
 def broken_pixels_of(
@@ -249,51 +228,40 @@ def broken_pixels_of(
     broken: list[BrokenPixels] = []
     for key in job.keys:
         for source in job.sources:
+            timeline, view = source.timeline, source.keys.view
             by_output = [truth] if source is job.source else []
-            by_output += [in_rendered[source.keys.view]] if in_rendered else []
-            broken += _in_interval(source, key, by_output)
+            by_output += [in_rendered[view]] if in_rendered else []
+            number = timeline.numbers[key]
+            counts = [(0, source.keys.nonfinite.of(number))]
+            for slot in (Slot(key, 0), *timeline.between(key)):
+                instant = None if source.slots is None else source.slot_number(slot)
+                if instant is not None and source.slots is not None:
+                    counts.append((slot.index, source.slots.nonfinite.of(instant)))
+                counts += [(slot.index, each.of(timeline.number(slot))) for each in by_output]
+            broken += [
+                BrokenPixels(number, index, view, channels, pixels)
+                for index, by_channel in counts
+                for channels, pixels in by_channel
+            ]
     return tuple(broken)
 
 
-def _in_interval(
-    source: Source, key: int, by_output: Iterable[NonFinite]
-) -> Iterator[BrokenPixels]:
-    """Yield those of one view of a key interval; `by_output` has them by output number."""
-    timeline, view = source.timeline, source.keys.view
-    number = timeline.numbers[key]
-    for channels, pixels in source.keys.nonfinite.of(number):
-        yield BrokenPixels(number, 0, view, channels, pixels)
-    for slot in (Slot(key, 0), *timeline.between(key)):
-        instant = None if source.slots is None else source.slot_number(slot)
-        if instant is not None and source.slots is not None:
-            for channels, pixels in source.slots.nonfinite.of(instant):
-                yield BrokenPixels(number, slot.index, view, channels, pixels)
-        for nonfinite in by_output:
-            for channels, pixels in nonfinite.of(timeline.number(slot)):
-                yield BrokenPixels(number, slot.index, view, channels, pixels)
-
-
+@dataclass
 class KeyedPulses:
-    """Collects mean gradients during a run; adds the pulse to the records of new frames at its end.
+    """Collects mean gradients of the view that is scored, and adds the pulse to records at the end.
 
     It needs no ground truth. A pulse depends only on a frame and the key frames around it, so any
     division into chunks gives the same values.
-
-    Parameters
-    ----------
-    source
-        The view that is scored.
     """
 
-    def __init__(self, source: Source) -> None:
-        self._source = source
-        self._keys: dict[int, float] = {}
-        self._frames: dict[int, tuple[Slot, float]] = {}
-        self._last_of_shot: set[int] = set()
+    source: Source
+    _keys: dict[int, float] = field(default_factory=dict)
+    _frames: dict[int, tuple[Slot, float]] = field(default_factory=dict)
+    _last_of_shot: set[int] = field(default_factory=set)
 
     def add_key(self, key: int, image: Image, followed: bool) -> None:
         """Add a key frame by its index; `followed` if one of the same shot comes after it."""
-        self._keys[key] = mean_gradient(image.on(self._source.keys.display).pixels)
+        self._keys[key] = mean_gradient(image.on(self.source.keys.display).pixels)
         if not followed:
             self._last_of_shot.add(key)
 
@@ -303,20 +271,169 @@ class KeyedPulses:
 
     def complete(self, records: Sequence[FrameRecord]) -> Iterator[FrameRecord]:
         """Yield the records of a run, with the pulse of the frames that were added."""
+        keys, timeline = self.source.keys, self.source.timeline
         for record in records:
-            if record.number in self._frames:
-                yield replace(record, key_pulse=self._pulse(*self._frames[record.number]))
-            else:
+            if record.number not in self._frames:
                 yield record
+                continue
+            slot, gradient = self._frames[record.number]
+            following, is_last = slot.key + 1, slot.key in self._last_of_shot
+            if not is_last and following not in self._keys:  # of another chunk
+                # A causal method makes its frames without it, so a damaged one is no error.
+                with suppress(InputError):
+                    image = read_sequence_picture(
+                        keys.sequence, timeline.numbers[following], keys.view
+                    )
+                    self._keys[following] = mean_gradient(image.on(keys.display).pixels)
+            after = None if is_last else self._keys.get(following)
+            time = float(timeline.time(slot))
+            expected = interpolate_gradient(self._keys[slot.key], after, time)
+            yield replace(record, key_pulse=pulse(gradient, expected))
 
-    def _pulse(self, slot: Slot, gradient: float) -> float:
-        following, keys = slot.key + 1, self._source.keys
-        if slot.key not in self._last_of_shot and following not in self._keys:  # of another chunk
-            # A causal method makes its frames without it, so a damaged one is no error.
-            with suppress(InputError):
-                number = self._source.timeline.numbers[following]
-                image = read_sequence_picture(keys.sequence, number, keys.view)
-                self._keys[following] = mean_gradient(image.on(keys.display).pixels)
-        after = None if slot.key in self._last_of_shot else self._keys.get(following)
-        time = float(self._source.timeline.time(slot))
-        return pulse(gradient, interpolate_gradient(self._keys[slot.key], after, time))
+
+class SequenceMotion:
+    """Reads where the pixels of a frame come from; asked frame by frame, ascending."""
+
+    def __init__(self, shot: Shot, convention: MotionConvention) -> None:
+        self._shot = shot
+        self._convention = convention
+        numbers = shot.sequence.numbers
+        self._step = min((b - a for a, b in pairwise(numbers)), default=1)
+        self._previous: tuple[int, GBuffer] | None = None
+
+    def into(self, number: int) -> tuple[Float32, Bool] | None:
+        """Return the motion from a frame to the one before it.
+
+        It lies on the display window: float32 [H, W, 2] in pixels, x right, y down, NaN where
+        unknown; and bool [H, W], True where the frame before does not show the surface point. None
+        where the frame of the last call is not its neighbour.
+        """
+        raw = read_raw(self._shot, number, GEOMETRY)
+        current = settle_motion(raw.settle(self._convention).on(self._shot.display))
+        previous, self._previous = self._previous, (number, current)
+        if previous is None or previous[0] != number - self._step:
+            return None
+        if current.to_previous is None:
+            motion = reproject(previous[1], 1.0)
+        else:
+            motion = field_between(current, previous[1], current.to_previous, 1)
+        return motion.field, motion.hole
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two frames of one instant, on the display window."""
+
+    reference: int  # the number of the true one
+    # truth, test: float32 [H, W, 3] or more, scene-linear
+    truth: Float32
+    test: Float32
+    mask: Bool | None  # bool [H, W], the holes; None without
+
+
+class SequenceScorer(ResourceOwner):
+    """Takes pairs one by one, and scores the whole sequence at the end; a context manager."""
+
+    notes: tuple[str, ...] = ()  # what a reader of the numbers should know at the end, sentences
+    _vmaf: VmafStream | EncodedVmafStream | None = None
+
+    def _open(self, stack: ExitStack) -> None:
+        if self._vmaf is not None:
+            stack.enter_context(self._vmaf)
+
+
+class MetricScorer(SequenceScorer):
+    """Scores by the metrics of this tool; memory holds one frame.
+
+    `names` is what is measured, as in `Score`; `motion` is for flicker, None where it is not
+    measured.
+    """
+
+    def __init__(self, names: tuple[str, ...], motion: SequenceMotion | None) -> None:
+        self._names = names
+        self._motion = motion
+        self._vmaf = VmafStream() if "vmaf" in names else None
+        self._scores: list[Scores] = []
+        self._error: Float32 | None = None
+        self._transitions: list[float | None] = []
+
+    def add(self, pair: Pair) -> None:
+        """Score the next pair by what needs no later one."""
+        from exwarp_cli.metrics.registry import score_frame  # see above
+
+        overall, inside = score_frame(pair.truth, pair.test, pair.mask, self._names)
+        if self._vmaf is not None:
+            self._vmaf.write(to_display(pair.truth), to_display(pair.test))
+        if self._motion is not None:
+            into = self._motion.into(pair.reference)
+            before, self._error = self._error, display_error(pair.truth, pair.test)
+            value = masked = None
+            if into is not None and before is not None:
+                change = compare_with_previous(self._error, before, *into)
+                value = change.mean()
+                masked = None if pair.mask is None else change.within(pair.mask)
+            self._transitions.append(value)
+            inside = None if inside is None else replace(inside, flicker=masked)
+        self._scores.append((overall, inside))
+
+    def finish(self) -> list[Scores]:
+        """Return all scores, with VMAF and flicker."""
+        scores = self._scores
+        if self._vmaf is not None:
+            values = self._vmaf.close()
+            scores = [(replace(s, vmaf=v), h) for (s, h), v in zip(scores, values, strict=True)]
+        if self._motion is not None:
+            flickers = frame_flicker([*self._transitions, None])
+            pairs = zip(scores, flickers, strict=True)
+            scores = [(replace(s, flicker=v), h) for (s, h), v in pairs]
+        return scores
+
+
+class ExtranetScorer(SequenceScorer):
+    """Scores as ExtraNet's release takes them: see `exwarp_cli.metrics.extranet_scores`.
+
+    VMAF is of H.264 videos of both sequences, rendered frames included. `names` are out of psnr_db,
+    ssim and vmaf, `count` is how many frames come. `generated` says of each whether it counts in
+    PSNR and SSIM; None where that is not known, and a frame counts unless its pixels are those of
+    the truth.
+    """
+
+    def __init__(self, names: tuple[str, ...], count: int, generated: list[bool] | None) -> None:
+        self._names = names
+        cut = ENDS_LEFT_OUT if count > SHORTEST_CUT else 0
+        self._video = range(cut, count - cut)
+        self._generated = generated
+        self._vmaf = EncodedVmafStream() if "vmaf" in names else None
+        self._scores: list[Score] = []
+        self._counted = 0
+
+    def add(self, pair: Pair) -> None:
+        """Score the next pair if it counts, and append it to the videos."""
+        from exwarp_cli.metrics.extranet_scores import score_like_extranet  # see above
+
+        index = len(self._scores)
+        truth, test = round_display(pair.truth), round_display(pair.test)
+        is_different = bool((truth != test).any())
+        counts = is_different if self._generated is None else self._generated[index]
+        self._counted += counts
+        values = score_like_extranet(pair.truth, pair.test) if counts else Score()
+        self._scores.append(
+            Score(
+                psnr_db=values.psnr_db if "psnr_db" in self._names else None,
+                ssim=values.ssim if "ssim" in self._names else None,
+            )
+        )
+        if self._vmaf is not None and index in self._video:
+            self._vmaf.write(truth, test)
+
+    def finish(self) -> list[Scores]:
+        """Return all scores, with VMAF; the notes say which frames counted."""
+        by = "by their headers" if self._generated else "as their pixels are not those of the truth"
+        note = f"{self._counted} of {len(self._scores)} frames count as generated, {by}"
+        self.notes = (note,)
+        if self._vmaf is not None:
+            for index, value in zip(self._video, self._vmaf.close(), strict=True):
+                self._scores[index] = replace(self._scores[index], vmaf=value)
+            frames = len(self._video)
+            self.notes += (f"VMAF is of {frames} frames in H.264, rendered ones included",)
+        return [(score, None) for score in self._scores]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -27,6 +27,7 @@ class _RecordedError(Exception):
     """The cause of an error of a frame that is recorded as unreadable."""
 
 
+@dataclass
 class UnreadableFrames:
     """Frames of the input that cannot be read, by their slot, whose index is 0 for key frames.
 
@@ -36,9 +37,8 @@ class UnreadableFrames:
     frames on both sides. Unless `tolerant`, errors pass, and nothing is recorded.
     """
 
-    def __init__(self, tolerant: bool = False) -> None:
-        self.tolerant = tolerant
-        self._reasons: dict[Slot, str] = {}
+    tolerant: bool = False
+    _reasons: dict[Slot, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self._reasons)
@@ -74,13 +74,9 @@ class UnreadableFrames:
 class Shots:
     """Where shots begin and pictures repeat, of every pair of key frames from those two alone.
 
-    So any part of the sequence finds the same, and so does every method: all code that reads
-    key frames shows them with the same channels. Key frames are named by their index.
-
-    Raises
-    ------
-    MissingFrameError
-        When a cut is given at a frame that the sequence lacks.
+    So any part of the sequence finds the same, and so does every method: all code that reads key
+    frames shows them with the same channels. Key frames are named by their index. Raises
+    MissingFrameError when a cut is given at a frame that the sequence lacks.
     """
 
     def __init__(
@@ -96,6 +92,7 @@ class Shots:
         self._wish = wish
         self._numbers = numbers
         self._given = wish.starts_in(numbers)
+        self._beside_given = {key - i for key in self._given for i in (0, 1)}
         self._read = read
         self._unreadable = UnreadableFrames() if unreadable is None else unreadable
         self._lossy = lossy
@@ -125,7 +122,7 @@ class Shots:
 
     def see(self, key: int, frame: KeyFrame) -> None:
         """Take a glance at a key frame as it was read, with vectors over a key interval."""
-        if self._wish.detect or self._is_beside_given_cut(key):
+        if self._wish.detect or key in self._beside_given:
             self._glances[key] = make_thumbnail(frame)
 
     def starts_at(self, key: int) -> bool:
@@ -137,16 +134,15 @@ class Shots:
         if beside_unreadable and key not in self._given:
             return inside
         if key not in self._starts:
-            self._starts[key] = inside and (key in self._given or self._detect_cut(key))
-        return self._starts[key]
-
-    def _detect_cut(self, key: int) -> bool:
-        if not self._wish.detect:
-            if self._unreadable.tolerant:  # whether they can be read shows as they are read
+            is_start = inside and key in self._given
+            if inside and not is_start and self._wish.detect:
+                is_start = is_cut_between(self._glance(key - 1), self._glance(key))
+            elif inside and not is_start and self._unreadable.tolerant:
+                # Whether they can be read shows as they are read.
                 self._read(key - 1)
                 self._read(key)
-            return False
-        return is_cut_between(self._glance(key - 1), self._glance(key))
+            self._starts[key] = is_start
+        return self._starts[key]
 
     def repeats(self, key: int) -> bool:
         """Return True if a key frame shows the same picture as the one before it, in all views.
@@ -200,14 +196,8 @@ class Shots:
     def cut_facts(self, key: int, back: int, used: Iterable[int]) -> list[str]:
         """Say what frames after a key frame depend on; nothing where no cut is near.
 
-        Parameters
-        ----------
-        key
-            Its index.
-        back
-            How many key frames before it may be used.
-        used
-            The key frames whose vectors are.
+        `back` is how many key frames before it may be used, `used` are the key frames whose vectors
+        are.
         """
         begin = self.begin(key, back)
         facts = [f"begin {begin - key}"] if self.starts_at(begin) else []
@@ -219,9 +209,6 @@ class Shots:
         """Drop glances at key frames before one; what they showed stays known."""
         self._glances = {key: glance for key, glance in self._glances.items() if key >= oldest}
 
-    def _is_beside_given_cut(self, key: int) -> bool:
-        return key in self._given or key + 1 in self._given
-
     def _glance(self, key: int) -> Thumbnail:
         if key not in self._glances:
             self._read(key)
@@ -229,7 +216,7 @@ class Shots:
 
     def _vectors_across_cut(self, key: int) -> str:
         """Return which vectors of a key frame lead to another shot; "" for none."""
-        if not self._wish.detect and not self._is_beside_given_cut(key):
+        if not self._wish.detect and key not in self._beside_given:
             return ""
         if key not in self._leaps:
             self._leaps[key] = _Leap.from_glance(self._glance(key))
@@ -283,17 +270,9 @@ def pair_beside_hold(
     """Return the first frame of a pair nearby that does not show one picture twice.
 
     A picture that is repeated tells nothing of its vectors, which are those of the first one.
-
-    Parameters
-    ----------
-    first
-        The pair that is wanted: it and the frame after it. Returned if none nearby is better.
-    count
-        Of all frames.
-    is_cut
-        Called with the index of a frame; True if it does not belong to the frame before it.
-    is_hold
-        Called with the first frame of a pair; True if both frames show the same picture.
+    `first` is the pair that is wanted: it and the frame after it; returned if none nearby is
+    better. `count` is of all frames. `is_cut` returns True if a frame, by its index, does not
+    belong to the frame before it, `is_hold` if both frames of a pair show the same picture.
     """
     if not is_hold(first):
         return first
@@ -308,18 +287,9 @@ def pair_beside_hold(
 def pairs_within(count: int, is_cut: Callable[[int], bool]) -> list[int]:
     """Choose pairs of neighbouring frames to measure by: of the start, the middle and the end.
 
-    Parameters
-    ----------
-    count
-        Number of frames.
-    is_cut
-        Takes a frame's index and returns True if a cut lies before it. A pair across one gives
-        way to the nearest that is not.
-
-    Returns
-    -------
-    list of int
-        Indices of the earlier frames, ascending.
+    `count` is of all frames. `is_cut` takes a frame's index and returns True if a cut lies before
+    it. A pair across one gives way to the nearest that is not. The indices of the earlier frames
+    are returned, ascending.
     """
     firsts = range(count - 1)
     nearest = {

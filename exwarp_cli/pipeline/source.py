@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 
-from exwarp_cli.domain.frame import set_max_pixels
+from exwarp_cli.domain.frame import Window, set_max_pixels
 from exwarp_cli.domain.motion import MotionConvention, MotionFinding
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import (
     FACTOR,
     MAX_FACTOR,
     CutOption,
-    OutputRate,
     Slot,
     Timeline,
     compatible_rate,
@@ -28,7 +28,7 @@ from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, Motion
 from exwarp_cli.io import sequences
 from exwarp_cli.io.channel_map import AovFile, ChannelMap, parse_aovs, read_channel_map
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.footage import clip_rate, find_footage, is_plain, make_shot
+from exwarp_cli.io.footage import clip_rate, find_footage, is_plain, make_shot, read_display_window
 from exwarp_cli.io.frames import require_visible
 from exwarp_cli.io.generated_frames import frame_rate
 from exwarp_cli.io.shot import Shot, open_shot, open_views
@@ -53,6 +53,9 @@ from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
 # Returns the number of a slot's frame in a sequence at the output rate; None where it has none.
 FrameOf = Callable[[Slot], int | None]
 
+# Headers that are read at a time: on a network share each waits for the server.
+READERS = 16
+
 
 @dataclass(frozen=True)
 class Source:
@@ -75,11 +78,6 @@ class Source:
     def output_fps(self) -> Fraction:
         """Frames per second of the output."""
         return self.fps * self.timeline.factor
-
-    @property
-    def output_rate(self) -> OutputRate:
-        """Frames per second of the output, and what written frames say of them."""
-        return OutputRate(self.output_fps, self.written_fps)
 
     @property
     def written_fps(self) -> Fraction | None:
@@ -125,16 +123,10 @@ def open_source(
 ) -> Source:
     """Find and recognise an input.
 
-    Parameters
-    ----------
-    settings
-        How the input is read.
-    motion_needed
-        Whether the method uses motion vectors. Without, a convention that cannot be settled is no
-        error, and G-buffers at the output rate without vectors to the previous slot are left out.
-    pictures
-        Whether videos, stills and EXR with colour alone are taken, and their motion estimated; and
-        EXR with other passes and without usable vectors, where `settings` allow it.
+    Without `motion_needed` a convention that cannot be settled is no error, and G-buffers at the
+    output rate without vectors to the previous slot are left out. With `pictures` videos, stills
+    and EXR with colour alone are taken, and their motion estimated; and EXR with other passes and
+    without usable vectors, where `settings` allow it.
 
     Raises
     ------
@@ -146,8 +138,7 @@ def open_source(
     cuts = parse_cuts(settings.cuts)
     plain = open_plain(settings) if pictures else None
     if plain is not None:
-        fps, fps_source = rate_of(plain, settings.fps)
-        timeline = _timeline(plain, settings, fps)
+        timeline, fps, fps_source = _timeline(plain, settings)
         cuts.starts_in(timeline.numbers)
         return Source(plain, None, _no_number, timeline, None, fps, fps_source, cuts, motion_needed)
     keys, settings = open_keys(settings)
@@ -156,8 +147,7 @@ def open_source(
             f"{keys.sequence.pattern} has no colour channels that are recognised, only "
             f"{keys.listed}; name them in a channel map, or render the beauty pass"
         )
-    fps, fps_source = rate_of(keys, settings.fps)
-    timeline = _timeline(keys, settings, fps)
+    timeline, fps, fps_source = _timeline(keys, settings)
     if settings.gbuffers is not None and timeline.steps is None:
         raise UsageError(
             f"--gbuffers lead from slot to slot between key frames, and from {float(fps):g} to "
@@ -170,26 +160,76 @@ def open_source(
     starts: set[int | None] = {timeline.numbers[key] for key in first_keys}
     if slots is not None:
         slot_number = align(timeline, slots.sequence, "--gbuffers")
-        _require_enough_slots(timeline, slots, slot_number)
+        last = Slot(len(timeline.numbers) - 1, 0)
+        if slot_number(last) is None:
+            raise InputError(
+                f"--gbuffers {slots.sequence.pattern} has frames {ranges(slots.sequence.numbers)}, "
+                f"fewer than the {timeline.order(last) + 1} slots up to the last key frame; render "
+                "the others"
+            )
         starts = {slot_number(Slot(key, 0)) for key in first_keys}
+    source = Source(keys, slots, slot_number, timeline, None, fps, fps_source, cuts)
     cut_numbers = {number for number in starts if number is not None}
-    unusable = ""
+    return _with_motion(source, settings, cut_numbers, motion_needed, pictures)
+
+
+def _with_motion(
+    source: Source,
+    settings: SourceSettings,
+    starts: Collection[int],  # numbers of frames before which cuts are known
+    motion_needed: bool,
+    pictures: bool,
+) -> Source:
+    """Return a source with what its vectors mean, and depth as they say it grows."""
+    keys, slots, slot_number = source.keys, source.slots, source.slot_number
+    shot, colours = slots or keys, None
+    comparable = {Role.COLOUR, Role.POSITION} & set(shot.layout.roles)
+    if slots is not None and not comparable and keys.display.shape == slots.display.shape:
+        # Key frames to measure slots' vectors by, as these have no colour.
+        instants = (Slot(key, 0) for key in range(len(source.timeline.numbers)))
+        colours = KeyColours(keys, tuple(map(slot_number, instants)))
+    names_vectors = settings.gbuffers is not None or settings.motion is not None
+    may_estimate = pictures and settings.estimate_motion and not names_vectors
     try:
-        colours = _key_colours(keys, slots, timeline, slot_number)
-        finding = find_motion(slots or keys, settings.motion, cuts.detect, cut_numbers, colours)
+        finding = find_motion(shot, settings.motion, source.cuts.detect, starts, colours)
+        unusable = ""
     except MotionError as error:
-        if motion_needed and not (pictures and _may_estimate(settings)):
+        if motion_needed and not may_estimate:
             raise
         finding, unusable = None, str(error)
-    keys, slots = _with_depth(keys, slots, finding, cut_numbers)
-    shot = slots or keys
-    estimated = finding is None and motion_needed and pictures and _is_estimated(shot, settings)
-    if motion_needed and not estimated:
-        _require_vectors(shot, finding, slots, pictures)
+    ordered = shot if finding is None else with_depth_ordered(shot, finding.convention, starts)
+    if slots is None:
+        keys = ordered
+    elif ordered is not shot:
+        # Depth of the same name in both is read alike.
+        names, slot_names = (
+            {ref.name for ref in each.layout.roles.get(Role.DEPTH, ())} for each in (keys, slots)
+        )
+        if names == slot_names and keys.depth == slots.depth:
+            keys = read_alike(keys, ordered)
+        slots = ordered
+    # A render with passes is meant to have vectors: a farm would not notice that they are missing.
+    is_footage = (
+        not names_vectors and Role.MOTION not in ordered.layout and is_colour_alone(ordered)
+    )
+    estimated = finding is None and motion_needed and (may_estimate or (pictures and is_footage))
+    if finding is None and motion_needed and not estimated:
+        raise LayoutError(no_vectors_message(ordered, pictures and slots is None))
     if slots is not None and (finding is None or finding.convention.to_previous is None):
+        if motion_needed and not estimated:
+            raise LayoutError(
+                f"--gbuffers {slots.sequence.pattern} has no readable vectors to the previous "
+                "slot, along which colour is moved; render them, or leave --gbuffers out"
+            )
         slots, slot_number, finding = None, _no_number, None
-    return Source(
-        keys, slots, slot_number, timeline, finding, fps, fps_source, cuts, estimated, unusable
+    return replace(
+        source,
+        keys=keys,
+        slots=slots,
+        slot_number=slot_number,
+        finding=finding,
+        estimated=estimated,
+        unusable=unusable,
     )
 
 
@@ -198,10 +238,7 @@ def open_sources(
 ) -> tuple[Source, ...]:
     """Open the view that is asked for; of all views every one, the hero first; see `open_source`.
 
-    Raises
-    ------
-    UsageError
-        When all views are asked for, and each has files of its own.
+    Raises UsageError when all views are asked for, and each has files of its own.
     """
     sources = tuple(open_source(view, motion_needed, pictures) for view in each_view(settings))
     leader = sources[0].keys.sequence
@@ -229,12 +266,8 @@ def each_view(settings: SourceSettings) -> tuple[SourceSettings, ...]:
 def open_plain(settings: SourceSettings) -> Shot | None:
     """Open a video or a sequence of stills, which have colour alone; None where EXR is meant.
 
-    Raises
-    ------
-    InputError
-        When it cannot be read.
-    UsageError
-        When options are given that say how EXR is read.
+    Raises InputError when it cannot be read; UsageError when options are given that say how EXR is
+    read.
     """
     set_max_pixels(settings.max_pixels)
     sequence = find_footage(settings.sequence, settings.keep_going, settings.scan)
@@ -261,14 +294,8 @@ def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
     """Open the key frames; the settings get the motion of their channel map.
 
     That motion counts where `settings.motion` is not given, and vectors are those of the key
-    frames.
-
-    Raises
-    ------
-    InputError
-        As :func:`exwarp_cli.io.shot.open_shot` does.
-    UsageError
-        When the map's motion is not understood.
+    frames. Raises InputError as :func:`exwarp_cli.io.shot.open_shot` does; UsageError when the
+    map's motion is not understood.
     """
     set_max_pixels(settings.max_pixels)
     options = _channel_options(settings)
@@ -345,42 +372,33 @@ def step_note(numbers: Sequence[int], fps: Fraction, fps_source: str) -> str | N
     )
 
 
-def _timeline(keys: Shot, settings: SourceSettings, fps: Fraction) -> Timeline:
-    factor = _output_factor(settings, fps)
-    return Timeline.of(keys.sequence.numbers, settings.start_frame, settings.tail, factor)
+def _timeline(keys: Shot, settings: SourceSettings) -> tuple[Timeline, Fraction, str]:
+    """Number the output frames; also return what `rate_of` does.
 
-
-def _output_factor(settings: SourceSettings, fps: Fraction) -> Fraction:
-    """Return how many output frames there are per key frame.
-
-    Raises
-    ------
-    UsageError
-        When --factor and --to-fps are both given, or the rate is not above the input's, or too far.
+    Raises UsageError when --factor and --to-fps are both given, or the rate is not above the
+    input's, or too far.
     """
-    if settings.to_fps is None:
-        return Fraction(FACTOR if settings.factor is None else settings.factor)
-    if settings.factor is not None:
-        raise UsageError("--factor and --to-fps say the same in two ways; give one of them")
-    factor = compatible_rate(fps, standard_rate(settings.to_fps)) / fps
-    if not 1 < factor <= MAX_FACTOR:
-        raise UsageError(
-            f"--to-fps {float(settings.to_fps):g} is {float(factor):g} times the input's "
-            f"{float(fps):g} fps; give more than that and at most {MAX_FACTOR} times it, or "
-            "correct the input's rate with --fps"
-        )
-    return factor
+    fps, fps_source = rate_of(keys, settings.fps)
+    factor = Fraction(FACTOR if settings.factor is None else settings.factor)
+    if settings.to_fps is not None:
+        if settings.factor is not None:
+            raise UsageError("--factor and --to-fps say the same in two ways; give one of them")
+        factor = compatible_rate(fps, standard_rate(settings.to_fps)) / fps
+        if not 1 < factor <= MAX_FACTOR:
+            raise UsageError(
+                f"--to-fps {float(settings.to_fps):g} is {float(factor):g} times the input's "
+                f"{float(fps):g} fps; give more than that and at most {MAX_FACTOR} times it, or "
+                "correct the input's rate with --fps"
+            )
+    timeline = Timeline.of(keys.sequence.numbers, settings.start_frame, settings.tail, factor)
+    return timeline, fps, fps_source
 
 
 def align(timeline: Timeline, sequence: sequences.Sequence, option: str) -> FrameOf:
     """Match a sequence at the output rate to slots: by number where its numbers are those.
 
-    Else by order: its first frame belongs to the first key frame.
-
-    Raises
-    ------
-    InputError
-        When the sequence has gaps, also where only the key frames' instants are missing.
+    Else by order: its first frame belongs to the first key frame. Raises InputError when the
+    sequence has gaps, also where only the key frames' instants are missing.
     """
     try:
         numbers = Timeline.of(sequence.numbers).numbers
@@ -418,69 +436,60 @@ def _no_number(_slot: Slot) -> int | None:
     return None
 
 
-def _require_enough_slots(timeline: Timeline, slots: Shot, frame_of: FrameOf) -> None:
-    last = Slot(len(timeline.numbers) - 1, 0)
-    if frame_of(last) is None:
-        raise InputError(
-            f"--gbuffers {slots.sequence.pattern} has frames {ranges(slots.sequence.numbers)}, "
-            f"fewer than the {timeline.order(last) + 1} slots up to the last key frame; render the "
-            "others"
-        )
+def require_one_size(shot: Shot, numbers: Iterable[int]) -> None:
+    """Refuse a shot of which some frames have another size, unless such frames are skipped.
 
-
-def _key_colours(
-    keys: Shot, slots: Shot | None, timeline: Timeline, slot_number: FrameOf
-) -> KeyColours | None:
-    """Return the key frames to measure slots' vectors by, where these have no colour."""
-    if slots is None or {Role.COLOUR, Role.POSITION} & set(slots.layout.roles):
-        return None
-    if keys.display.shape != slots.display.shape:
-        return None
-    count = len(timeline.numbers)
-    return KeyColours(keys, tuple(slot_number(Slot(key, 0)) for key in range(count)))
-
-
-def _with_depth(
-    keys: Shot, slots: Shot | None, finding: MotionFinding | None, starts: Collection[int]
-) -> tuple[Shot, Shot | None]:
-    """Return key frames and slots with depth as their vectors say it grows.
-
-    Depth of the same name in both is read alike. `starts` are numbers at which shots begin.
+    Headers that cannot be read are passed over: the reading of that frame says what is wrong.
+    Raises LayoutError where a frame's display window is not that of the shot.
     """
-    if finding is None:
-        return keys, slots
-    shot = slots or keys
-    ordered = with_depth_ordered(shot, finding.convention, starts)
-    if ordered is shot:
-        return keys, slots
-    if slots is None:
-        return ordered, None
-    names = [{ref.name for ref in each.layout.roles.get(Role.DEPTH, ())} for each in (keys, slots)]
-    if names[0] == names[1] and keys.depth == slots.depth:
-        keys = read_alike(keys, ordered)
-    return keys, ordered
-
-
-def _require_vectors(
-    shot: Shot, finding: MotionFinding | None, slots: Shot | None, estimable: bool
-) -> None:
-    if finding is None:
-        raise LayoutError(no_vectors_message(shot, estimable and slots is None))
-    if slots is not None and finding.convention.to_previous is None:
+    # 500 headers take 0.1 s on a local disk.
+    if shot.keep_going:
+        return
+    wanted = list(numbers)
+    files = {
+        member.files[number]: (member, number)
+        for member in (shot.sequence, *shot.aovs.values())
+        for number in wanted
+        if number in member.files
+    }
+    different = [
+        (path, window)
+        for path, window in zip(files, read_display_windows(files.values()), strict=True)
+        if window is not None and window != shot.display
+    ]
+    if different:
+        path, window = different[0]
+        plain = is_plain(shot.sequence)
+        sizes = [f"{w.width}x{w.height}" if plain else str(w) for w in (window, shot.display)]
+        more = f" (and {len(different) - 1} more)" if len(different) > 1 else ""
         raise LayoutError(
-            f"--gbuffers {slots.sequence.pattern} has no readable vectors to the previous slot, "
-            "along which colour is moved; render them, or leave --gbuffers out"
+            f"{path}{more} is {sizes[0]} where the sequence's first frame is {sizes[1]}; "
+            f"{'write' if plain else 'render'} all frames at one resolution"
         )
 
 
-def _may_estimate(settings: SourceSettings) -> bool:
-    """Return True if the user allows an estimate, and names no vectors."""
-    return settings.estimate_motion and settings.gbuffers is None and settings.motion is None
+def require_one_size_of(source: Source, keys: tuple[int, ...], lookahead: bool) -> None:
+    """Do as `require_one_size` for the frames that some key intervals (indices) are made of."""
+    timeline = source.timeline
+    last = len(timeline.numbers) - 1
+    # A cut before the next key frame is looked for in both, whatever the method.
+    reads_next = lookahead or source.cuts.detect
+    ends = {min(key + 1, last) for key in keys} if reads_next else set()
+    require_one_size(source.keys, (timeline.numbers[key] for key in sorted(ends.union(keys))))
+    if source.slots is not None:
+        slots = [slot for key in keys for slot in (Slot(key, 0), *timeline.between(key))]
+        numbers = (source.slot_number(slot) for slot in slots)
+        require_one_size(source.slots, (number for number in numbers if number is not None))
 
 
-def _is_estimated(shot: Shot, settings: SourceSettings) -> bool:
-    """Return True if the motion of a shot without usable vectors is estimated from colour."""
-    # A render with passes is meant to have vectors: a farm would not notice that they are missing.
-    named = settings.gbuffers is not None or settings.motion is not None
-    is_footage = not named and Role.MOTION not in shot.layout and is_colour_alone(shot)
-    return is_footage or _may_estimate(settings)
+def read_display_windows(frames: Iterable[tuple[sequences.Sequence, int]]) -> list[Window | None]:
+    """Return the display window of each frame; None where its header cannot be read."""
+
+    def display(frame: tuple[sequences.Sequence, int]) -> Window | None:
+        try:
+            return read_display_window(*frame)
+        except (InputError, OSError, KeyError):
+            return None
+
+    with ThreadPoolExecutor(READERS, "exwarp-header") as pool:
+        return list(pool.map(display, frames))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.pipeline import frame_writer, verification
+from exwarp_cli.pipeline import frame_writer
 from tests.cli.shots import KEYS, contents, names
 from tests.matrix import spread
 
@@ -19,7 +19,7 @@ FRAMES = 4 * KEYS
 @pytest.fixture
 def spoil(monkeypatch):
     """Have files change on the way to the disk: in what is read back of it."""
-    real = verification.drop_cached
+    real = frame_writer.drop_cached
 
     def spoil(*wanted: str, cut: bool = False) -> None:
         def dropping(path: Path) -> None:
@@ -29,7 +29,7 @@ def spoil(monkeypatch):
                 path.write_bytes(data[:-7] if cut else data)
             real(path)
 
-        monkeypatch.setattr(verification, "drop_cached", dropping)
+        monkeypatch.setattr(frame_writer, "drop_cached", dropping)
 
     return spoil
 
@@ -77,9 +77,8 @@ class TestChecksums:
         self, upsample, shot, tmp_path, monkeypatch
     ):
         keys, *rest = shot["key"]
-        for module in (frame_writer, verification):
-            monkeypatch.setattr(module, "sum_of", None)
-        monkeypatch.setattr(verification, "sum_in", None)
+        monkeypatch.setattr(frame_writer, "sum_of", None)
+        monkeypatch.setattr(frame_writer, "sum_in", None)
         upsample(keys, tmp_path / "out", "-m", "s6", *rest)
 
 

@@ -14,7 +14,7 @@ from exwarp_cli.commands.compare import command
 from exwarp_cli.domain.metric import parse_threshold
 from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.errors import QualityError, UsageError
-from exwarp_cli.pipeline import sequence_scores
+from exwarp_cli.pipeline import evaluation
 from exwarp_cli.pipeline.evaluation import Comparison, evaluate
 from exwarp_cli.report.comparison import compare_page, comparison_document, require_quality
 from exwarp_cli.report.html import render
@@ -80,7 +80,7 @@ def test_headers_that_tell_nothing_leave_nulls(
 ) -> None:
     save(tmp_path / "b" / "shot.0002.exr", picture(2, SIZE), *origin)
     found = evaluate(shots[0], str(tmp_path / "b"))
-    assert found.frames[0].origin == sequence_scores.Origin()
+    assert found.frames[0].origin == evaluation.Origin()
     quality = comparison_document(found)["quality"]
     parts = (quality["generated"], quality["dropped"], *quality["by_decision"].values())
     for block in parts:
@@ -91,9 +91,9 @@ def test_headers_that_tell_nothing_leave_nulls(
 
 def test_each_header_is_read_once(shots: tuple[str, str], monkeypatch) -> None:
     read: list[str] = []
-    known = sequence_scores.read_facts
+    known = evaluation.read_facts
     monkeypatch.setattr(
-        sequence_scores, "read_facts", lambda path: read.append(path.name) or known(path)
+        evaluation, "read_facts", lambda path: read.append(path.name) or known(path)
     )
     for settings in (MeasureSettings(("psnr_db",)), MeasureSettings(("ssim",), "extranet")):
         read.clear()

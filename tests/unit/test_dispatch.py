@@ -20,7 +20,7 @@ from exwarp_cli.farm.dask_worker import (
     check_worker,
     render_chunk,
 )
-from exwarp_cli.pipeline.progress import NoProgress
+from exwarp_cli.pipeline.progress import Progress as Reporter
 
 
 class Future:
@@ -80,7 +80,7 @@ class Cluster:
         self.handler = handler
 
 
-class Progress(NoProgress):
+class Progress(Reporter):
     def __init__(self) -> None:
         super().__init__()
         self.frames: list[int] = []

@@ -46,7 +46,8 @@ def test_the_manifest_names_every_object(scene):
 
 def test_the_manifest_says_what_the_channel_names_say(scene):
     for shot in (scene.keys, scene.instants):
-        stated = parse_motion(scene.manifest.motion, motion_names(shot))
+        size = (shot.display.width, shot.display.height)
+        stated = parse_motion(scene.manifest.motion, motion_names(shot), size)
         assert find_motion(shot, None).convention == stated
 
 

@@ -21,6 +21,7 @@ from exwarp_cli.pipeline.motion_convention import motion_names, parse_motion
 
 XYZW = ("X", "Y", "Z", "W")
 UV = ("forward.u", "forward.v", "backward.u", "backward.v")
+RGBA, SIZE = ("R", "G", "B", "A"), (1920, 1080)
 UV_BACK = ("forward.u", "forward.v", "back.u", "back.v")
 
 
@@ -44,22 +45,24 @@ class TestParseMotion:
         ],
     )
     def test_by_hand(self, text, names, expected):
-        assert parse_motion(text, names) == expected
+        assert parse_motion(text, names, SIZE) == expected
 
     @pytest.mark.parametrize("name", PRESETS)
     def test_presets(self, name):
-        assert parse_motion(name, XYZW) == PRESETS[name]
-        assert parse_motion(f"  {name.upper()} ", XYZW) == PRESETS[name]
+        expected = PRESETS[name].sized(*SIZE)
+        assert parse_motion(name, XYZW, SIZE) == expected
+        assert parse_motion(f"  {name.upper()} ", XYZW, SIZE) == expected
 
     @pytest.mark.parametrize("name", PRESETS)
     def test_what_is_described_can_be_given(self, name):
         for names in (XYZW, UV):
-            assert parse_motion(PRESETS[name].describe(names), names) == PRESETS[name]
+            described = PRESETS[name].describe(names)
+            assert parse_motion(described, names, SIZE) == PRESETS[name].sized(*SIZE)
 
     @pytest.mark.parametrize("name", ["blender", "forward+backward"])
     def test_a_preset_of_more_channels_than_there_are(self, name):
         with pytest.raises(UsageError, match="needs 4 motion channels and there are 2: u, v"):
-            parse_motion(name, ("u", "v"))
+            parse_motion(name, ("u", "v"), SIZE)
 
     @pytest.mark.parametrize(
         "text",
@@ -95,17 +98,14 @@ class TestParseMotion:
     )
     def test_what_is_not_understood(self, text):
         with pytest.raises(UsageError) as caught:
-            parse_motion(text, XYZW)
+            parse_motion(text, XYZW, SIZE)
         message = str(caught.value)
         assert repr(text) in message and "previous=X,-Y" in message and "blender" in message
 
     @pytest.mark.parametrize("text", ["", "   "])
     def test_nothing(self, text):
         with pytest.raises(UsageError, match="--motion is empty"):
-            parse_motion(text, XYZW)
-
-
-RGBA, SIZE = ("R", "G", "B", "A"), (1920, 1080)
+            parse_motion(text, XYZW, SIZE)
 
 
 class TestOtherForms:
@@ -129,16 +129,9 @@ class TestOtherForms:
     def test_by_hand(self, text, expected):
         assert parse_motion(text, RGBA, SIZE) == MotionConvention(None, expected)
 
-    def test_shares_of_the_frame_stay_so_where_its_size_is_not_known(self):
-        found = parse_motion("next=width*R,-0.5*height*G", RGBA)
-        assert found == MotionConvention(None, AxisMap(0, 1, 1, -0.5), of_frame=True)
-        assert found.sized(*SIZE) == parse_motion("next=width*R,-0.5*height*G", RGBA, SIZE)
-        assert found.sized(*SIZE).sized(*SIZE) == found.sized(*SIZE)
-
-    @pytest.mark.parametrize("text", ["next=width*R,G", "next=width*R,width*G"])
-    def test_what_then_cannot_stay_so_is_refused(self, text):
-        with pytest.raises(UsageError, match="counts in frame sizes"):
-            parse_motion(text, RGBA)
+    def test_a_convention_in_pixels_keeps_them(self):
+        found = parse_motion("next=width*R,-0.5*height*G", RGBA, SIZE)
+        assert found.sized(*SIZE) == found
 
     def test_presets_count_in_the_frame_s_pixels(self):
         found = parse_motion("moonray", ("R", "G", "A"), SIZE)
@@ -151,7 +144,9 @@ class TestOtherForms:
 
     def test_names_with_signs_in_them(self):
         names = ("my-fwd.u", "my-fwd.v", "a*b(c).u", "a*b(c).v")
-        found = parse_motion("next=2*my-fwd.u,-(my-fwd.v-0) previous=a*b(c).u,a*b(c).v", names)
+        found = parse_motion(
+            "next=2*my-fwd.u,-(my-fwd.v-0) previous=a*b(c).u,a*b(c).v", names, SIZE
+        )
         expected = MotionConvention(AxisMap(2, 3, 1, 1), AxisMap(0, 1, 2, -1))
         assert found == expected
 
@@ -206,13 +201,13 @@ maps = st.builds(
 def test_any_layer_s_name_reads_back(before, after, words):
     names = tuple(f"{word}.{letter}" for word, letter in zip(words, "uvwz", strict=True))
     convention = MotionConvention(before, after)
-    assert parse_motion(convention.describe(names), names) == convention
+    assert parse_motion(convention.describe(names), names, SIZE) == convention
 
 
 @given(maps, st.one_of(st.none(), maps), st.booleans())
 def test_what_is_described_reads_back_as_itself(before, after, of_frame):
     convention = MotionConvention(before, after, of_frame)
-    assert parse_motion(convention.describe(RGBA), RGBA) == convention
+    assert parse_motion(convention.describe(RGBA), RGBA, SIZE) == convention.sized(*SIZE)
 
 
 def test_the_command_names_every_preset():

@@ -17,11 +17,10 @@ from exwarp_cli.pipeline.progress import (
     BarProgress,
     Estimate,
     JsonProgress,
-    NoProgress,
     OpenJdProgress,
     PlainProgress,
+    Progress,
     kinds_of,
-    make_progress,
     reporting,
 )
 
@@ -49,16 +48,16 @@ class TestEstimate:
         clock.now += 1
         estimate.advance()
         assert estimate.eta_s == 3
-        assert estimate.percent == 40
+        assert estimate.tenths == 40
 
     def test_it_is_done_at_100_percent_only(self):
         estimate = Estimate(FakeClock())
         estimate.start(1000)
         for _ in range(999):
             estimate.advance()
-        assert (estimate.percent, estimate.tenths) == (99, 99.9)
+        assert estimate.tenths == 99.9
         estimate.advance()
-        assert (estimate.percent, estimate.tenths, estimate.eta_s) == (100, 100, 0)
+        assert (estimate.tenths, estimate.eta_s) == (100, 0)
 
     def test_more_than_all_is_all(self):
         estimate = Estimate(FakeClock())
@@ -70,7 +69,7 @@ class TestEstimate:
     def test_nothing_to_do_is_done(self):
         estimate = Estimate(FakeClock())
         estimate.start(0)
-        assert (estimate.percent, estimate.tenths) == (100, 100)
+        assert estimate.tenths == 100
 
 
 class TestKindsOfWork:
@@ -323,16 +322,16 @@ class TestBar:
         assert "2/2" in output and "frame 1002 (skipped)" in output
 
 
-class TestMakeProgress:
+class TestReporters:
     @pytest.mark.parametrize("results", [False, True])
     @pytest.mark.parametrize("kind", REPORTERS)
     def test_each_kind_works_from_start_to_end_on_one_stream(self, kind, results, capsys):
-        progress = make_progress(kind, results_on_stdout=results)
-        progress.start(1)
-        progress.message("notice")
-        progress.advance(1)
-        progress.finish()
-        progress.fail("wrong", 1)
+        with reporting(kind, results_on_stdout=results) as progress:
+            progress.start(1)
+            progress.message("notice")
+            progress.advance(1)
+            progress.finish()
+            progress.fail("wrong", 1)
         out, err = capsys.readouterr()
         if kind == "openjd" and not results:
             out, err = err, out
@@ -341,17 +340,17 @@ class TestMakeProgress:
 
     @pytest.mark.parametrize("kind", [kind for kind in REPORTERS if kind != "json"])
     def test_a_message_is_a_line_whatever_it_holds(self, kind, capsys):
-        progress = make_progress(kind)
-        progress.message(NASTY)
+        with reporting(kind) as progress:
+            progress.message(NASTY)
         (line,) = "".join(capsys.readouterr()).splitlines()
         assert line == ("exwarp: shot openjd_env: PATH=/evil openjd_fail: no \\x1b[2J\\udcff")
 
     def test_no_progress_says_nothing_by_itself(self, capsys):
-        progress = make_progress("none")
-        assert isinstance(progress, NoProgress)
-        progress.start(1)
-        progress.advance(1)
-        progress.finish()
+        with reporting("none") as progress:
+            assert type(progress) is Progress
+            progress.start(1)
+            progress.advance(1)
+            progress.finish()
         assert capsys.readouterr() == ("", "")
 
     @pytest.mark.parametrize(
@@ -365,11 +364,13 @@ class TestMakeProgress:
     def test_auto_looks_at_the_terminal(self, monkeypatch, terminal, term, kind):
         monkeypatch.setattr("sys.stderr.isatty", lambda: terminal)
         monkeypatch.setenv("TERM", term)
-        assert isinstance(make_progress("auto"), kind)
+        with reporting("auto") as progress:
+            assert isinstance(progress, kind)
 
     def test_other_names_are_refused(self):
-        with pytest.raises(UsageError, match="auto, bar, plain, json, openjd, none"):
-            make_progress("fancy")
+        names = "auto, bar, plain, json, openjd, none"
+        with pytest.raises(UsageError, match=names), reporting("fancy"):
+            pass
         assert KINDS[0] == "auto"
 
 

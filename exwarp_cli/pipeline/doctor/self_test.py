@@ -27,7 +27,7 @@ from exwarp_cli.errors import ExwarpError
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.exr.writer import COMPRESSIONS, encode_by_openexr, scanline_attributes
 from exwarp_cli.pipeline.doctor.checkup import CheckResult, failure
-from exwarp_cli.pipeline.progress import NoProgress
+from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.runtime.compilation import compilation
 from exwarp_cli.runtime.stop import scratch_folder
@@ -216,4 +216,4 @@ def _upsample(
 ) -> RunSummary:
     source = SourceSettings(str(folder / "keys"), motion=motion)
     settings = UpsampleSettings(source, str(folder / output), method=method, threads=1)
-    return upsample(replace(settings, frames=frames), NoProgress(io.StringIO()))
+    return upsample(replace(settings, frames=frames), Progress(io.StringIO()))

@@ -20,7 +20,7 @@ from exwarp_cli.io.exr.template import render_seconds
 from exwarp_cli.io.files import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.messages import other_extrapolator
-from exwarp_cli.pipeline.progress import NoProgress, Progress
+from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.research.bench.measurement import (
     SLOT_SCORES,
     measure,
@@ -100,7 +100,7 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
     ExwarpError
         For anything that a user can cause; what was measured until then is kept.
     """
-    progress = progress or NoProgress()
+    progress = progress or Progress()
     subjects = find_subjects(settings, progress.message)
     networks = load_networks(settings, None)
     opened = {subject: OpenedSubject(subject, settings, networks) for subject in subjects}

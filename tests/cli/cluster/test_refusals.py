@@ -21,7 +21,7 @@ from distributed import Client
 from exwarp_cli import __version__
 from exwarp_cli.errors import ClusterError
 from exwarp_cli.farm import dask_client, dask_cluster, dask_worker
-from exwarp_cli.pipeline.progress import NoProgress
+from exwarp_cli.pipeline.progress import Progress
 from tests.cli import shots
 from tests.cli.shots import FORWARD
 
@@ -67,7 +67,7 @@ class TestRefusals:
         with Client(farm, set_as_default=False) as client:
             pass
         requirements = dask_worker.WorkerRequirements("0", ())
-        dispatcher = dask_cluster.ChunkDispatcher(client, requirements, NoProgress())
+        dispatcher = dask_cluster.ChunkDispatcher(client, requirements, Progress())
         with pytest.raises(ClusterError, match="scheduler went away"):
             dispatcher.await_workers()
 
