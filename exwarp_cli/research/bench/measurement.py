@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, astuple, dataclass, field, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from statistics import median
 from typing import Any, TypeVar
@@ -20,8 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.decision import CHOICES, NODES, PATHS
-from exwarp_cli.domain.decision import NODE_SLOTS as SLOT_OF
+from exwarp_cli.domain.decision import CHOICES, NODE_SLOTS, NODES, PATHS
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.results import Score
 from exwarp_cli.domain.timeline import FACTOR
@@ -131,13 +131,13 @@ class IntervalScores:
     def outcomes(self) -> npt.NDArray[np.float64]:
         """Return what each choice of the decision tree leads to: see `policy.outcomes`."""
 
-        def judge(node: str, choice: str) -> list[float]:
-            slot = SLOT_OF[node]
+        rows = []
+        for node, choice in product(NODES, CHOICES):
+            slot = NODE_SLOTS[node]
             path = next(path for path in PATHS.values() if path.choices.get(node) == choice)
             frame, _ = self.score(picture_at(path.made_by, slot), slot)
-            return [getattr(frame, name) for name in JUDGED]
-
-        return np.array([[judge(node, choice) for choice in CHOICES] for node in NODES], np.float64)
+            rows.append([getattr(frame, name) for name in JUDGED])
+        return np.array(rows, np.float64).reshape(len(NODES), len(CHOICES), len(JUDGED))
 
 
 def part_identity(opened: OpenedSubject, key: int, recipes: Mapping[int, str]) -> str:

@@ -36,15 +36,16 @@ from exwarp_cli.pipeline.job import require_state
 from exwarp_cli.pipeline.source import open_source
 from exwarp_cli.policy.state import LearnedPolicy
 from exwarp_cli.research.bench.systems import (
+    CHOOSERS,
     EXTRANET,
     EXTRANET_FAST,
+    FIXED,
     IMPORTED,
     MINTERPOLATE,
     ONNX,
     REPEATED,
     SLOTS,
     BenchSettings,
-    needs_network,
 )
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS, DecisionSource, Method, predict_path
@@ -201,7 +202,7 @@ def load_networks(settings: BenchSettings, threads: int | None) -> Networks:
         When two interpolators have one name.
     """
     own = imported = look_ahead = None
-    if needs_network(settings.systems):
+    if any(name in CHOOSERS or name in FIXED[:-1] for name in settings.systems):
         own = load_extrapolator(settings.extrapolator, threads, settings.device)
     if settings.extranet is not None:
         imported = load_extrapolator(settings.extranet, threads, settings.device)
