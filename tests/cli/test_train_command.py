@@ -13,7 +13,6 @@ from torch import nn
 from exwarp_cli.cli import run
 from exwarp_cli.research.training import (
     extrapolator_training,
-    lookahead_samples,
     lookahead_training,
 )
 from exwarp_cli.research.training.augmentation import PLAIN, Variant
@@ -143,7 +142,7 @@ def test_help_needs_no_torch(without_torch, capsys):
 def test_a_network_that_looks_ahead_is_trained(data, tmp_path, capsys, monkeypatch):
     # Making the samples of all variants would take a minute.
     monkeypatch.setattr(
-        lookahead_samples, "variants_of", lambda name, seed: [(Variant(speed=2), PLAIN)]
+        lookahead_training, "variants_of", lambda name, seed: [(Variant(speed=2), PLAIN)]
     )
     asked = ["train", "lookahead", "--data", str(data), "-o", str(tmp_path / "run")]
     asked += ["--cache", str(tmp_path / "crops"), "--steps", "2", "--every", "1", "--batch", "2"]

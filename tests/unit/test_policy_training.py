@@ -20,26 +20,24 @@ from exwarp_cli.models.policy_files import load_policy
 from exwarp_cli.policy.state import STATE_VERSION
 from exwarp_cli.research.training.onnx_export import STATE
 from exwarp_cli.research.training.outcome_tables import PolicyTable
-from exwarp_cli.research.training.policy_scores import (
-    COLUMNS,
-    fit_regression,
-    fixed_path,
-    greedy_paths,
-    oracle_paths,
-    policy_card,
-    predict_rewards,
-    score_paths,
-    score_random,
-)
 from exwarp_cli.research.training.policy_training import (
     ALL,
+    COLUMNS,
     FLOAT_MODEL,
     INTEGER_MODEL,
     REPORT,
     SCHEMA,
+    fit_regression,
+    fixed_path,
+    greedy_paths,
     learn,
+    oracle_paths,
+    policy_card,
+    predict_rewards,
     quantise,
     rows_by_part,
+    score_paths,
+    score_random,
     train_policy,
 )
 from exwarp_cli.research.training.q_learning import q_values

@@ -18,8 +18,13 @@ from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.policy_files import load_policy
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 from exwarp_cli.research.training.outcome_tables import TABLES, load_table
-from exwarp_cli.research.training.policy_scores import greedy_paths, policy_card, score_paths
-from exwarp_cli.research.training.policy_training import ALL, REPORT
+from exwarp_cli.research.training.policy_training import (
+    ALL,
+    REPORT,
+    greedy_paths,
+    policy_card,
+    score_paths,
+)
 
 MODELS = shipped_folder()
 SCENES = ("lab", "slum", "town", "tropical", "village")

@@ -29,17 +29,19 @@ from exwarp_cli.policy.state import (
 )
 from exwarp_cli.research.training.tile_policy_training import (
     REPORT,
+    TileTable,
     choice_margins,
     choose,
     cost,
     error_of,
     gain_at,
     gains,
+    load_tile_table,
     price_for,
+    save_tile_table,
     train_tile_policy,
     train_tiles,
 )
-from exwarp_cli.research.training.tile_tables import TileTable, load_tile_table, save_tile_table
 from exwarp_cli.research.training.training_settings import TilePolicySettings
 from tests.unit.test_paths import SLOTS, interval
 

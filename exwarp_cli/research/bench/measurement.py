@@ -130,7 +130,6 @@ class IntervalScores:
 
     def outcomes(self) -> npt.NDArray[np.float64]:
         """Return what each choice of the decision tree leads to: see `policy.outcomes`."""
-
         rows = []
         for node, choice in product(NODES, CHOICES):
             slot = NODE_SLOTS[node]

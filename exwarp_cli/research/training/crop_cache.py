@@ -249,21 +249,6 @@ def _draw_corner(weight: Float32, side: int, rng: np.random.Generator) -> tuple[
     )
 
 
-def crops_folder(scene: RenderedScene, settings: ExtrapolatorSettings, cache: Path) -> Path:
-    """Return where in a cache a scene's crops lie; those of other settings lie beside them."""
-    decisive = {"frames": settings.frames, "side": settings.side, "seed": settings.seed}
-    token = {
-        "version": VERSION, "crops": CROPS, "settings": decisive,
-        "manifest": asdict(scene.manifest),
-    }  # fmt: skip
-    return cache / f"{scene.name}-{digest_of(token)}"
-
-
-def write_crops(scene: RenderedScene, settings: ExtrapolatorSettings, folder: Path) -> None:
-    """Make a scene's crops (:func:`cut_crops`) and write them, see `write_arrays`."""
-    write_arrays(cut_crops(scene, settings), folder)
-
-
 def digest_of(token: Mapping[str, object]) -> str:
     """Return a short digest of what decides what is cached."""
     text = json.dumps(token, sort_keys=True, default=str)
@@ -300,9 +285,11 @@ class CachedArrays(ABC):
     The array "time" has one number for each sample.
     """
 
-    def __init__(self, folders: Sequence[Path], names: Sequence[str]) -> None:
+    names: tuple[str, ...]  # of the arrays
+
+    def __init__(self, folders: Sequence[Path]) -> None:
         self._files = [
-            {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in names}
+            {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in self.names}
             for folder in folders
         ]
         counts = [len(files["time"]) for files in self._files]
@@ -310,6 +297,16 @@ class CachedArrays(ABC):
 
     def __len__(self) -> int:
         return len(self._places)
+
+    @staticmethod
+    @abstractmethod
+    def folder_of(scene: RenderedScene, settings: Any, cache: Path) -> Path:
+        """Return where in a cache a scene's arrays lie; those of other settings lie beside them."""
+
+    @staticmethod
+    @abstractmethod
+    def write(scene: RenderedScene, settings: Any, folder: Path) -> None:
+        """Make a scene's arrays and write them, see `write_arrays`."""
 
     @abstractmethod
     def draw(self, step: int, size: int, side: int, seed: int) -> Any:
@@ -362,10 +359,24 @@ class Batch:
 
 
 class Crops(CachedArrays):
-    """All crops of some folders."""
+    """All crops of some folders, see :func:`cut_crops`."""
 
-    def __init__(self, folders: Sequence[Path]) -> None:
-        super().__init__(folders, CROP_ARRAYS)
+    names = CROP_ARRAYS
+
+    @staticmethod
+    def folder_of(scene: RenderedScene, settings: ExtrapolatorSettings, cache: Path) -> Path:
+        """Return where in a cache a scene's crops lie."""
+        decisive = {"frames": settings.frames, "side": settings.side, "seed": settings.seed}
+        token = {
+            "version": VERSION, "crops": CROPS, "settings": decisive,
+            "manifest": asdict(scene.manifest),
+        }  # fmt: skip
+        return cache / f"{scene.name}-{digest_of(token)}"
+
+    @staticmethod
+    def write(scene: RenderedScene, settings: ExtrapolatorSettings, folder: Path) -> None:
+        """Make a scene's crops and write them."""
+        write_arrays(cut_crops(scene, settings), folder)
 
     def batch(self, indices: Sequence[int], patches: Sequence[Patch] | None = None) -> Batch:
         """Return crops as they are cached, or a patch of each."""
