@@ -40,11 +40,11 @@ def test_a_network_is_trained_and_named(data, network, tmp_path, capsys, monkeyp
     about: list[str] = []
 
     # Exporting takes 20 s, and `tests/unit/test_networks.py` looks at what comes of it.
-    def export(module: nn.Module, path: Path, **more: Any) -> None:
+    def export(module: nn.Module, path: Path, *_: Any, **more: Any) -> None:
         about.append(more["about"])
         shutil.copy(network, path)
 
-    monkeypatch.setattr(extrapolator_training, "export_extrapolator", export)
+    monkeypatch.setattr(extrapolator_training, "export_network", export)
     assert train(data, tmp_path / "run", *SMALL) == 0
     out, err = capsys.readouterr()
     assert "extrapolator.onnx: give it to exwarp upsample" in out

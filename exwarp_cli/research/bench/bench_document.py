@@ -22,10 +22,11 @@ from exwarp_cli.research.bench import paper
 from exwarp_cli.research.bench.benchmark import GBUFFERS_OF, Benchmark, Measured
 from exwarp_cli.research.bench.real_time import BASE_FPS, REFRESH_HZ, SLOT_MS, clocked_row
 from exwarp_cli.research.bench.systems import (
+    ABOUT,
     CHOOSERS,
     FIXED,
+    ONNX,
     SLOTS,
-    describe_system,
     is_lookahead,
 )
 
@@ -62,7 +63,10 @@ def bench_document(benchmark: Benchmark, predictor: Schedule, clock_hz: float) -
         "networks": benchmark.networks,
         "metrics": sorted(benchmark.settings.metrics),
         "systems": {
-            name: {"about": describe_system(name), "lookahead": is_lookahead(name)}
+            name: {
+                "about": ABOUT.get(name, f"network {name.removeprefix(ONNX)}"),
+                "lookahead": is_lookahead(name),
+            }
             for name in benchmark.systems
         },
         "sequences": [

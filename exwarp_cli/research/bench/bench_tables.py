@@ -252,12 +252,6 @@ def _predictor_rows(document: Document) -> Iterator[Document]:
         yield {"parameter": name, "ours": text, "paper": papers.get(name, NOTHING)}
 
 
-def _extranet_rows(document: Document) -> Iterator[Document]:
-    for row in document["extranet_procedure"]:
-        for name, values in row["systems"].items():
-            yield row | {"system": name} | values
-
-
 def _clocked_path_rows(document: Document) -> Iterable[Document]:
     rows: dict[str, Document] = {}
     for row in document["real_time"]["rows"]:
@@ -446,7 +440,11 @@ TABLES = (
             Column("ssim", "SSIM", ".4f"),
             Column("frames", "frames", "d"),
         ),
-        _extranet_rows,
+        lambda document: (
+            row | {"system": name} | values
+            for row in document["extranet_procedure"]
+            for name, values in row["systems"].items()
+        ),
     ),
 )
 

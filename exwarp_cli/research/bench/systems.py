@@ -109,11 +109,6 @@ def is_lookahead(system: str) -> bool:
     return system in WAITING or system.startswith(ONNX)
 
 
-def describe_system(name: str) -> str:
-    """Say what a system is."""
-    return f"network {name.removeprefix(ONNX)}" if name.startswith(ONNX) else ABOUT[name]
-
-
 def parse_names(text: str | None) -> tuple[str, ...]:
     """Read names with commas between; nothing for None."""
     names = (name.strip() for name in (text or "").split(","))

@@ -15,6 +15,7 @@ import torch
 from onnx import numpy_helper
 from torch import Tensor, nn
 
+from exwarp_cli.domain.network_api import EXTRAPOLATOR_INTERFACE
 from exwarp_cli.errors import DamagedFileError, LayoutError
 from exwarp_cli.research.training.crop_cache import Batch, CachedArrays, Crops
 from exwarp_cli.research.training.extrapolation_network import (
@@ -23,7 +24,7 @@ from exwarp_cli.research.training.extrapolation_network import (
     GatedConvolution,
     build_network,
 )
-from exwarp_cli.research.training.onnx_export import export_extrapolator
+from exwarp_cli.research.training.onnx_export import export_network
 from exwarp_cli.research.training.resumable_training import (
     WARM_UP,
     DrawnBatches,
@@ -127,7 +128,7 @@ class ExtrapolatorTraining(ResumableTraining):
             f"ExWarp extrapolation network, {self.settings.architecture}, {self.step} steps on "
             f"{len(self.settings.scenes['training'])} scenes, seed {self.settings.seed}"
         )
-        export_extrapolator(self.average, path, stride=STRIDE, about=about)
+        export_network(self.average, path, EXTRAPOLATOR_INTERFACE, stride=STRIDE, about=about)
         return path
 
     def _loss(self, batch: Batch) -> Tensor:
@@ -143,14 +144,12 @@ class ExtrapolatorTraining(ResumableTraining):
     def _validate(self, samples: Crops) -> tuple[float, float]:
         """Return by how many dB the network is above the filled warp: overall, and in holes."""
         self.average.eval()
-        count = min(VALIDATED, len(samples))
-        indices = np.unique(np.linspace(0, len(samples) - 1, count).astype(int))
+        indices = samples.spread(VALIDATED)
         gains: list[float] = []
         gains_in_holes: list[float] = []
         for first in range(0, len(indices), VALIDATION_BATCH):
             check_stop()
-            chosen = indices[first : first + VALIDATION_BATCH].tolist()
-            batch = samples.batch(chosen).to(self.device)
+            batch = samples.batch(indices[first : first + VALIDATION_BATCH]).to(self.device)
             colour, plain = batch.finish(self.average(*batch.inputs)), batch.plain
             for where, rows in ((None, gains), (1 - batch.mask, gains_in_holes)):
                 gain = psnr(colour, batch.target, where) - psnr(plain, batch.target, where)
@@ -211,7 +210,7 @@ def psnr(colour: Tensor, truth: Tensor, where: Tensor | None = None) -> Tensor:
 
 
 def load_exported(path: Path, network: ExtrapolationNetwork) -> None:
-    """Take the weights of a model that `export_extrapolator` wrote.
+    """Take the weights of a model that `export_network` wrote.
 
     The network is of the same architecture and width; in evaluation it answers as the model does.
     Raises KeyError or ValueError when the model has other layers, and InputError when the file

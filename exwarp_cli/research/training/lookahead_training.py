@@ -426,9 +426,8 @@ class LookAheadTraining(ResumableTraining):
     def _validate(self, samples: Samples) -> tuple[float, float]:
         """Return the gain over `softsplat` in dB, and per cent of sharpness, of held-out slots."""
         self.average.eval()
-        count = min(VALIDATED, len(samples))
-        indices = np.unique(np.linspace(0, len(samples) - 1, count).astype(int))
-        scores = [self._score(samples.whole(int(index)).to(self.device)) for index in indices]
+        indices = samples.spread(VALIDATED)
+        scores = [self._score(samples.whole(index).to(self.device)) for index in indices]
         gain, sharpness = np.mean(scores, axis=0)
         return float(gain), float(sharpness)
 

@@ -52,6 +52,8 @@ SCHEMA = "exwarp.policy-table/1"
 # Folder of tables, beside the models.
 TABLES = "tables"
 
+FIELDS = 8  # of `Features`
+
 F64 = npt.NDArray[np.float64]
 Say = Callable[[str], None]
 Table = TypeVar("Table")
@@ -123,14 +125,13 @@ def measure_view(scene: RenderedScene, view: View, model: Path | None, cache: Pa
     make_folder(cache)
     features = _read_cached(features_file, clip, view)
     outcomes = _read_cached(outcomes_file, clip, view)
-    needs_features, needs_outcomes = features is None, outcomes is None
     feature_rows: list[F64] = []
     outcome_rows: list[F64] = []
     # Interval by interval, so that both find the same frames in memory.
-    for k in view.intervals(clip) if needs_features or needs_outcomes else ():
-        if needs_features:
+    for k in view.intervals(clip) if features is None or outcomes is None else ():
+        if features is None:
             feature_rows.append(_interval_features(clip, view, k))
-        if needs_outcomes:
+        if outcomes is None:
             interval = replace(clip.causal(k, view.setting), extrapolator=network)
             if view.begins:
                 interval = replace(interval, past=())
@@ -206,21 +207,21 @@ class PolicyTable:
     def states(self) -> F64:
         """The network's inputs at every node of every interval, float64 [N, 5, 44]."""
         states = np.empty((len(self), len(NODES), INPUTS))
-        features = [[_features_from(fields) for fields in row] for row in self.features]
-        for row, (first, second, third) in enumerate(features):
+        features = []
+        for fields in self.features.reshape(-1, FIELDS).tolist():
+            objects, emd_normal, emd_position, var_x, var_y, width, height, distance = fields
+            emd, variance = (emd_normal, emd_position), (var_x, var_y)
+            features.append(
+                Features(int(objects), *emd, *variance, int(width), int(height), distance)
+            )
+        for row in range(len(self)):
             older = range(row - 1, max(row - 1 - OLDER_KEYS, -1), -1)
-            before = tuple(features[i][0] for i in older if self.group[i] == self.group[row])
+            before = tuple(features[3 * i] for i in older if self.group[i] == self.group[row])
+            first, second, third = features[3 * row : 3 * row + 3]
             surroundings = StateHistory((first, second, third), before)
             for column, node in enumerate(NODES):
                 states[row, column] = surroundings.inputs(node)
         return states
-
-
-def _features_from(fields: F64) -> Features:
-    objects, emd_normal, emd_position, var_x, var_y, width, height, distance = fields.tolist()
-    return Features(
-        int(objects), emd_normal, emd_position, var_x, var_y, int(width), int(height), distance
-    )
 
 
 def join_views(
@@ -234,9 +235,8 @@ def join_views(
     counts: list[int] = []
     for size, view, measured in parts:
         count = len(measured.outcomes)
-        group_sizes = [1] * count if view.begins else [count]
-        names += [f"{view.name} {size}"] * len(group_sizes)
-        counts += group_sizes
+        counts += [1] * count if view.begins else [count]
+        names += [f"{view.name} {size}"] * (count if view.begins else 1)
     return PolicyTable(
         scene,
         tuple(names),
@@ -275,7 +275,7 @@ def load_table(path: Path) -> PolicyTable:
         count = len(table)
         if not count:
             raise ValueError("it has no key interval")
-        require_shape(table.features, (count, 3, 8))
+        require_shape(table.features, (count, 3, FIELDS))
         require_shape(table.outcomes, (count, len(NODES), 2, 2))
         if table.group.min() < 0 or table.group.max() >= len(table.groups):
             raise ValueError("a group has no name")
