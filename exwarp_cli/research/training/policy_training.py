@@ -270,7 +270,7 @@ def _weighted_means(
     )
 
 
-def greedy_paths(values: F64) -> Paths:
+def greedy_paths(values: npt.NDArray[Any]) -> Paths:
     """Return the path of each interval by values [N, 5, 2]: the larger wins, ties go to warping."""
     paths = []
     for row in np.where(values[..., 1] > values[..., 0], EXTRAPOLATE, WARP).tolist():

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,7 @@ from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.metrics.display import encode_display
 from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import OnnxExtrapolator
-from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, Array, save_network
+from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, save_network
 from exwarp_cli.policy.state import (
     INPUTS,
     TILE_NODES,
@@ -42,12 +42,10 @@ from exwarp_cli.policy.state import (
 )
 from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.outcome_tables import (
+    TrainingTable,
     extrapolator,
     read_tables,
-    reading_table,
     require_no_tables,
-    require_shape,
-    write_table,
 )
 from exwarp_cli.research.training.policy_training import (
     add_checksums,
@@ -85,8 +83,6 @@ EFFORTS = tuple(i / 20 for i in range(1, 20))
 # The nodes after warping and after extrapolating; none after slot 3.
 AFTER = {"d2": ("d5", "d4"), "d4": None, "d5": None}
 
-TABLE_SCHEMA = "exwarp.tile-table/1"
-
 # What errors are of: slot, maker, and a path whose frame shows it.
 MADE = ((2, WARP, "S6"), (2, EXTRAPOLATE, "S3"), (3, WARP, "S6"), (3, EXTRAPOLATE, "S3"),
         (3, REWARP, "S4"))  # fmt: skip
@@ -101,8 +97,17 @@ VARIANTS = tuple(
 
 
 @dataclass(frozen=True)
-class TileTable:
+class TileTable(TrainingTable):
     """All tiles of a scene's key intervals."""
+
+    schema = "exwarp.tile-table/1"
+    kind, row = "table of tiles", "tile"
+    facts = ("scene", "width", "network")
+    arrays: ClassVar = {
+        "interval": (np.int32, np.int32, ()),
+        "features": (np.float32, np.float64, (3, len(TILE_FEATURES))),
+        "errors": (np.float32, np.float64, (len(MADE),)),
+    }
 
     scene: str
     width: int  # Of its frames, pixels
@@ -110,9 +115,6 @@ class TileTable:
     features: F64  # float64 [N, 3, 6]: of slots 1 to 3, in the order of `TILE_FEATURES`.
     errors: F64  # float64 [N, 5]: mean squared error, squared display levels, of what `MADE` names.
     network: str  # Checksum of the network whose frames were judged.
-
-    def __len__(self) -> int:
-        return len(self.interval)
 
     @cached_property
     def slots(self) -> list[F64]:
@@ -171,41 +173,6 @@ def measure_tiles(
     )
 
 
-def save_tile_table(path: Path, table: TileTable) -> None:
-    """Write a table, whole or not at all; the same table gives the same bytes."""
-    about = {
-        "schema": TABLE_SCHEMA,
-        "scene": table.scene,
-        "width": table.width,
-        "network": table.network,
-    }
-    arrays: dict[str, Array] = {
-        "interval": table.interval,
-        "features": table.features.astype(np.float32),
-        "errors": table.errors.astype(np.float32),
-    }
-    write_table(path, about, arrays)
-
-
-def load_tile_table(path: Path) -> TileTable:
-    """Read a table; raises InputError when there is none, or it is damaged."""
-    with reading_table(path, TABLE_SCHEMA, "table of tiles") as (about, arrays):
-        table = TileTable(
-            about["scene"],
-            int(about["width"]),
-            arrays["interval"].astype(np.int32),
-            arrays["features"].astype(np.float64),
-            arrays["errors"].astype(np.float64),
-            about["network"],
-        )
-        count = len(table)
-        if not count:
-            raise ValueError("it has no tile")
-        require_shape(table.features, (count, 3, len(TILE_FEATURES)))
-        require_shape(table.errors, (count, len(MADE)))
-    return table
-
-
 def find_tile_tables(
     data: Path | None,
     model: Path | None,
@@ -222,17 +189,17 @@ def find_tile_tables(
         if model is not None:
             raise UsageError("--extrapolator is for measuring scenes; give --data too")
         folder = tables or shipped_folder() / TILE_TABLES
-        return read_tables(folder, load_tile_table, "table of tiles")
+        return read_tables(TileTable, folder)
     require_no_tables(tables)
     make_folder(output / TILE_TABLES)
     found = []
     for scene in find_scenes(data, BENCHMARK):
         network = extrapolator(model)
         path = output / TILE_TABLES / f"{scene.name}.npz"
-        table = load_tile_table(path) if path.exists() else None
+        table = TileTable.load(path) if path.exists() else None
         if table is None or table.network != network.checksum:
-            save_tile_table(path, measure_tiles(scene, network, say))
-            table = load_tile_table(path)
+            measure_tiles(scene, network, say).save(path)
+            table = TileTable.load(path)
         found.append(table)
     return found
 
