@@ -191,15 +191,10 @@ def _measure_all(subjects: Sequence[OpenedSubject], jobs: int, report: Report) -
         for opened in subjects:
             parts |= _measure_parts(opened, opened.keys, report)
         return parts
-    with closing(run_tasks(_measure_task, tasks, jobs, _prepare_worker, report)) as results:
+    with closing(run_tasks(_measure_task, tasks, jobs, follow_parent, report)) as results:
         for _, measured in results:
             parts |= measured
     return parts
-
-
-def _prepare_worker() -> None:
-    follow_parent()
-    use_threads(1)
 
 
 def _measure_task(settings: BenchSettings, subject: Subject, keys: Sequence[int]) -> Parts:
@@ -209,6 +204,7 @@ def _measure_task(settings: BenchSettings, subject: Subject, keys: Sequence[int]
 
 @lru_cache(2)
 def _open_in_worker(settings: BenchSettings, subject: Subject) -> OpenedSubject:
+    use_threads(1)
     return OpenedSubject(subject, settings, _load_in_worker(settings, 1))
 
 

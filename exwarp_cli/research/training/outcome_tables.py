@@ -215,8 +215,10 @@ class TrainingTable:
             if about["schema"] != cls.schema:
                 raise ValueError(f"its schema is {about['schema']!r}, not {cls.schema}")
             facts = {n: tuple(v) if isinstance(v := about[n], list) else v for n in cls.facts}
-            arrays = {name: content[name].astype(kind) for name, (_, kind, _) in cls.arrays.items()}
-            table = cls(**facts, **arrays)
+            rows: dict[str, Array] = {
+                name: content[name].astype(kind) for name, (_, kind, _) in cls.arrays.items()
+            }
+            table = cls(**facts, **rows)
             table.validate()
         except FileNotFoundError as error:
             raise InputError(f"there is no {cls.kind} {path}; check the path") from error
