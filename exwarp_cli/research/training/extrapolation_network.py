@@ -189,7 +189,10 @@ class ExtrapolationNetwork(nn.Module):
             return torch.add(filled, answer)
         parts = [self.candidate_count, 2 * a.flow]
         logits, flow, colour = torch.split(answer, [*parts, answer.shape[1] - sum(parts)], 1)
-        weights = torch.split(_softmax(logits.float()), 1, 1)
+        # The softmax over channels; onnxruntime's own transposes every plane for it.
+        logits = logits.float()
+        powers = torch.exp(logits - logits.amax(1, keepdim=True))
+        weights = torch.split(powers / powers.sum(1, keepdim=True), 1, 1)
         out = torch.zeros_like(filled)
         candidates = self._candidates(filled, history, when, flow.float(), sides)
         for weight, candidate in zip(weights, candidates, strict=True):
@@ -228,12 +231,6 @@ class ExtrapolationNetwork(nn.Module):
         for index in range(a.flow):
             out.append(_sample(filled, flow[:, 2 * index : 2 * index + 2]))
         return out + [side[:, :3] for side in sides]
-
-
-def _softmax(logits: Tensor) -> Tensor:
-    """Return the softmax over channels; onnxruntime's own transposes every plane for it."""
-    powers = torch.exp(logits - logits.amax(1, keepdim=True))
-    return powers / powers.sum(1, keepdim=True)
 
 
 def _neighbours(frame: Tensor, radius: int) -> list[Tensor]:
