@@ -89,7 +89,7 @@ def command(
     from exwarp_cli.domain.metric import parse_metrics
     from exwarp_cli.pipeline.predictor import clock_of
     from exwarp_cli.pipeline.progress import reporting
-    from exwarp_cli.research.bench.bench_folder import describe_files, write_benchmark
+    from exwarp_cli.research.bench.bench_report import describe_files, write_benchmark
     from exwarp_cli.research.bench.benchmark import run_benchmark
     from exwarp_cli.research.bench.systems import parse_names, parse_systems
 

@@ -182,8 +182,7 @@ def policy(
 
     require_train()
     from exwarp_cli.research.training.outcome_tables import Survey, find_tables
-    from exwarp_cli.research.training.policy_scores import policy_card
-    from exwarp_cli.research.training.policy_training import train_policy
+    from exwarp_cli.research.training.policy_training import policy_card, train_policy
 
     settings = PolicySettings(**options)  # type: ignore[arg-type]
     require_sane_policy(settings)
@@ -220,9 +219,11 @@ def tile_policy(
     from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY
 
     require_train()
-    from exwarp_cli.research.training.policy_scores import tile_policy_card
-    from exwarp_cli.research.training.tile_policy_training import train_tile_policy
-    from exwarp_cli.research.training.tile_tables import find_tile_tables
+    from exwarp_cli.research.training.tile_policy_training import (
+        find_tile_tables,
+        tile_policy_card,
+        train_tile_policy,
+    )
 
     settings = TilePolicySettings(**options)  # type: ignore[arg-type]
     require_sane_policy(settings)

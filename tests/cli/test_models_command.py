@@ -23,7 +23,7 @@ def given(tmp_path) -> Path:
 def test_a_checkpoint_becomes_a_model(exwarp, given, network, tmp_path, monkeypatch):
     # Exporting takes 20 s, and `tests/unit/test_extranet.py` looks at what comes of it.
     monkeypatch.setattr(
-        extranet_import, "export_extrapolator", lambda _, path, **__: shutil.copy(network, path)
+        extranet_import, "export_network", lambda _, path, *__, **___: shutil.copy(network, path)
     )
     out = tmp_path / "models" / "e.onnx"
     out.parent.mkdir()

@@ -13,7 +13,6 @@ from torch import nn
 from exwarp_cli.cli import run
 from exwarp_cli.research.training import (
     extrapolator_training,
-    lookahead_samples,
     lookahead_training,
 )
 from exwarp_cli.research.training.augmentation import PLAIN, Variant
@@ -41,11 +40,11 @@ def test_a_network_is_trained_and_named(data, network, tmp_path, capsys, monkeyp
     about: list[str] = []
 
     # Exporting takes 20 s, and `tests/unit/test_networks.py` looks at what comes of it.
-    def export(module: nn.Module, path: Path, **more: Any) -> None:
+    def export(module: nn.Module, path: Path, *_: Any, **more: Any) -> None:
         about.append(more["about"])
         shutil.copy(network, path)
 
-    monkeypatch.setattr(extrapolator_training, "export_extrapolator", export)
+    monkeypatch.setattr(extrapolator_training, "export_network", export)
     assert train(data, tmp_path / "run", *SMALL) == 0
     out, err = capsys.readouterr()
     assert "extrapolator.onnx: give it to exwarp upsample" in out
@@ -143,7 +142,7 @@ def test_help_needs_no_torch(without_torch, capsys):
 def test_a_network_that_looks_ahead_is_trained(data, tmp_path, capsys, monkeypatch):
     # Making the samples of all variants would take a minute.
     monkeypatch.setattr(
-        lookahead_samples, "variants_of", lambda name, seed: [(Variant(speed=2), PLAIN)]
+        lookahead_training, "variants_of", lambda name, seed: [(Variant(speed=2), PLAIN)]
     )
     asked = ["train", "lookahead", "--data", str(data), "-o", str(tmp_path / "run")]
     asked += ["--cache", str(tmp_path / "crops"), "--steps", "2", "--every", "1", "--batch", "2"]

@@ -14,7 +14,7 @@ from exwarp_cli.kernels import _row_bands
 from exwarp_cli.models.policy_files import load_policy
 from exwarp_cli.research.training import outcome_tables
 from exwarp_cli.research.training.augmentation import Variant
-from exwarp_cli.research.training.outcome_tables import View, load_table, save_table
+from exwarp_cli.research.training.outcome_tables import PolicyTable, View
 from tests.cli.documents import document_of
 from tests.unit.policy_tables import tempting
 
@@ -43,7 +43,7 @@ def threads():
 def tables(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("tables")
     for seed, scene in enumerate(("lab", "town")):
-        save_table(folder / f"{scene}.npz", tempting(30, seed, scene))
+        tempting(30, seed, scene).save(folder / f"{scene}.npz")
     return folder
 
 
@@ -96,7 +96,9 @@ def test_rendered_scenes_are_measured_once_and_trained_on(exwarp, network, tmp_p
     ):
         assert line in result.err.splitlines()
     assert "| one | slot 64x36 |" in result.out
-    one, two = (load_table(tmp_path / "out" / "tables" / f"{name}.npz") for name in ("one", "two"))
+    one, two = (
+        PolicyTable.load(tmp_path / "out" / "tables" / f"{name}.npz") for name in ("one", "two")
+    )
     assert one.groups == tuple(f"{view.name} 64x36" for view in FEW)
     assert one.group.tolist() == [0, 0, 0, 1, 1, 2] and two.group.tolist() == [0, 0, 1, 2]
     np.testing.assert_array_equal(one.outcomes[:2], two.outcomes[:2])
@@ -117,7 +119,7 @@ def test_rendered_scenes_are_measured_once_and_trained_on(exwarp, network, tmp_p
     np.save(marked, np.load(marked) * 0 + 42.0)
     assert train(exwarp, tmp_path / "out", *measured).code == 0
     assert sorted(cache.iterdir()) == files
-    changed = load_table(tmp_path / "out" / "tables" / "one.npz").outcomes
+    changed = PolicyTable.load(tmp_path / "out" / "tables" / "one.npz").outcomes
     assert (changed[3:5] == 42).all()
     np.testing.assert_array_equal(changed[[0, 1, 2, 5]], one.outcomes[[0, 1, 2, 5]])
 

@@ -24,8 +24,7 @@ from exwarp_cli.research.bench.bench_document import (
     pearson,
     spearman,
 )
-from exwarp_cli.research.bench.bench_folder import format_markdown
-from exwarp_cli.research.bench.bench_page import bench_page
+from exwarp_cli.research.bench.bench_report import bench_page, format_markdown
 from exwarp_cli.research.bench.bench_tables import make_tables
 from exwarp_cli.research.bench.benchmark import Benchmark, Measured
 from exwarp_cli.research.bench.subjects import Subject
@@ -300,10 +299,14 @@ def test_short_names_of_sequences(sizes, labels):
 
 def test_figures_without_anything_measured_are_left_out(found):
     assert (
-        bench_figures.draw_holes(found) is not None and bench_figures.draw_rates(found) is not None
+        bench_figures.FIGURES["holes"](found) is not None
+        and bench_figures.FIGURES["fps"](found) is not None
     )
     for row in found["holes"]:
         row["histogram"] = None
     for row in found["fps"]:
         row["effective"] = {"oracle": 120.0}
-    assert bench_figures.draw_holes(found) is None and bench_figures.draw_rates(found) is None
+    assert (
+        bench_figures.FIGURES["holes"](found) is None
+        and bench_figures.FIGURES["fps"](found) is None
+    )

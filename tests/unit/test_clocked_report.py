@@ -9,8 +9,7 @@ import pytest
 
 from exwarp_cli.report.gallery import Album
 from exwarp_cli.report.plots import Figure
-from exwarp_cli.research.bench.bench_folder import format_markdown
-from exwarp_cli.research.bench.bench_page import bench_page
+from exwarp_cli.research.bench.bench_report import bench_page, format_markdown
 from exwarp_cli.research.bench.bench_tables import make_tables
 from exwarp_cli.research.bench.real_time import SLOT_MS, measured_latencies, table_latencies
 from exwarp_cli.research.bench.systems import CLOCKS

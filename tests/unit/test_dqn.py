@@ -13,7 +13,11 @@ from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, WARP
 from exwarp_cli.policy.outcomes import best_return, choice_rewards, path_returns
 from exwarp_cli.policy.state import INPUTS
 from exwarp_cli.research.training.outcome_tables import PolicyTable
-from exwarp_cli.research.training.policy_scores import fit_regression, greedy_paths, predict_rewards
+from exwarp_cli.research.training.policy_training import (
+    fit_regression,
+    greedy_paths,
+    predict_rewards,
+)
 from exwarp_cli.research.training.q_learning import (
     AFTER,
     LAYERS,

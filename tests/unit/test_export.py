@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,16 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from exwarp_cli.domain.network_api import EXTRAPOLATOR_INPUTS, NetworkInputs
+from exwarp_cli.domain.network_api import (
+    EXTRAPOLATOR_INPUTS,
+    EXTRAPOLATOR_INTERFACE,
+    NetworkInputs,
+)
 from exwarp_cli.errors import OutputError
 from exwarp_cli.models.picture_network import load_extrapolator
-from exwarp_cli.research.training.onnx_export import export_extrapolator
+from exwarp_cli.research.training.onnx_export import export_network
+
+export_extrapolator = partial(export_network, interface=EXTRAPOLATOR_INTERFACE)
 
 
 class Small(nn.Module):

@@ -17,21 +17,17 @@ from exwarp_cli.domain.network_api import CANDIDATES, LOOKAHEAD_INTERFACE, Netwo
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.models.picture_network import load_lookahead
-from exwarp_cli.research.training import lookahead_samples, lookahead_training
-from exwarp_cli.research.training.lookahead_samples import (
-    SAMPLE_ARRAYS,
-    Samples,
-    samples_folder,
-    slot_samples,
-    variants_of,
-    write_samples,
-)
+from exwarp_cli.research.training import lookahead_training
 from exwarp_cli.research.training.lookahead_training import (
+    SAMPLE_ARRAYS,
     SHARE,
     LookAheadTraining,
+    Samples,
     WeighingNetwork,
     loss_of,
     mix,
+    slot_samples,
+    variants_of,
 )
 from exwarp_cli.research.training.resumable_training import CHECKPOINT, CURVE, DrawnBatches
 from exwarp_cli.research.training.scene_clip import SceneClip
@@ -46,7 +42,7 @@ def few_variants() -> Iterator[None]:
     """Samples of one key interval a scene, as making all takes a minute."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            lookahead_samples, "variants_of", lambda name, seed: variants_of(name, seed)[:1]
+            lookahead_training, "variants_of", lambda name, seed: variants_of(name, seed)[:1]
         )
         yield
 
@@ -64,13 +60,13 @@ def cache(few_variants, scenes, tmp_path_factory) -> Path:
     """Samples of both scenes, as a training makes them."""
     folder = tmp_path_factory.mktemp("cache")
     for scene in scenes:
-        write_samples(scene, TINY.seed, samples_folder(scene, TINY.seed, folder))
+        Samples.write(scene, TINY, Samples.folder_of(scene, TINY, folder))
     return folder
 
 
 @pytest.fixture(scope="module")
 def samples(scenes, cache) -> Samples:
-    return Samples([samples_folder(scenes[0], TINY.seed, cache)])
+    return Samples([Samples.folder_of(scenes[0], TINY, cache)])
 
 
 def quiet(_line: str) -> None: ...
@@ -91,9 +87,9 @@ class TestSamples:
         assert error < 0.05  # what softsplat makes comes first
 
     def test_of_a_scene_they_are_always_the_same(self, scenes, cache, tmp_path):
-        write_samples(scenes[0], TINY.seed, tmp_path / "again")
+        Samples.write(scenes[0], TINY, tmp_path / "again")
         for name in SAMPLE_ARRAYS:
-            once = np.load(samples_folder(scenes[0], TINY.seed, cache) / f"{name}.npy")
+            once = np.load(Samples.folder_of(scenes[0], TINY, cache) / f"{name}.npy")
             np.testing.assert_array_equal(np.load(tmp_path / "again" / f"{name}.npy"), once)
 
     def test_looks_are_drawn_by_name_and_seed(self):

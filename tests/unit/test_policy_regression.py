@@ -9,16 +9,16 @@ import pytest
 
 from exwarp_cli.domain.decision import NODES
 from exwarp_cli.policy.outcomes import PENALTIES, choice_rewards
-from exwarp_cli.research.training import policy_scores
+from exwarp_cli.research.training import policy_training
 from exwarp_cli.research.training.outcome_tables import PolicyTable
-from exwarp_cli.research.training.policy_scores import fit_regression, predict_rewards
+from exwarp_cli.research.training.policy_training import fit_regression, predict_rewards
 from tests.unit.policy_tables import random_table
 
 
 @pytest.fixture
 def unhindered(monkeypatch):
     """Coefficients cost next to nothing."""
-    monkeypatch.setattr(policy_scores, "RIDGE", 1e-10)
+    monkeypatch.setattr(policy_training, "RIDGE", 1e-10)
 
 
 def linear(table: PolicyTable, seed: int = 0) -> PolicyTable:
@@ -53,8 +53,8 @@ def test_each_node_has_coefficients_of_its_own(unhindered):
 def test_the_ridge_draws_coefficients_towards_0(monkeypatch):
     known = linear(random_table(300, 1))
     sizes = []
-    for ridge in (1e-6, policy_scores.RIDGE, 1e4):
-        monkeypatch.setattr(policy_scores, "RIDGE", ridge)
+    for ridge in (1e-6, policy_training.RIDGE, 1e4):
+        monkeypatch.setattr(policy_training, "RIDGE", ridge)
         sizes.append(float(np.square(fit_regression([known])).sum()))
     assert sizes[0] > sizes[1] > 100 * sizes[2]
 

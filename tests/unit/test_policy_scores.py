@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from exwarp_cli.domain.decision import PATHS
-from exwarp_cli.research.training.policy_scores import (
+from exwarp_cli.research.training.policy_training import (
     NAMES,
     fixed_path,
     greedy_paths,

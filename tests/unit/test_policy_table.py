@@ -14,15 +14,13 @@ from exwarp_cli.domain.decision import NODES, Features
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.policy.state import PRECEDING_NODES, SCALES, StateHistory
 from exwarp_cli.research.training.outcome_tables import (
-    SCHEMA,
     TABLES,
     VIEWS,
     Measured,
+    PolicyTable,
     Survey,
     find_tables,
     join_views,
-    load_table,
-    save_table,
 )
 from tests.unit.policy_tables import NETWORK, random_table
 
@@ -117,8 +115,8 @@ def test_beginnings_have_no_history():
 
 class TestFiles:
     def test_what_is_written_is_what_is_read(self, tmp_path):
-        save_table(tmp_path / "lab.npz", TABLE)
-        found = load_table(tmp_path / "lab.npz")
+        TABLE.save(tmp_path / "lab.npz")
+        found = PolicyTable.load(tmp_path / "lab.npz")
         assert (found.scene, found.groups, found.network) == ("lab", GROUPS, NETWORK)
         np.testing.assert_array_equal(found.group, TABLE.group)
         np.testing.assert_array_equal(found.features, TABLE.features)
@@ -127,29 +125,29 @@ class TestFiles:
         assert found.group.dtype == np.int16
 
     def test_the_same_table_gives_the_same_bytes(self, tmp_path, monkeypatch):
-        save_table(tmp_path / "one.npz", TABLE)
+        TABLE.save(tmp_path / "one.npz")
         monkeypatch.setattr("time.localtime", lambda *_: (2031, 5, 5, 5, 5, 5, 0, 0, 0))
-        save_table(tmp_path / "two.npz", TABLE)
-        save_table(tmp_path / "again.npz", load_table(tmp_path / "one.npz"))
+        TABLE.save(tmp_path / "two.npz")
+        PolicyTable.load(tmp_path / "one.npz").save(tmp_path / "again.npz")
         one = (tmp_path / "one.npz").read_bytes()
         assert one == (tmp_path / "two.npz").read_bytes() == (tmp_path / "again.npz").read_bytes()
         assert len(one) < TABLE.features.nbytes + TABLE.outcomes.nbytes
 
     def test_one_that_is_not_there(self, tmp_path):
         with pytest.raises(InputError, match=r"there is no policy table .*lab\.npz"):
-            load_table(tmp_path / "lab.npz")
+            PolicyTable.load(tmp_path / "lab.npz")
 
     @pytest.mark.parametrize("cut", [0, 1, 100, 0.3, 0.9, -1])
     def test_one_that_is_cut_off(self, tmp_path, cut):
         path = tmp_path / "lab.npz"
-        save_table(path, TABLE)
+        TABLE.save(path)
         data = path.read_bytes()
         path.write_bytes(data[: cut if isinstance(cut, int) else int(cut * len(data))])
         refused(path)
 
     def test_one_with_changed_bytes(self, tmp_path):
         path = tmp_path / "lab.npz"
-        save_table(path, TABLE)
+        TABLE.save(path)
         data = path.read_bytes()
         for at in range(40, len(data) - 200, len(data) // 15):
             path.write_bytes(
@@ -169,9 +167,9 @@ class TestFiles:
     @pytest.mark.parametrize(
         ("change", "word"),
         [
-            ({"about": {"schema": "exwarp.policy-table/2"}}, f"not {SCHEMA}"),
+            ({"about": {"schema": "exwarp.policy-table/2"}}, f"not {PolicyTable.schema}"),
             ({"about": {}}, "schema"),
-            ({"about": {"schema": SCHEMA}}, "scene"),
+            ({"about": {"schema": PolicyTable.schema}}, "scene"),
             ({"about": []}, "no policy table"),
             ({"features": np.zeros((14, 3, 6))}, r"\(14, 3, 6\), not \(14, 3, 8\)"),
             ({"outcomes": np.zeros((13, 5, 2, 2))}, r"\(13, 5, 2, 2\), not \(14, 5, 2, 2\)"),
@@ -186,7 +184,7 @@ class TestFiles:
     )
     def test_one_whose_content_does_not_fit(self, tmp_path, change, word):
         path = tmp_path / "lab.npz"
-        save_table(path, TABLE)
+        TABLE.save(path)
         with np.load(path) as kept:
             arrays = dict(kept)
         if "about" in change:
@@ -207,7 +205,7 @@ def npy(array: np.ndarray) -> bytes:
 
 def refused(path, word: str = "no policy table") -> None:
     with pytest.raises(DamagedFileError, match=word) as caught:
-        load_table(path)
+        PolicyTable.load(path)
     message = str(caught.value)
     assert str(path) in message and "\n" not in message and "make it again" in message
 
@@ -215,7 +213,7 @@ def refused(path, word: str = "no policy table") -> None:
 class TestFinding:
     def test_a_folder_s_tables_by_name(self, tmp_path):
         for scene in ("town", "lab"):
-            save_table(tmp_path / f"{scene}.npz", replace(TABLE, scene=scene))
+            replace(TABLE, scene=scene).save(tmp_path / f"{scene}.npz")
         (tmp_path / "notes.txt").write_text("no table")
         found = find_tables(Survey(()), tmp_path, tmp_path / "out", print)
         assert [table.scene for table in found] == ["lab", "town"]
@@ -227,7 +225,7 @@ class TestFinding:
             lambda: tmp_path / "models",
         )
         (tmp_path / "models" / TABLES).mkdir(parents=True)
-        save_table(tmp_path / "models" / TABLES / "lab.npz", TABLE)
+        TABLE.save(tmp_path / "models" / TABLES / "lab.npz")
         found = find_tables(Survey(()), None, tmp_path / "out", print)
         assert [table.scene for table in found] == ["lab"]
 

@@ -20,29 +20,27 @@ from exwarp_cli.models.policy_files import load_policy
 from exwarp_cli.policy.state import STATE_VERSION
 from exwarp_cli.research.training.onnx_export import STATE
 from exwarp_cli.research.training.outcome_tables import PolicyTable
-from exwarp_cli.research.training.policy_scores import (
-    COLUMNS,
-    fit_regression,
-    fixed_path,
-    greedy_paths,
-    oracle_paths,
-    policy_card,
-    predict_rewards,
-    score_paths,
-    score_random,
-)
 from exwarp_cli.research.training.policy_training import (
     ALL,
+    COLUMNS,
     FLOAT_MODEL,
     INTEGER_MODEL,
     REPORT,
     SCHEMA,
+    fit_regression,
+    fixed_path,
+    greedy_paths,
     learn,
+    oracle_paths,
+    policy_card,
+    predict_rewards,
     quantise,
     rows_by_part,
+    score_paths,
+    score_random,
     train_policy,
 )
-from exwarp_cli.research.training.q_learning import q_values
+from exwarp_cli.research.training.q_learning import integer_values, q_values
 from exwarp_cli.research.training.training_settings import PolicySettings, require_sane_policy
 from tests.unit.policy_tables import NETWORK, random_table, tempting
 
@@ -105,14 +103,17 @@ class TestFiles:
 
     def test_what_is_read_back_decides_alike(self, trained, tables):
         folder, _, _ = trained
-        found, kept = learn(tables, SETTINGS), load_policy(folder / "policy.npz")
+        floats, network = learn(tables, SETTINGS)
+        kept = load_policy(folder / "policy.npz")
         assert kept.network.sizes == PAPER_SIZES
         for table in tables:
             states = to_fixed(table.states.reshape(-1, 44))
             outputs = infer_reference(kept.network, states).outputs.reshape(-1, 5, 2)
-            np.testing.assert_array_equal(outputs, found.outputs(table))
-            np.testing.assert_allclose(q_values(kept.floats, table), found.values(table), rtol=1e-6)
-        for (weights, biases), (w, b) in zip(kept.floats, found.floats, strict=True):
+            np.testing.assert_array_equal(outputs, integer_values(network, table.states))
+            np.testing.assert_allclose(
+                q_values(kept.floats, table), q_values(floats, table), rtol=1e-6
+            )
+        for (weights, biases), (w, b) in zip(kept.floats, floats, strict=True):
             np.testing.assert_array_equal(weights, w)
             np.testing.assert_array_equal(biases, b)
 
@@ -193,8 +194,8 @@ class TestReport:
         report = train_policy(tables, tmp_path, settings, lambda line: None)
         shares = set()
         for k, table in enumerate(tables):
-            own = learn([other for i, other in enumerate(tables) if i != k], settings)
-            whole, real = own.outputs(table), own.values(table)
+            floats, network = learn([t for i, t in enumerate(tables) if i != k], settings)
+            whole, real = integer_values(network, table.states), q_values(floats, table)
             same = (whole[..., 1] > whole[..., 0]) == (real[..., 1] > real[..., 0])
             met = np.zeros(same.shape, bool)
             for row, path in enumerate(greedy_paths(whole)):
@@ -264,8 +265,8 @@ def test_a_scene_of_one_part_is_listed_once(tables, tmp_path):
 
 def test_int8_decides_as_floats_do_once_trained():
     table, unseen = tempting(200, 1), tempting(150, 2)
-    found = learn([table], replace(SETTINGS, steps=200, rate=3e-3, batch=64))
-    real, whole = found.values(unseen), found.outputs(unseen)
+    floats, network = learn([table], replace(SETTINGS, steps=200, rate=3e-3, batch=64))
+    real, whole = q_values(floats, unseen), integer_values(network, unseen.states)
     same = (real[..., 1] > real[..., 0]) == (whole[..., 1] > whole[..., 0])
     assert same.mean() > 0.99 and 0.3 < (real[..., 1] > real[..., 0]).mean() < 0.7
 

@@ -17,9 +17,14 @@ from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.policy_files import load_policy
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
-from exwarp_cli.research.training.outcome_tables import TABLES, load_table
-from exwarp_cli.research.training.policy_scores import greedy_paths, policy_card, score_paths
-from exwarp_cli.research.training.policy_training import ALL, REPORT
+from exwarp_cli.research.training.outcome_tables import TABLES, PolicyTable
+from exwarp_cli.research.training.policy_training import (
+    ALL,
+    REPORT,
+    greedy_paths,
+    policy_card,
+    score_paths,
+)
 
 MODELS = shipped_folder()
 SCENES = ("lab", "slum", "town", "tropical", "village")
@@ -71,7 +76,7 @@ def test_integers_decide_as_floats_do(report):
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_the_scores_come_from_the_files_beside_them(report, scene):
-    table = load_table(MODELS / TABLES / f"{scene}.npz")
+    table = PolicyTable.load(MODELS / TABLES / f"{scene}.npz")
     states = to_fixed(table.states.reshape(-1, INPUTS))
     policy = load_policy(MODELS / f"policy-without-{scene}.npz")
     outputs, _ = MlpKernel(policy.network).decide_many(states)
@@ -86,7 +91,7 @@ def test_the_scores_come_from_the_files_beside_them(report, scene):
 def test_all_forms_of_it_agree():
     policy = load_policy(None)
     assert policy.network.sizes == PAPER_SIZES and policy.metadata["state"] == STATE_VERSION
-    states = load_table(MODELS / TABLES / "town.npz").states.reshape(-1, INPUTS)
+    states = PolicyTable.load(MODELS / TABLES / "town.npz").states.reshape(-1, INPUTS)
     fixed = to_fixed(states)
     outputs, _ = MlpKernel(policy.network).decide_many(fixed)
     np.testing.assert_array_equal(answer(MODELS / "policy-int8.onnx", fixed), outputs)

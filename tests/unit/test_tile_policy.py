@@ -29,6 +29,7 @@ from exwarp_cli.policy.state import (
 )
 from exwarp_cli.research.training.tile_policy_training import (
     REPORT,
+    TileTable,
     choice_margins,
     choose,
     cost,
@@ -39,7 +40,6 @@ from exwarp_cli.research.training.tile_policy_training import (
     train_tile_policy,
     train_tiles,
 )
-from exwarp_cli.research.training.tile_tables import TileTable, load_tile_table, save_tile_table
 from exwarp_cli.research.training.training_settings import TilePolicySettings
 from tests.unit.test_paths import SLOTS, interval
 
@@ -224,8 +224,8 @@ class TestTraining:
 
 class TestTables:
     def test_what_is_saved_is_read(self, tables, tmp_path):
-        save_tile_table(tmp_path / "a.npz", tables[0])
-        found = load_tile_table(tmp_path / "a.npz")
+        tables[0].save(tmp_path / "a.npz")
+        found = TileTable.load(tmp_path / "a.npz")
         assert (found.scene, found.width, found.network) == ("hall", 427, "n" * 64)
         np.testing.assert_allclose(found.features, tables[0].features, rtol=1e-6)
         np.testing.assert_allclose(found.errors, tables[0].errors, rtol=1e-6)
@@ -233,9 +233,9 @@ class TestTables:
     def test_damage_is_reported(self, tables, tmp_path):
         (tmp_path / "a.npz").write_bytes(b"nothing")
         with pytest.raises(DamagedFileError, match="make it again with --data"):
-            load_tile_table(tmp_path / "a.npz")
-        save_tile_table(tmp_path / "b.npz", replace(tables[0], errors=tables[0].errors[:3]))
+            TileTable.load(tmp_path / "a.npz")
+        replace(tables[0], errors=tables[0].errors[:3]).save(tmp_path / "b.npz")
         with pytest.raises(DamagedFileError, match="an array is"):
-            load_tile_table(tmp_path / "b.npz")
+            TileTable.load(tmp_path / "b.npz")
         with pytest.raises(InputError, match="there is no table"):
-            load_tile_table(tmp_path / "c.npz")
+            TileTable.load(tmp_path / "c.npz")

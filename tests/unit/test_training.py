@@ -32,10 +32,8 @@ from exwarp_cli.research.training.crop_cache import (
     _draw_view,
     choose_frames,
     count_frames,
-    crops_folder,
     cut_crops,
     vary,
-    write_crops,
 )
 from exwarp_cli.research.training.extrapolation_network import ARCHITECTURES, build_network
 from exwarp_cli.research.training.extrapolator_training import (
@@ -79,8 +77,8 @@ def cache(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def crops(scenes, cache) -> Crops:
-    folder = crops_folder(scenes[0], TINY, cache)
-    write_crops(scenes[0], TINY, folder)
+    folder = Crops.folder_of(scenes[0], TINY, cache)
+    Crops.write(scenes[0], TINY, folder)
     return Crops([folder])
 
 

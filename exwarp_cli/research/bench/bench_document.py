@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from importlib import resources
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from exwarp_cli import __version__
 from exwarp_cli.accelerator import verilog
@@ -22,10 +22,11 @@ from exwarp_cli.research.bench import paper
 from exwarp_cli.research.bench.benchmark import GBUFFERS_OF, Benchmark, Measured
 from exwarp_cli.research.bench.real_time import BASE_FPS, REFRESH_HZ, SLOT_MS, clocked_row
 from exwarp_cli.research.bench.systems import (
+    ABOUT,
     CHOOSERS,
     FIXED,
+    ONNX,
     SLOTS,
-    describe_system,
     is_lookahead,
 )
 
@@ -51,13 +52,21 @@ def bench_document(benchmark: Benchmark, predictor: Schedule, clock_hz: float) -
     ``paper``. ``real_time`` is there with a clock alone.
     """
     rows, clock = benchmark.measured, benchmark.settings.clock
+    made = [_time_rows(row) | _frame_rows(row) | _score_rows(row) for row in rows]
+
+    def table(name: str) -> list[Document]:
+        return [identify(row) | tables[name] for row, tables in zip(rows, made, strict=True)]
+
     document = {
         "schema": SCHEMA,
         "version": __version__,
         "networks": benchmark.networks,
         "metrics": sorted(benchmark.settings.metrics),
         "systems": {
-            name: {"about": describe_system(name), "lookahead": is_lookahead(name)}
+            name: {
+                "about": ABOUT.get(name, f"network {name.removeprefix(ONNX)}"),
+                "lookahead": is_lookahead(name),
+            }
             for name in benchmark.systems
         },
         "sequences": [
@@ -67,17 +76,17 @@ def bench_document(benchmark: Benchmark, predictor: Schedule, clock_hz: float) -
             | {"machine": row.timing["machine"]}
             for row in rows
         ],
-        "runtime": [_runtime_row(row) for row in rows],
-        "holes": [_holes_row(row) for row in rows],
+        "runtime": table("runtime"),
+        "holes": table("holes"),
         "features": [_features_row([row], identify(row)) for row in rows]
         + [_features_row(rows, {"name": "all", "setting": None, "size": None})],
-        "quality": [_quality_row(row) for row in rows],
-        "comparison": [_comparison_row(row) for row in rows],
-        "fps": [_rate_row(row) for row in rows],
-        "decisions": [_decisions_row(row) for row in rows],
+        "quality": table("quality"),
+        "comparison": table("comparison"),
+        "fps": table("fps"),
+        "decisions": table("decisions"),
         "predictor": _predictor_cost(predictor, clock_hz),
-        "extranet_procedure": [_extranet_row(row) for row in rows],
-        "render_time": [_render_time_row(row) for row in rows],
+        "extranet_procedure": table("extranet_procedure"),
+        "render_time": table("render_time"),
     }
     if clock is not None:
         document["real_time"] = {
@@ -116,18 +125,12 @@ def _new_frames(row: Measured, system: str) -> float:
     return count / len(row.parts)
 
 
-def _mean_scores(frames: Iterable[Document], region: str = "all") -> Document:
-    """Average scores of frames; `region` is "all" or "holes"."""
-    return mean_scores(None if f[region] is None else Score(**f[region]) for f in frames)
-
-
-def _runtime_row(row: Measured) -> Document:
-    """Return a row of Table III: milliseconds a generated frame."""
-    steps, identity = row.timing["steps_ms"], identify(row)
-    gbuffer_s = row.about["render_s"]["gbuffer"]
-    printed = paper.RUNTIME.get(identity["app"])
-    return identity | {
-        "gbuffer_ms": None if gbuffer_s is None else 1e3 * gbuffer_s,
+def _time_rows(row: Measured) -> Document:
+    """Return the rows of a sequence that state times: of Table III, and beside rendering."""
+    steps, render_s = row.timing["steps_ms"], row.about["render_s"]
+    printed = paper.RUNTIME.get(identify(row)["app"])
+    runtime = {
+        "gbuffer_ms": None if render_s["gbuffer"] is None else 1e3 * render_s["gbuffer"],
         "warping_ms": steps["warp"],
         "hole_marking_ms": steps.get("holes"),
         "inference_ms": steps.get("network"),
@@ -136,23 +139,114 @@ def _runtime_row(row: Measured) -> Document:
         },
         "paper": None if printed is None else asdict(printed),
     }
-
-
-def _holes_row(row: Measured) -> Document:
-    """Return what Figure 2 draws: how many frames have how many holes."""
-    identity = identify(row)
-    holes = [hole for part in row.parts for hole in part["holes"] if hole is not None]
-    if not holes:
-        return identity | {"mean": None, "below_10": None, "above_20": None, "histogram": None}
-    counts, _ = np.histogram(holes, bins=HOLE_EDGES)
-    return identity | {
-        "mean": mean(holes),
-        "p95": float(np.percentile(holes, 95)),
-        "below_10": sum(hole < 0.1 for hole in holes) / len(holes),
-        "above_20": sum(hole > 0.2 for hole in holes) / len(holes),
-        "histogram": {"edges": list(HOLE_EDGES), "counts": counts.tolist()},
-        "paper": paper.HOLES.get(identity["app"]),
+    rendered: float | None = render_s["key"]
+    generated = {name: ms / 1e3 for name, ms in row.timing["systems_ms"].items()}
+    faster = shares = None
+    if rendered is not None:
+        faster = {name: rendered / each for name, each in generated.items() if each > 0}
+        shares = {}
+        for name, seconds in generated.items():
+            # Repeats cost time and save none, as they would not have been rendered.
+            new = _new_frames(row, name)
+            shares[name] = (new * rendered - len(SLOTS) * seconds) / ((1 + new) * rendered)
+    render_time = {
+        "key_frame_s": rendered,
+        "generated_frame_s": generated,
+        "times_faster": faster,
+        "saved_share": shares,
     }
+    return {"runtime": runtime, "render_time": render_time}
+
+
+def _frame_rows(row: Measured) -> Document:
+    """Return the rows of Figures 2, 8 and 9: holes, effective rates, and decisions.
+
+    A rate is base x (1 + mean number of new frames a key interval).
+    """
+    holes: Document = dict.fromkeys(("mean", "below_10", "above_20", "histogram"))
+    shares = [hole for part in row.parts for hole in part["holes"] if hole is not None]
+    if shares:
+        counts, _ = np.histogram(shares, bins=HOLE_EDGES)
+        holes = {
+            "mean": mean(shares),
+            "p95": float(np.percentile(shares, 95)),
+            "below_10": sum(hole < 0.1 for hole in shares) / len(shares),
+            "above_20": sum(hole > 0.2 for hole in shares) / len(shares),
+            "histogram": {"edges": list(HOLE_EDGES), "counts": counts.tolist()},
+            "paper": paper.HOLES.get(identify(row)["app"]),
+        }
+    base, first = row.about["fps"], row.parts[0]
+    effective = {name: base * (1 + _new_frames(row, name)) for name in first["systems"]}
+    decisions = {
+        chooser: count_decisions(part["paths"][chooser] for part in row.parts)
+        for chooser in CHOOSERS
+        if chooser in first["paths"]
+    }
+    return {
+        "holes": holes,
+        "fps": {"base": base, "effective": effective, "paper": paper.EFFECTIVE_FPS},
+        "decisions": decisions | {"paper_warp_share": paper.WARP_SHARE},
+    }
+
+
+def _score_rows(row: Measured) -> Document:
+    """Return the rows of Tables VI and VII, and of ExtraNet's procedure: means of scores.
+
+    Those of Table VI have the mean return, the sum of the paper's rewards, of paths and choosers.
+    """
+    app, first = identify(row)["app"], row.parts[0]
+    interval_ms = 1e3 / row.about["fps"]
+    systems, comparison = {}, {}
+    for name in first["systems"]:
+        frames = _frames(row, name)
+        systems[name] = {
+            "all": _mean_scores(frames),
+            "holes": _mean_scores(frames, "holes"),
+            "by_decision": {
+                choice: _mean_scores(f for f in frames if f["made_by"] == choice)
+                for choice in CHOICES
+            },
+            "dropped": _mean_scores(f for f in frames if f["made_by"] == HOLD),
+        }
+        comparison[name] = {
+            "lookahead": is_lookahead(name),
+            "waits_ms": interval_ms if is_lookahead(name) else 0.0,
+            "frame_ms": row.timing["systems_ms"].get(name),
+            **systems[name]["all"],
+        }
+    returns = None
+    if first["returns"] is not None:
+        gains = [dict(zip(PATHS, part["returns"], strict=True)) for part in row.parts]
+        returns = {path.lower(): mean(each[path] for each in gains) for path in PATHS}
+        for chooser in CHOOSERS:
+            returns[chooser] = mean(
+                each[part["paths"][chooser]]
+                for each, part in zip(gains, row.parts, strict=True)
+                if chooser in part["paths"]
+            )
+    psnr = {name: systems[name]["all"]["psnr_db"] for name in FIXED if name in systems}
+    extranet = {
+        name: {
+            metric: mean(part["extranet"][name][metric] for part in row.parts)
+            for metric in ("psnr_db", "ssim")
+        }
+        for name in first["extranet"]
+    }
+    return {
+        "quality": {
+            "systems": systems,
+            "returns": returns,
+            "best_path": max(psnr, key=lambda name: psnr[name]) if psnr else None,
+            "paper": paper.QUALITY.get(app),
+        },
+        "comparison": {"systems": comparison, "paper": paper.INTERPOLATION.get(app)},
+        "extranet_procedure": {"systems": extranet, "frames": len(row.parts)},
+    }
+
+
+def _mean_scores(frames: Iterable[Document], region: str = "all") -> Document:
+    """Average scores of frames; `region` is "all" or "holes"."""
+    return mean_scores(None if f[region] is None else Score(**f[region]) for f in frames)
 
 
 def feature_points(row: Measured) -> list[Document]:
@@ -187,7 +281,7 @@ def _features_row(rows: Iterable[Measured], identity: Document) -> Document:
     }
 
 
-def pearson(x: Sequence[float], y: Sequence[float]) -> float | None:
+def pearson(x: ArrayLike, y: ArrayLike) -> float | None:
     """Return the linear correlation, -1 to 1; None for few points or a constant series."""
     a, b = np.asarray(x, np.float64), np.asarray(y, np.float64)
     if len(a) < MIN_POINTS or np.ptp(a) == 0 or np.ptp(b) == 0:
@@ -196,121 +290,13 @@ def pearson(x: Sequence[float], y: Sequence[float]) -> float | None:
     return float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum()))
 
 
-def spearman(x: Sequence[float], y: Sequence[float]) -> float | None:
+def spearman(x: ArrayLike, y: ArrayLike) -> float | None:
     """Return the correlation of ranks, -1 to 1; equal values share their mean rank."""
-    return pearson(_ranks(x).tolist(), _ranks(y).tolist())
-
-
-def _ranks(values: Sequence[float]) -> npt.NDArray[np.float64]:
-    _, inverse, counts = np.unique(np.asarray(values), return_inverse=True, return_counts=True)
-    last = np.cumsum(counts)
-    return np.asarray((last - (counts - 1) / 2)[inverse])
-
-
-def _quality_row(row: Measured) -> Document:
-    """Return a row of Table VI, with every system: means over slots 1 to 3."""
-    identity = identify(row)
-    systems = {}
-    for name in row.parts[0]["systems"]:
-        frames = _frames(row, name)
-        systems[name] = {
-            "all": _mean_scores(frames),
-            "holes": _mean_scores(frames, "holes"),
-            "by_decision": {
-                choice: _mean_scores(f for f in frames if f["made_by"] == choice)
-                for choice in CHOICES
-            },
-            "dropped": _mean_scores(f for f in frames if f["made_by"] == HOLD),
-        }
-    psnr = {name: systems[name]["all"]["psnr_db"] for name in FIXED if name in systems}
-    return identity | {
-        "systems": systems,
-        "returns": _mean_returns(row),
-        "best_path": max(psnr, key=lambda name: psnr[name]) if psnr else None,
-        "paper": paper.QUALITY.get(identity["app"]),
-    }
-
-
-def _mean_returns(row: Measured) -> Document | None:
-    """Return the mean return (sum of the paper's rewards) of every path and chooser."""
-    if row.parts[0]["returns"] is None:
-        return None
-    names = tuple(PATHS)
-    means: Document = {
-        name.lower(): mean(part["returns"][i] for part in row.parts) for i, name in enumerate(names)
-    }
-    for chooser in CHOOSERS:
-        means[chooser] = mean(
-            part["returns"][names.index(part["paths"][chooser])]
-            for part in row.parts
-            if chooser in part["paths"]
-        )
-    return means
-
-
-def _comparison_row(row: Measured) -> Document:
-    """Return a row of Table VII: look-ahead systems beside causal ones, with their latency."""
-    identity = identify(row)
-    interval_ms = 1e3 / row.about["fps"]
-    return identity | {
-        "systems": {
-            name: {
-                "lookahead": is_lookahead(name),
-                "waits_ms": interval_ms if is_lookahead(name) else 0.0,
-                "frame_ms": row.timing["systems_ms"].get(name),
-                **_mean_scores(_frames(row, name)),
-            }
-            for name in row.parts[0]["systems"]
-        },
-        "paper": paper.INTERPOLATION.get(identity["app"]),
-    }
-
-
-def _rate_row(row: Measured) -> Document:
-    """Return what Figure 8 draws: base x (1 + mean number of new frames a key interval)."""
-    base = row.about["fps"]
-    effective = {name: base * (1 + _new_frames(row, name)) for name in row.parts[0]["systems"]}
-    return identify(row) | {"base": base, "effective": effective, "paper": paper.EFFECTIVE_FPS}
-
-
-def _decisions_row(row: Measured) -> Document:
-    """Return what Figure 9 draws: decisions, nodes and paths of the systems that choose."""
-    counts = {
-        chooser: count_decisions(part["paths"][chooser] for part in row.parts)
-        for chooser in CHOOSERS
-        if chooser in row.parts[0]["paths"]
-    }
-    return identify(row) | counts | {"paper_warp_share": paper.WARP_SHARE}
-
-
-def _extranet_row(row: Measured) -> Document:
-    """Average what ExtraNet's procedure gives for the frame midway between key frames."""
-    systems = {
-        name: {
-            metric: mean(part["extranet"][name][metric] for part in row.parts)
-            for metric in ("psnr_db", "ssim")
-        }
-        for name in row.parts[0]["extranet"]
-    }
-    return identify(row) | {"systems": systems, "frames": len(row.parts)}
-
-
-def _render_time_row(row: Measured) -> Document:
-    """Return what rendering a frame took beside making one, in seconds, and what that saves."""
-    rendered: float | None = row.about["render_s"]["key"]
-    generated = {name: ms / 1e3 for name, ms in row.timing["systems_ms"].items()}
-    identity = identify(row) | {"key_frame_s": rendered, "generated_frame_s": generated}
-    if rendered is None:
-        return identity | {"times_faster": None, "saved_share": None}
-    shares = {}
-    for name, seconds in generated.items():
-        # Repeats cost time and save none, as they would not have been rendered.
-        new = _new_frames(row, name)
-        shares[name] = (new * rendered - len(SLOTS) * seconds) / ((1 + new) * rendered)
-    return identity | {
-        "times_faster": {name: rendered / each for name, each in generated.items() if each > 0},
-        "saved_share": shares,
-    }
+    ranks = []
+    for values in (x, y):
+        _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
+        ranks.append((np.cumsum(counts) - (counts - 1) / 2)[inverse])
+    return pearson(*ranks)
 
 
 def _predictor_cost(schedule: Schedule, clock_hz: float) -> Document:
@@ -348,8 +334,8 @@ def describe_benchmark(document: Document) -> str:
         f"{row['machine']['processor']}, {row['machine']['cores']} cores" for row in sequences
     )
     text = (
-        f"{_count(len(sequences), 'sequence')} of {', '.join(sizes)} pixels, "
-        f"{_count(intervals, 'key interval')}, "
+        f"{len(sequences):,} sequence{'' if len(sequences) == 1 else 's'} of {', '.join(sizes)} "
+        f"pixels, {intervals:,} key interval{'' if intervals == 1 else 's'}, "
         + " and ".join(f"{rate:g} to {FACTOR * rate:g}" for rate in rates)
         + f" frames per second, G-buffers for {gbuffers}, ExWarp {document['version']}. "
         f"Run times on {'; '.join(machines)}."
@@ -359,7 +345,3 @@ def describe_benchmark(document: Document) -> str:
         names = ", ".join(dict.fromkeys(unseen))
         text += f" The policy of each scene was trained without it ({names})."
     return text
-
-
-def _count(count: int, noun: str) -> str:
-    return f"{count:,} {noun}{'' if count == 1 else 's'}"

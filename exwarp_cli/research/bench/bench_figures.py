@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from itertools import pairwise
-from typing import Any
 
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.report.plots import (
@@ -50,10 +50,6 @@ def sequence_labels(document: Document) -> list[str]:
             words.append(row["setting"])
         labels.append(" ".join(words))
     return labels
-
-
-def _percent(share: float | None) -> float | None:
-    return None if share is None else 100 * share
 
 
 def draw_run_times(document: Document) -> Figure | None:
@@ -117,41 +113,30 @@ def draw_paths(document: Document) -> Figure | None:
     return draw_bars(labels, sequence_labels(document), values, printed)
 
 
-def _draw_by_system(
-    document: Document,
+def _draw_systems(
     labels: Labels,
-    rows: Sequence[Document],
     names: Iterable[str],
-    value_of: Callable[[Any], float | None],
+    values_of: Callable[[Document], Sequence[Document]],
+    document: Document,
 ) -> Figure | None:
     """Draw a group of bars for each sequence: a bar for each system of the first one in `names`.
 
-    `rows` have what is known of each system by its name, out of which `value_of` is drawn.
+    `values_of` returns what is drawn, by system, for each sequence.
     """
-    values = {
-        name: [value_of(row[name]) if name in row else None for row in rows]
-        for name in names
-        if name in rows[0]
-    }
+    rows = values_of(document)
+    values = {name: [row.get(name) for row in rows] for name in names if name in rows[0]}
     return draw_bars(labels, sequence_labels(document), values) if values else None
 
 
 def draw_comparison(document: Document) -> Figure | None:
     """Draw Table VII: the PSNR of causal and look-ahead systems."""
     labels = Labels("Causal and look-ahead systems", "", "PSNR dB", "Mean PSNR of slots 1 to 3.")
-    rows = [row["systems"] for row in document["comparison"]]
+    rows = [
+        {name: system["psnr_db"] for name, system in row["systems"].items()}
+        for row in document["comparison"]
+    ]
     names = [name for name in rows[0] if name in COMPARED or name not in SYSTEMS]
-    return _draw_by_system(document, labels, rows, names, lambda scores: scores["psnr_db"])
-
-
-def draw_rates(document: Document) -> Figure | None:
-    """Draw Figure 8: the effective rate."""
-    labels = Labels(
-        "Effective rate", "", "frames per second",
-        f"Base rate and new frames; at most {FACTOR} times the base rate.",
-    )  # fmt: skip
-    rows = [row["effective"] for row in document["fps"]]
-    return _draw_by_system(document, labels, rows, RATED, lambda fps: fps)
+    return _draw_systems(labels, names, lambda _: rows, document)
 
 
 def draw_decisions(document: Document) -> Figure | None:
@@ -162,33 +147,10 @@ def draw_decisions(document: Document) -> Figure | None:
         description="Share of warping and of extrapolating among all decisions.",
     )  # fmt: skip
     parts = {
-        "warp": [_percent(share) for share in shares],
+        "warp": [None if share is None else 100 * share for share in shares],
         "extrapolate": [None if share is None else 100 * (1 - share) for share in shares],
     }
     return draw_stacked_bars(labels, sequence_labels(document), parts, kinds=True)
-
-
-def draw_clocked_rates(document: Document) -> Figure | None:
-    """Draw Figure 8 under the clock."""
-    labels = Labels(
-        "Effective rate in real time", "", "frames per second",
-        "Base rate and the new frames that are ready at their slots.",
-    )  # fmt: skip
-    rows = [row["systems"] for row in document["real_time"]["rows"]]
-    names = (*RATED, BEST_RETURN)
-    return _draw_by_system(document, labels, rows, names, lambda system: system["effective"])
-
-
-def draw_clocked_decisions(document: Document) -> Figure | None:
-    """Draw Figure 9 under the clock: oracles that know the clock decide otherwise."""
-    labels = Labels(
-        "Share of warping in real time", "", "% of the decisions",
-        "Of the policy, and of oracles that know the clock.",
-    )  # fmt: skip
-    rows = [row["systems"] for row in document["real_time"]["rows"]]
-    return _draw_by_system(
-        document, labels, rows, CHOOSERS, lambda system: _percent(system["decisions"]["warp_share"])
-    )
 
 
 def draw_clocked_slots(document: Document) -> Figure | None:
@@ -210,10 +172,44 @@ FIGURES: dict[str, Callable[[Document], Figure | None]] = {
     "comparison": draw_comparison,
     "paths_psnr": draw_paths,
     "decisions": draw_decisions,
-    "fps": draw_rates,
-    "real_time_fps": draw_clocked_rates,
-    "real_time_decisions": draw_clocked_decisions,
+    "fps": partial(
+        _draw_systems,
+        Labels(
+            "Effective rate", "", "frames per second",
+            f"Base rate and new frames; at most {FACTOR} times the base rate.",
+        ),
+        RATED,
+        lambda document: [row["effective"] for row in document["fps"]],
+    ),
+    "real_time_fps": partial(
+        _draw_systems,
+        Labels(
+            "Effective rate in real time", "", "frames per second",
+            "Base rate and the new frames that are ready at their slots.",
+        ),
+        (*RATED, BEST_RETURN),
+        lambda document: [
+            {name: system["effective"] for name, system in row["systems"].items()}
+            for row in document["real_time"]["rows"]
+        ],
+    ),
+    # Oracles that know the clock decide otherwise.
+    "real_time_decisions": partial(
+        _draw_systems,
+        Labels(
+            "Share of warping in real time", "", "% of the decisions",
+            "Of the policy, and of oracles that know the clock.",
+        ),
+        CHOOSERS,
+        lambda document: [
+            {
+                name: 100 * system["decisions"]["warp_share"]
+                for name, system in row["systems"].items()
+            }
+            for row in document["real_time"]["rows"]
+        ],
+    ),
     "real_time_slots": draw_clocked_slots,
     "holes": draw_holes,
     "runtime": draw_run_times,
-}
+}  # fmt: skip

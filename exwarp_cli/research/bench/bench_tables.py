@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -37,7 +38,8 @@ class Column:
     key: str  # of its values in the rows, and its name in CSV files
     title: str  # its name for people
     style: str = ""  # format specification of its numbers; empty for text
-    optional: bool = False  # left out of the table where no row has the key
+    path: tuple[str, ...] = ()  # keys to its values in rows of bench.json, where not `key` alone
+    optional: bool = False  # left out of the table where no row has a value
 
     def text(self, row: Row) -> str:
         """Return a row's cell as people read it; a dash for what was not measured."""
@@ -48,43 +50,37 @@ class Column:
 
 
 @dataclass(frozen=True)
-class BenchTable:
-    """A table with its rows."""
+class TableSpec:
+    """How a table is made of bench.json; title and note may have fields of `make_tables`."""
 
     name: str  # of its CSV file, without the ending
     title: str
     note: str  # what the numbers mean
     columns: tuple[Column, ...]
-    rows: tuple[Row, ...]
-
-    def measured_columns(self) -> list[Column]:
-        """Return the columns in which anything was measured."""
-        return [c for c in self.columns if any(row.get(c.key) is not None for row in self.rows)]
+    rows: Callable[[Document], Iterable[Document]]  # in which columns find their values
 
 
 @dataclass(frozen=True)
-class TableSpec:
-    """How a table is made of bench.json; title and note may depend on it."""
+class BenchTable:
+    """A table with its rows: cells by the keys of the columns."""
 
     name: str
-    title: str | Callable[[Document], str]
-    note: str | Callable[[Document], str]
+    title: str
+    note: str
     columns: tuple[Column, ...]
-    rows: Callable[[Document], Iterable[Row]]
+    rows: tuple[Row, ...]
 
-    def make(self, document: Document) -> BenchTable:
-        """Return the table of a document."""
-        rows = tuple(self.rows(document))
-        columns = tuple(
-            c for c in self.columns if not c.optional or any(c.key in row for row in rows)
-        )
-        title, note = (
-            text if isinstance(text, str) else text(document) for text in (self.title, self.note)
-        )
-        return BenchTable(self.name, title, note, columns, rows)
+    @property
+    def measured_columns(self) -> list[Column]:
+        """The columns in which anything was measured."""
+        return [c for c in self.columns if any(row[c.key] is not None for row in self.rows)]
 
 
-SEQUENCE = (Column("scene", "scene"), Column("size", "size"), Column("setting", "G-buffers"))
+SEQUENCE = (
+    Column("scene", "scene", path=("name",)),
+    Column("size", "size"),
+    Column("setting", "G-buffers"),
+)
 SOURCE = Column("source", "")
 SYSTEM = Column("system", "system")
 
@@ -92,10 +88,10 @@ SYSTEM = Column("system", "system")
 SAVING = ("exwarp", "s6", "softsplat")
 
 CHOICE_COLUMNS = (
-    Column("warp", "warp", ".1%"),
+    Column("warp", "warp", ".1%", ("warp_share",)),
     Column("extrapolate", "extrapolate", ".1%"),
     *(Column(node, f"{node} warp", ".0%") for node in NODES),
-    *(Column(path, path.upper(), "d") for path in FIXED),
+    *(Column(path, path.upper(), "d", ("paths", path.upper())) for path in FIXED),
 )
 
 # Steps of a frame in bench.json and in the paper, and their titles.
@@ -153,86 +149,49 @@ SLOT_KINDS = {
 }
 
 
-def _sequence(row: Document) -> Document:
-    return {"scene": row["name"], "size": row["size"], "setting": row["setting"]}
-
-
 def _paper_row(row: Document) -> Document:
-    return {"scene": row["app"], "size": None, "setting": "slot", "source": PAPER}
+    return {"name": row["app"], "size": None, "setting": "slot", "source": PAPER}
 
 
-def _saving_rows(document: Document) -> Iterable[Row]:
+def _saving_rows(document: Document) -> Iterator[Document]:
     for row in document["render_time"]:
         for name, seconds in row["generated_frame_s"].items():
             if name in SAVING or name not in SYSTEMS:
-                yield _sequence(row) | {
-                    "system": name,
-                    "key": row["key_frame_s"],
-                    "made": seconds,
-                    "saved": (row["saved_share"] or {}).get(name),
-                    "faster": (row["times_faster"] or {}).get(name),
-                }
+                saved = {key: (row[key] or {}).get(name) for key in ("saved_share", "times_faster")}
+                yield row | {"system": name, "generated_frame_s": seconds} | saved
 
 
-def _runtime_rows(document: Document) -> Iterable[Row]:
+def _runtime_rows(document: Document) -> Iterator[Document]:
     for row in document["runtime"]:
-        steps = {f"{name}_ms": row[f"{name}_ms"] for name, _ in STEP_COLUMNS}
-        others = {f"{name}_ms": value for name, value in row["others_ms"].items()}
-        yield _sequence(row) | {"source": OURS} | steps | others
+        yield row | {"source": OURS}
         if row["paper"] is not None:
-            yield _paper_row(row) | {f"{name}_ms": row["paper"][name] for name, _ in STEP_COLUMNS}
+            yield _paper_row(row) | {f"{step}_ms": ms for step, ms in row["paper"].items()}
 
 
-def _hole_rows(document: Document) -> Iterable[Row]:
+def _hole_rows(document: Document) -> Iterator[Document]:
     for row in document["holes"]:
-        shares = {}
-        if row["histogram"] is not None:
-            total = sum(row["histogram"]["counts"])
-            for low, count in zip(HOLE_EDGES, row["histogram"]["counts"], strict=False):
-                shares[f"from_{low:g}"] = count / total if total else None
-        means = {key: row.get(key) for key in ("mean", "p95", "below_10", "above_20")}
-        yield _sequence(row) | means | shares
+        counts = row["histogram"]["counts"] if row["histogram"] else []
+        shares = {low: count / sum(counts) for low, count in zip(HOLE_EDGES, counts, strict=False)}
+        yield row | {f"from_{low:g}": share for low, share in shares.items()}
 
 
-def _hole_note(document: Document) -> str:
-    printed = {row["app"]: row["paper"] for row in document["holes"] if row.get("paper")}
-    return (
-        "How many of the frames at slots 1 to 3 have that share of their pixels unseen in the key "
-        "frame." + "".join(f" The paper, {app}: {text}." for app, text in printed.items())
-    )
+def _path_rows(metric: str, document: Document) -> Iterator[Document]:
+    for row in document["quality"]:
+        yield row | {"source": OURS}
+        if row["paper"] is not None:
+            printed = {name: values[metric] for name, values in row["paper"].items()}
+            best = max(FIXED, key=lambda path: printed[path])
+            systems = {name: {"all": values} for name, values in row["paper"].items()}
+            yield _paper_row(row) | {"best_path": best, "systems": systems}
 
 
-def _correlation_rows(document: Document) -> Iterable[Row]:
-    for row in document["features"]:
-        values = _sequence(row)
-        for name in VARYING_FEATURES:
-            values[name] = row["correlation"][name]["spearman"]
-            values[f"{name}_pearson"] = row["correlation"][name]["pearson"]
-        yield values | {"points": row["points"]}
-
-
-def _path_rows(metric: str) -> Callable[[Document], Iterable[Row]]:
-    def rows(document: Document) -> Iterable[Row]:
-        for row in document["quality"]:
-            systems = row["systems"]
-            means = {s: systems[s]["all"][metric] for s, _ in PATH_COLUMNS if s in systems}
-            yield _sequence(row) | {"source": OURS, "best": row["best_path"]} | means
-            if row["paper"] is not None:
-                printed = {system: values[metric] for system, values in row["paper"].items()}
-                best = max(FIXED, key=lambda path: printed[path])
-                yield _paper_row(row) | {"best": best} | printed
-
-    return rows
-
-
-def _comparison_rows(document: Document) -> Iterable[Row]:
+def _comparison_rows(document: Document) -> Iterator[Document]:
     for row, quality in zip(document["comparison"], document["quality"], strict=True):
         for name, values in row["systems"].items():
-            holes = quality["systems"][name]["holes"]
-            in_holes = {f"{m.field}_holes": holes[m.field] for m in METRICS if m.in_holes}
             kind = "look-ahead" if values["lookahead"] else "causal"
-            identity = {"source": OURS, "system": name, "kind": kind}
-            yield _sequence(row) | identity | values | in_holes
+            holes = quality["systems"][name]["holes"]
+            identity = {"source": OURS, "system": name, "kind": kind, "holes": holes}
+            yield row | identity | values
         for name, values in (row["paper"] or {}).items():
             yield _paper_row(row) | {"system": name, "kind": "look-ahead"} | values
         if quality["paper"]:
@@ -241,97 +200,60 @@ def _comparison_rows(document: Document) -> Iterable[Row]:
                 yield _paper_row(row) | identity | quality["paper"][name]
 
 
-def _rate_rows(document: Document) -> Iterable[Row]:
-    for row in document["fps"]:
-        yield _sequence(row) | row["effective"] | {"base": row["base"]}
-
-
-def _choice_rows(document: Document) -> Iterable[Row]:
-    for row in document["decisions"]:
+def _choice_rows(rows: Iterable[Document]) -> Iterator[Document]:
+    """Yield what `CHOICE_COLUMNS` show; rows have what systems decided by their names."""
+    for row in rows:
         for system in CHOOSERS:
             if system in row:
-                yield _sequence(row) | {"system": system} | _choice_cells(row[system])
+                decisions = row[system]
+                warp = decisions["warp_share"]
+                shares = {"extrapolate": None if warp is None else 1 - warp}
+                for node, counts in decisions["nodes"].items():
+                    total = counts[WARP] + counts[EXTRAPOLATE]
+                    shares[node] = counts[WARP] / total if total else None
+                yield row | {"system": system} | decisions | shares
 
 
-def _choice_cells(decisions: Document) -> Document:
-    """Return the cells of `CHOICE_COLUMNS` for what `schema.count_decisions` counted."""
-    warp = decisions["warp_share"]
-    shares = {}
-    for node, counts in decisions["nodes"].items():
-        total = counts[WARP] + counts[EXTRAPOLATE]
-        shares[node] = counts[WARP] / total if total else None
-    paths = {name.lower(): count for name, count in decisions["paths"].items()}
-    return {"warp": warp, "extrapolate": None if warp is None else 1 - warp, **shares, **paths}
-
-
-def _predictor_rows(document: Document) -> Iterable[Row]:
+def _predictor_rows(document: Document) -> Iterator[Document]:
     cost = document["predictor"]
     printed, synthesis = cost["paper"], cost["synthesis"]
     fpga, simulated, cells = synthesis["ecp5"], synthesis["simulated"], synthesis["osu018"]
     cycles, fmax_mhz = simulated["cycles"], fpga["fmax_mhz"]
-    rows = [
-        ("cycles of an inference", f"{cost['cycles']:,}", NOTHING),
-        ("of them multiplications", f"{cost['mac_cycles']:,}", NOTHING),
-        ("use of the MAC units", f"{cost['utilisation']:.1%}", NOTHING),
-        (
-            f"latency at {cost['clock_hz'] / 1e9:g} GHz",
-            f"{cost['latency_ns']:,.0f} ns",
-            f"{printed['latency_ns']} ns",
-        ),
-        ("weights and activations", f"{cost['memory_bytes']:,} bytes", NOTHING),
-        (
-            "fullest core, of its cache",
-            f"{cost['fullest_core_bytes']:,} of {cost['cache_bytes']:,} bytes",
-            "16 KB",
-        ),
-        ("fetched again an inference", f"{cost['refill_bytes']:,} bytes", NOTHING),
-        (
-            "simulated bit for bit",
-            f"{simulated['vectors']:,} states in {cycles:,} cycles each, measured",
-            NOTHING,
-        ),
-        (
-            "logic",
-            f"{fpga['luts']:,} LUTs, {fpga['flip_flops']:,} flip-flops (ECP5, measured)",
-            NOTHING,
-        ),
-        (
-            "multipliers and memories",
-            f"{fpga['multipliers']} of 18x18 bits, {fpga['block_rams']} of 18 Kbit (ECP5, "
-            "measured)",
-            NOTHING,
-        ),
-    ]
+    ours = {
+        "cycles of an inference": f"{cost['cycles']:,}",
+        "of them multiplications": f"{cost['mac_cycles']:,}",
+        "use of the MAC units": f"{cost['utilisation']:.1%}",
+        f"latency at {cost['clock_hz'] / 1e9:g} GHz": f"{cost['latency_ns']:,.0f} ns",
+        "weights and activations": f"{cost['memory_bytes']:,} bytes",
+        "fullest core, of its cache": f"{cost['fullest_core_bytes']:,} of "
+        f"{cost['cache_bytes']:,} bytes",
+        "fetched again an inference": f"{cost['refill_bytes']:,} bytes",
+        "simulated bit for bit": f"{simulated['vectors']:,} states in {cycles:,} cycles each, "
+        "measured",
+        "logic": f"{fpga['luts']:,} LUTs, {fpga['flip_flops']:,} flip-flops (ECP5, measured)",
+        "multipliers and memories": f"{fpga['multipliers']} of 18x18 bits, "
+        f"{fpga['block_rams']} of 18 Kbit (ECP5, measured)",
+    }
     if fmax_mhz is not None:
-        rate = f"{fmax_mhz:.1f} MHz, {cycles / fmax_mhz:,.0f} µs (ECP5, measured)"
-        rows.append(("clock rate, an inference", rate, NOTHING))
-    area = NOTHING
-    if cells is not None:
-        area = f"{cells['area_mm2']:.2f} mm² without memories (180 nm, measured)"
-    rows.append(("area", area, f"{printed['area_mm2']} mm² (28 nm)"))
-    rows.append(("power", NOTHING, f"{printed['power_mw']} mW (28 nm)"))
-    return [{"parameter": name, "ours": ours, "paper": paper} for name, ours, paper in rows]
-
-
-def _extranet_rows(document: Document) -> Iterable[Row]:
-    for row in document["extranet_procedure"]:
-        for name, values in row["systems"].items():
-            yield _sequence(row) | {"system": name} | values | {"frames": row["frames"]}
-
-
-def _clocked_rate_rows(document: Document) -> Iterable[Row]:
-    for row in document["real_time"]["rows"]:
-        yield (
-            _sequence(row)
-            | {f"{name}_ms": ms for name, ms in row["latency_ms"].items()}
-            | {"extrapolate_slots": row["extrapolate_slots"]}
-            | {"base": document["real_time"]["base"]}
-            | {name: system["effective"] for name, system in row["systems"].items()}
+        ours["clock rate, an inference"] = (
+            f"{fmax_mhz:.1f} MHz, {cycles / fmax_mhz:,.0f} µs (ECP5, measured)"
         )
+    ours["area"] = NOTHING
+    if cells is not None:
+        ours["area"] = f"{cells['area_mm2']:.2f} mm² without memories (180 nm, measured)"
+    ours["power"] = NOTHING
+    papers = {
+        f"latency at {cost['clock_hz'] / 1e9:g} GHz": f"{printed['latency_ns']} ns",
+        "fullest core, of its cache": "16 KB",
+        "area": f"{printed['area_mm2']} mm² (28 nm)",
+        "power": f"{printed['power_mw']} mW (28 nm)",
+    }
+    for name, text in ours.items():
+        yield {"parameter": name, "ours": text, "paper": papers.get(name, NOTHING)}
 
 
-def _clocked_path_rows(document: Document) -> Iterable[Row]:
-    rows: dict[str, Row] = {}
+def _clocked_path_rows(document: Document) -> Iterable[Document]:
+    rows: dict[str, Document] = {}
     for row in document["real_time"]["rows"]:
         for path, played in row["paths"].items():
             pairs = zip(SLOTS, played["made_by"], played["dropped"], strict=True)
@@ -342,29 +264,17 @@ def _clocked_path_rows(document: Document) -> Iterable[Row]:
     return rows.values()
 
 
-def _clocked_choice_rows(document: Document) -> Iterable[Row]:
-    for row in document["real_time"]["rows"]:
-        for name in CHOOSERS:
-            if name in row["systems"]:
-                cells = _choice_cells(row["systems"][name]["decisions"])
-                yield _sequence(row) | {"system": name} | cells
-
-
-def _clocked_slot_rows(document: Document) -> Iterable[Row]:
+def _clocked_slot_rows(document: Document) -> Iterator[Document]:
     rows = zip(document["real_time"]["rows"], document["fps"], document["quality"], strict=True)
     for row, offline, quality in rows:
         for name, system in row["systems"].items():
             total = sum(system["slots"].values())
             shares = {kind: count / total for kind, count in system["slots"].items()}
-            values = {key: system[key] for key in ("effective", "psnr_db", "ssim", "return")}
-            yield (
-                _sequence(row)
-                | {"system": name}
-                | shares
-                | values
-                | {"offline_fps": offline["effective"][name]}
-                | {"offline_psnr_db": quality["systems"][name]["all"]["psnr_db"]}
-            )
+            others = {
+                "offline_fps": offline["effective"][name],
+                "offline_psnr_db": quality["systems"][name]["all"]["psnr_db"],
+            }
+            yield row | {"system": name} | system | shares | others
 
 
 # In the order in which they are shown: that of the paper.
@@ -378,10 +288,10 @@ TABLES = (
         (
             *SEQUENCE,
             SYSTEM,
-            Column("key", "rendered s", ",.2f"),
-            Column("made", "generated s", ",.3f"),
-            Column("saved", "saved", ".1%"),
-            Column("faster", "times faster", ",.1f"),
+            Column("key", "rendered s", ",.2f", ("key_frame_s",)),
+            Column("made", "generated s", ",.3f", ("generated_frame_s",)),
+            Column("saved", "saved", ".1%", ("saved_share",)),
+            Column("faster", "times faster", ",.1f", ("times_faster",)),
         ),
         _saving_rows,
     ),
@@ -395,14 +305,16 @@ TABLES = (
         (
             *SEQUENCE,
             SOURCE,
-            *(Column(f"{k}_ms", title, ",.2f") for k, title in (*STEP_COLUMNS, *OTHER_STEPS)),
+            *(Column(f"{step}_ms", title, ",.2f") for step, title in STEP_COLUMNS),
+            *(Column(f"{k}_ms", title, ",.2f", ("others_ms", k)) for k, title in OTHER_STEPS),
         ),
         _runtime_rows,
     ),
     TableSpec(
         "holes",
         "Share of holes in warped frames (Figure 2)",
-        _hole_note,
+        "How many of the frames at slots 1 to 3 have that share of their pixels unseen in the key "
+        "frame.{papers_holes}",
         (
             *SEQUENCE,
             Column("mean", "mean", ".1%"),
@@ -423,35 +335,40 @@ TABLES = (
         f"{paper.CORRELATION}.",
         (
             *SEQUENCE,
-            *(Column(name, name, "+.2f") for name in VARYING_FEATURES),
-            *(Column(f"{name}_pearson", f"{name} (Pearson)", "+.2f") for name in VARYING_FEATURES),
+            *(
+                Column(name, name, "+.2f", ("correlation", name, "spearman"))
+                for name in VARYING_FEATURES
+            ),
+            *(
+                Column(
+                    f"{name}_pearson", f"{name} (Pearson)", "+.2f", ("correlation", name, "pearson")
+                )
+                for name in VARYING_FEATURES
+            ),
             Column("points", "points", "d"),
         ),
-        _correlation_rows,
+        lambda document: document["features"],
     ),
-    TableSpec(
-        "paths_psnr",
-        "Quality of every decision path, PSNR dB (Table VI)",
-        PATHS_NOTE,
-        (
-            *SEQUENCE,
-            SOURCE,
-            *(Column(system, title, ".2f") for system, title in PATH_COLUMNS),
-            Column("best", "best path"),
-        ),
-        _path_rows("psnr_db"),
-    ),
-    TableSpec(
-        "paths_ssim",
-        "The same, SSIM (Table VI)",
-        PATHS_NOTE,
-        (
-            *SEQUENCE,
-            SOURCE,
-            *(Column(system, title, ".3f") for system, title in PATH_COLUMNS),
-            Column("best", "best path"),
-        ),
-        _path_rows("ssim"),
+    *(
+        TableSpec(
+            f"paths_{name}",
+            title,
+            PATHS_NOTE,
+            (
+                *SEQUENCE,
+                SOURCE,
+                *(
+                    Column(k, label, style, ("systems", k, "all", metric))
+                    for k, label in PATH_COLUMNS
+                ),
+                Column("best", "best path", path=("best_path",)),
+            ),
+            partial(_path_rows, metric),
+        )
+        for name, title, metric, style in (
+            ("psnr", "Quality of every decision path, PSNR dB (Table VI)", "psnr_db", ".2f"),
+            ("ssim", "The same, SSIM (Table VI)", "ssim", ".3f"),
+        )
     ),
     TableSpec(
         "comparison",
@@ -469,7 +386,7 @@ TABLES = (
             Column("frame_ms", "time ms", ".1f"),
             *(Column(m.field, m.title, m.style) for m in METRICS),
             *(
-                Column(f"{m.field}_holes", f"{m.title} (holes)", m.style)
+                Column(f"{m.field}_holes", f"{m.title} (holes)", m.style, ("holes", m.field))
                 for m in METRICS
                 if m.in_holes
             ),
@@ -484,9 +401,12 @@ TABLES = (
         (
             *SEQUENCE,
             Column("base", "base", "g"),
-            *(Column(name, name, ".1f", optional=True) for name in CLOCKED_SYSTEMS),
+            *(
+                Column(name, name, ".1f", ("effective", name), optional=True)
+                for name in CLOCKED_SYSTEMS
+            ),
         ),
-        _rate_rows,
+        lambda document: document["fps"],
     ),
     TableSpec(
         "decisions",
@@ -494,7 +414,7 @@ TABLES = (
         "Shares of warping among all decisions and at each node, and key intervals by path. The "
         f"paper's mean share of warps is {paper.WARP_SHARE:.2%}.",
         (*SEQUENCE, SYSTEM, *CHOICE_COLUMNS),
-        _choice_rows,
+        lambda document: _choice_rows(document["decisions"]),
     ),
     TableSpec(
         "predictor",
@@ -520,7 +440,11 @@ TABLES = (
             Column("ssim", "SSIM", ".4f"),
             Column("frames", "frames", "d"),
         ),
-        _extranet_rows,
+        lambda document: (
+            row | {"system": name} | values
+            for row in document["extranet_procedure"]
+            for name, values in row["systems"].items()
+        ),
     ),
 )
 
@@ -528,20 +452,22 @@ TABLES = (
 CLOCKED_TABLES = (
     TableSpec(
         "real_time_fps",
-        lambda document: (
-            "Effective frames per second in real time (Figure 8, clock "
-            f"{document['real_time']['clock']})"
-        ),
-        lambda document: CLOCK_NOTE + LATENCY_NOTES[document["real_time"]["clock"]],
+        "Effective frames per second in real time (Figure 8, clock {clock})",
+        CLOCK_NOTE + "{latencies}",
         (
             *SEQUENCE,
-            Column("warp_ms", "W ms", ".2f"),
-            Column("extrapolate_ms", "E ms", ".2f"),
+            Column("warp_ms", "W ms", ".2f", ("latency_ms", WARP)),
+            Column("extrapolate_ms", "E ms", ".2f", ("latency_ms", EXTRAPOLATE)),
             Column("extrapolate_slots", "E slots", "d"),
             Column("base", "base", "g"),
-            *(Column(name, name, ".1f") for name in CLOCKED_SYSTEMS),
+            *(
+                Column(name, name, ".1f", ("systems", name, "effective"))
+                for name in CLOCKED_SYSTEMS
+            ),
         ),
-        _clocked_rate_rows,
+        lambda document: (
+            row | {"base": document["real_time"]["base"]} for row in document["real_time"]["rows"]
+        ),
     ),
     TableSpec(
         "real_time_paths",
@@ -561,15 +487,15 @@ CLOCKED_TABLES = (
     ),
     TableSpec(
         "real_time_decisions",
-        lambda document: (
-            "Breakdown of the decisions in real time (Figure 9, clock "
-            f"{document['real_time']['clock']})"
-        ),
+        "Breakdown of the decisions in real time (Figure 9, clock {clock})",
         "As in the table of all decisions. The policy does not know the clock: it decides as it "
         "does offline. The oracles take the path that is best in PSNR or return of what the clock "
         "lets them show.",
         (*SEQUENCE, SYSTEM, *CHOICE_COLUMNS),
-        _clocked_choice_rows,
+        lambda document: _choice_rows(
+            row | {name: system["decisions"] for name, system in row["systems"].items()}
+            for row in document["real_time"]["rows"]
+        ),
     ),
     TableSpec(
         "real_time_slots",
@@ -596,5 +522,32 @@ CLOCKED_TABLES = (
 
 def make_tables(document: Document) -> tuple[BenchTable, ...]:
     """Return every table of a benchmark, in the paper's order; then those of a clock."""
-    specs = (*TABLES, *CLOCKED_TABLES) if "real_time" in document else TABLES
-    return tuple(spec.make(document) for spec in specs)
+    clock = document["real_time"]["clock"] if "real_time" in document else None
+    printed = {row["app"]: row["paper"] for row in document["holes"] if row.get("paper")}
+    facts = {
+        "clock": clock,
+        "latencies": "" if clock is None else LATENCY_NOTES[clock],
+        "papers_holes": "".join(f" The paper, {app}: {text}." for app, text in printed.items()),
+    }
+    tables = []
+    for spec in TABLES if clock is None else (*TABLES, *CLOCKED_TABLES):
+        rows = tuple(
+            {column.key: find_value(row, column.path or (column.key,)) for column in spec.columns}
+            for row in spec.rows(document)
+        )
+        columns = tuple(
+            column
+            for column in spec.columns
+            if not column.optional or any(row[column.key] is not None for row in rows)
+        )
+        title, note = (text.format(**facts) for text in (spec.title, spec.note))
+        tables.append(BenchTable(spec.name, title, note, columns, rows))
+    return tuple(tables)
+
+
+def find_value(row: Document, path: Iterable[str]) -> Any:
+    """Return what nested dictionaries hold under the keys of a path; None where one is missing."""
+    value: Any = row
+    for key in path:
+        value = None if value is None else value.get(key)
+    return value

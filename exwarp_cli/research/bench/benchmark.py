@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -24,13 +24,12 @@ from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.research.bench.measurement import (
     SLOT_SCORES,
     measure,
-    measure_slots,
     part_identity,
+    score_slots,
     time_subject,
     timed_keys,
 )
 from exwarp_cli.research.bench.subjects import (
-    Networks,
     OpenedSubject,
     Subject,
     find_subjects,
@@ -40,9 +39,6 @@ from exwarp_cli.research.bench.systems import SLOTS, BenchSettings
 from exwarp_cli.runtime.machine import processors
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.runtime.worker_pool import follow_parent, run_tasks, send_message
-
-# Folder of what was measured, a file a key interval.
-PARTS = "parts"
 
 # Key intervals that a worker takes at once: neighbours share what they read.
 INTERVALS_PER_TASK = 4
@@ -71,6 +67,7 @@ class Benchmark:
     networks: dict[str, str]  # SHA-256 by what they are
     systems: tuple[str, ...]  # all that were compared, by name
     measured: tuple[Measured, ...]  # per subject
+    opened: tuple[OpenedSubject, ...] = ()  # the same subjects, to make frames of once more
 
 
 @dataclass(frozen=True)
@@ -83,10 +80,7 @@ class Step:
 
 
 Report = Callable[[Step], None]
-
-# Arguments and result of `measure_task`.
-Task = tuple[BenchSettings, Subject, tuple[int, ...], int]
-Parts = list[tuple[int, dict[str, Any]]]
+Parts = dict[tuple[Subject, int], dict[str, Any]]  # by subject and key frame
 
 
 @contextmanager
@@ -103,51 +97,33 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
     progress = progress or Progress()
     subjects = find_subjects(settings, progress.message)
     networks = load_networks(settings, None)
-    opened = {subject: OpenedSubject(subject, settings, networks) for subject in subjects}
-    _make_folders(opened.values())
-    keys = {subject: entry.keys for subject, entry in opened.items()}
+    opened = tuple(OpenedSubject(subject, settings, networks) for subject in subjects)
+    _make_folders(opened)
     jobs = settings.jobs or processors().usable
-    counts = {_kind(subject): len(chosen) for subject, chosen in keys.items()}
-    counts |= {_timing_kind(subject): len(timed_keys(entry)) for subject, entry in opened.items()}
+    counts = {_kind(each.subject): len(each.keys) for each in opened}
+    counts |= {f"timing {_kind(each.subject)}": len(timed_keys(each)) for each in opened}
     progress.start(sum(counts.values()), counts, jobs)
     try:
-        timings = {subject: _measure_times(entry, progress) for subject, entry in opened.items()}
-        about = {subject: describe_subject(entry) for subject, entry in opened.items()}
-        del opened
-        notes = [facts["policy"]["note"] for facts in about.values()]
+        timings = [_measure_times(each, progress) for each in opened]
+        about = [describe_subject(each) for each in opened]
+        notes = [facts["policy"]["note"] for facts in about]
         for note in dict.fromkeys(note for note in notes if note is not None):
             progress.message(note)
 
-        # Short sequences are shared out as well.
-        size = min(INTERVALS_PER_TASK, -(-sum(map(len, keys.values())) // jobs))
-        tasks: list[Task] = [
-            (settings, subject, chosen[i : i + size], 1)
-            for subject, chosen in keys.items()
-            for i in range(0, len(chosen), size)
-        ]
-
         def report(step: Step) -> None:
+            kind = _kind(step.subject)
             note = f"{step.subject.name}, {step.subject.setting}"
-            progress.advance(step.number, note, _kind(step.subject), step.is_new)
+            progress.advance(step.number, note, kind, step.is_new)
 
-        parts: dict[tuple[Subject, int], dict[str, Any]] = {}
-        with closing(_run_tasks(tasks, min(jobs, len(tasks)), report)) as results:
-            for subject, measured in results:
-                parts |= {(subject, key): part for key, part in measured}
-        yield Benchmark(
-            settings,
-            networks.checksums,
-            (*settings.systems, *networks.systems),
-            tuple(
-                Measured(
-                    subject,
-                    about[subject],
-                    timings[subject],
-                    tuple(parts[subject, key] for key in keys[subject]),
-                )
-                for subject in subjects
-            ),
+        parts = _measure_all(opened, jobs, report)
+        measured = tuple(
+            Measured(
+                each.subject, facts, timing, tuple(parts[each.subject, key] for key in each.keys)
+            )
+            for each, facts, timing in zip(opened, about, timings, strict=True)
         )
+        systems = (*settings.systems, *networks.systems)
+        yield Benchmark(settings, networks.checksums, systems, measured, opened)
     finally:
         progress.finish()
 
@@ -157,109 +133,23 @@ def _kind(subject: Subject) -> str:
     return f"{subject.source.sequence}, {subject.setting}"
 
 
-def _timing_kind(subject: Subject) -> str:
-    return f"timing {_kind(subject)}"
-
-
-def _run_tasks(
-    tasks: Sequence[Task], jobs: int, report: Report
-) -> Generator[tuple[Subject, Parts], None, None]:
-    """Yield the parts of each task, as they come."""
-    if jobs == 1:
-        for settings, subject, keys, _ in tasks:
-            yield subject, measure_task(settings, subject, keys, None, report)
-        return
-    with closing(run_tasks(measure_task, tasks, jobs, _prepare_worker, report)) as results:
-        for (_, subject, _, _), parts in results:
-            yield subject, parts
-
-
-def _prepare_worker() -> None:
-    follow_parent()
-    use_threads(1)
-
-
-def measure_task(
-    settings: BenchSettings,
-    subject: Subject,
-    keys: Sequence[int],
-    threads: int | None,
-    report: Report = send_message,
-) -> Parts:
-    """Measure some key intervals of a subject; what is on disk and still right is taken."""
-    opened = _open_cached(settings, subject, threads)
-    opened.restart()
-    parts = []
-    for key in keys:
-        part, is_new = _measure_part(opened, key)
-        parts.append((key, part))
-        report(Step(subject, part["key"], is_new))
-        check_stop()
-    return parts
-
-
-@lru_cache(1)
-def _load_networks_cached(settings: BenchSettings, threads: int | None) -> Networks:
-    return load_networks(settings, threads)
-
-
-@lru_cache(2)
-def _open_cached(settings: BenchSettings, subject: Subject, threads: int | None) -> OpenedSubject:
-    return OpenedSubject(subject, settings, _load_networks_cached(settings, threads))
-
-
-def _measure_part(opened: OpenedSubject, key: int) -> tuple[dict[str, Any], bool]:
-    """Return what is measured of a key interval, and whether it was not on disk."""
-    path = _folder_of(opened) / f"{opened.number(key)}.json"
-    kept: dict[str, Any] | None = None
-    identity = ""
-
-    def is_complete(part: dict[str, Any]) -> bool:
-        return opened.settings.clock is None or SLOT_SCORES in part
-
-    def needed(recipes: dict[int, str]) -> bool:
-        nonlocal kept, identity
-        identity = part_identity(opened, key, recipes)
-        kept = _read_kept(path, identity)
-        return kept is None or not is_complete(kept)
-
-    inputs = opened.load(key, needed)
-    if kept is None:
-        part = measure(opened, inputs) | {"identity": identity}
-    elif is_complete(kept):
-        return kept, False
-    else:
-        part = kept | measure_slots(opened, inputs)
-    atomic_write_text(path, json.dumps(part) + "\n")
-    return part, True
-
-
-def _folder_of(opened: OpenedSubject) -> Path:
-    """Return where the parts of a subject lie."""
-    display, subject = opened.source.keys.display, opened.subject
-    name = "".join(c if c.isalnum() or c in "-_." else "_" for c in subject.name)
-    size = f"{display.width}x{display.height}"
-    return opened.settings.output / PARTS / f"{name}-{size}-{subject.setting}"
-
-
-def _make_folders(subjects: Iterable[OpenedSubject]) -> None:
+def _make_folders(subjects: Sequence[OpenedSubject]) -> None:
     """Make a folder for each subject; refuse two that would share one."""
     owners: dict[Path, Subject] = {}
     for opened in subjects:
-        folder = _folder_of(opened)
-        if folder in owners:
+        if opened.parts in owners:
             raise UsageError(
-                f"{owners[folder].source.sequence} and {opened.subject.source.sequence} have one "
-                "name, size and setting; measure them into two folders"
+                f"{owners[opened.parts].source.sequence} and {opened.subject.source.sequence} have "
+                "one name, size and setting; measure them into two folders"
             )
-        owners[folder] = opened.subject
-        make_folder(folder)
-        remove_leftovers(folder)
+        owners[opened.parts] = opened.subject
+        make_folder(opened.parts)
+        remove_leftovers(opened.parts)
 
 
 def _measure_times(opened: OpenedSubject, progress: Progress) -> dict[str, Any]:
     """Take run times that were measured before with the same networks and systems, or measure."""
-    settings = opened.settings
+    settings, subject = opened.settings, opened.subject
     dependencies = {
         "version": [TIMING_VERSION, __version__],
         "networks": sorted(opened.networks.checksums.items()),
@@ -268,13 +158,13 @@ def _measure_times(opened: OpenedSubject, progress: Progress) -> dict[str, Any]:
         "keys": opened.keys,
     }
     identity = hashlib.sha256(json.dumps(dependencies).encode()).hexdigest()
-    path = _folder_of(opened) / "timing.json"
-    timing, subject = _read_kept(path, identity), opened.subject
+    path = opened.parts / "timing.json"
+    timing = _read_kept(path, identity)
     is_new = timing is None
 
     def report(key: int) -> None:
         note = f"timing {subject.name}, {subject.setting}"
-        progress.advance(opened.number(key), note, _timing_kind(subject), is_new)
+        progress.advance(opened.numbers[key], note, f"timing {_kind(subject)}", is_new)
 
     if timing is None:
         progress.message(f"timing {subject.name} with G-buffers for {GBUFFERS_OF[subject.setting]}")
@@ -284,6 +174,77 @@ def _measure_times(opened: OpenedSubject, progress: Progress) -> dict[str, Any]:
         for key in timed_keys(opened):
             report(key)
     return timing
+
+
+def _measure_all(subjects: Sequence[OpenedSubject], jobs: int, report: Report) -> Parts:
+    """Measure all key intervals, in this process or side by side in others."""
+    parts: Parts = {}
+    # Short sequences are shared out as well.
+    size = min(INTERVALS_PER_TASK, -(-sum(len(opened.keys) for opened in subjects) // jobs))
+    tasks = [
+        (opened.settings, opened.subject, opened.keys[i : i + size])
+        for opened in subjects
+        for i in range(0, len(opened.keys), size)
+    ]
+    jobs = min(jobs, len(tasks))
+    if jobs == 1:
+        for opened in subjects:
+            parts |= _measure_parts(opened, opened.keys, report)
+        return parts
+    with closing(run_tasks(_measure_task, tasks, jobs, follow_parent, report)) as results:
+        for _, measured in results:
+            parts |= measured
+    return parts
+
+
+def _measure_task(settings: BenchSettings, subject: Subject, keys: Sequence[int]) -> Parts:
+    """Measure some key intervals of a subject in a worker."""
+    return _measure_parts(_open_in_worker(settings, subject), keys, send_message)
+
+
+@lru_cache(2)
+def _open_in_worker(settings: BenchSettings, subject: Subject) -> OpenedSubject:
+    use_threads(1)
+    return OpenedSubject(subject, settings, _load_in_worker(settings, 1))
+
+
+_load_in_worker = lru_cache(1)(load_networks)
+
+
+def _measure_parts(opened: OpenedSubject, keys: Sequence[int], report: Report) -> Parts:
+    """Measure some key intervals of a subject; what is on disk and still right is taken."""
+    parts: Parts = {}
+    for key in keys:
+        path = opened.parts / f"{opened.numbers[key]}.json"
+        part, is_new = _measure_part(opened, key, path)
+        if is_new:
+            atomic_write_text(path, json.dumps(part) + "\n")
+        parts[opened.subject, key] = part
+        report(Step(opened.subject, part["key"], is_new))
+        check_stop()
+    opened.restart()
+    return parts
+
+
+def _measure_part(opened: OpenedSubject, key: int, path: Path) -> tuple[dict[str, Any], bool]:
+    """Return what is measured of a key interval, and whether it was not in the file `path`."""
+    kept: dict[str, Any] | None = None
+    identity, is_complete = "", False
+
+    def needed(_: int, recipes: dict[int, str]) -> bool:
+        nonlocal kept, identity, is_complete
+        identity = part_identity(opened, key, recipes)
+        kept = _read_kept(path, identity)
+        is_complete = kept is not None and (opened.settings.clock is None or SLOT_SCORES in kept)
+        return not is_complete
+
+    inputs = opened.reader.read(key, needed)
+    if kept is None:
+        return measure(opened, inputs) | {"identity": identity}, True
+    if is_complete:
+        return kept, False
+    frames = opened.frames(inputs, opened.builder.build(inputs))
+    return kept | {SLOT_SCORES: score_slots(opened, frames, opened.truth(key))}, True
 
 
 def _read_kept(path: Path, identity: str) -> dict[str, Any] | None:
@@ -297,6 +258,11 @@ def _read_kept(path: Path, identity: str) -> dict[str, Any] | None:
 
 def describe_subject(opened: OpenedSubject) -> dict[str, Any]:
     """Return size, rate, producer, policy and render times of a subject."""
+
+    def mean_render_seconds(paths: Sequence[Path]) -> float | None:
+        times = [time[0] for path in paths if (time := render_seconds(read_headers(path)))]
+        return sum(times) / len(times) if times else None
+
     source, network = opened.source, opened.networks.own
     display = source.keys.display
     # Of slot G-buffers only where those files hold nothing else: with colour in them, their time is
@@ -305,8 +271,8 @@ def describe_subject(opened: OpenedSubject) -> dict[str, Any]:
     if source.slots is not None and Role.COLOUR not in source.slots.layout:
         files = source.slots.sequence.files
         numbers = [source.slot_number(Slot(key, slot)) for key in opened.keys for slot in SLOTS]
-        gbuffer_s = _mean_render_seconds([files[n] for n in numbers if n is not None])
-    key_files = [source.keys.sequence.files[opened.number(key)] for key in opened.keys]
+        gbuffer_s = mean_render_seconds([files[n] for n in numbers if n is not None])
+    key_files = [source.keys.sequence.files[opened.numbers[key]] for key in opened.keys]
     return {
         "width": display.width,
         "height": display.height,
@@ -319,11 +285,5 @@ def describe_subject(opened: OpenedSubject) -> dict[str, Any]:
             # Says that the policy was trained for another network than the one that extrapolates.
             "note": None if network is None else other_extrapolator(opened.policy, network),
         },
-        "render_s": {"key": _mean_render_seconds(key_files), "gbuffer": gbuffer_s},
+        "render_s": {"key": mean_render_seconds(key_files), "gbuffer": gbuffer_s},
     }
-
-
-def _mean_render_seconds(paths: Sequence[Path]) -> float | None:
-    """Return the mean of the render times that headers state."""
-    times = [time[0] for path in paths if (time := render_seconds(read_headers(path)))]
-    return sum(times) / len(times) if times else None

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, astuple, dataclass, field, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from statistics import median
 from typing import Any, TypeVar
@@ -20,18 +21,18 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.decision import CHOICES, NODES, PATHS
-from exwarp_cli.domain.decision import NODE_SLOTS as SLOT_OF
+from exwarp_cli.domain.decision import CHOICES, NODE_SLOTS, NODES, PATHS
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.results import Score
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.io.footage import digest_frame
 from exwarp_cli.metrics import extranet_scores, temporal
 from exwarp_cli.metrics.registry import score_frame
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scoring import Steps, flicker_of, steps_of, vmaf_of
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
 from exwarp_cli.policy.outcomes import best_psnr, best_return, path_returns
-from exwarp_cli.research.bench.subjects import OpenedSubject
-from exwarp_cli.research.bench.system_frames import SystemFrames
+from exwarp_cli.research.bench.subjects import OpenedSubject, SystemFrames
 from exwarp_cli.research.bench.systems import (
     BEST_PSNR,
     BEST_RETURN,
@@ -55,7 +56,7 @@ FrameScores = tuple[Score, Score | None]
 # Raised whenever the same input would give other numbers.
 PART_VERSION = 1
 
-# The key of a part that only a clock needs: see `_score_slots`.
+# The key of a part that only a clock needs: see `score_slots`.
 SLOT_SCORES = "slot_scores"
 
 # The slot that ExtraNet makes: it doubles the frame rate.
@@ -129,14 +130,13 @@ class IntervalScores:
 
     def outcomes(self) -> npt.NDArray[np.float64]:
         """Return what each choice of the decision tree leads to: see `policy.outcomes`."""
-
-        def judge(node: str, choice: str) -> list[float]:
-            slot = SLOT_OF[node]
+        rows = []
+        for node, choice in product(NODES, CHOICES):
+            slot = NODE_SLOTS[node]
             path = next(path for path in PATHS.values() if path.choices.get(node) == choice)
             frame, _ = self.score(picture_at(path.made_by, slot), slot)
-            return [getattr(frame, name) for name in JUDGED]
-
-        return np.array([[judge(node, choice) for choice in CHOICES] for node in NODES], np.float64)
+            rows.append([getattr(frame, name) for name in JUDGED])
+        return np.array(rows, np.float64).reshape(len(NODES), len(CHOICES), len(JUDGED))
 
 
 def part_identity(opened: OpenedSubject, key: int, recipes: Mapping[int, str]) -> str:
@@ -145,7 +145,9 @@ def part_identity(opened: OpenedSubject, key: int, recipes: Mapping[int, str]) -
     dependencies = {
         "version": [PART_VERSION, __version__],
         "recipes": sorted(recipes.items()),
-        "truth": opened.truth_digests(key),
+        "truth": [
+            digest_frame(opened.truth_sequence, n) for n in opened.truth_numbers(key).values()
+        ],
         "networks": sorted(opened.networks.checksums.items()),
         "policy": opened.policy.checksum,
         "systems": opened.systems,
@@ -170,7 +172,7 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
     interval = opened.builder.build(inputs)
     surroundings = opened.observer.of(inputs, interval)
     metrics = frozenset((*opened.settings.metrics, *JUDGED))
-    masks, display = opened.masks(interval), opened.source.keys.display
+    masks, display = opened.masks(interval), opened.display
     frames, truth = opened.frames(inputs, interval), opened.truth(inputs.key)
     steps = steps_of(interval, display, inputs.followed) if "flicker" in metrics else None
     scores = IntervalScores(frames, truth, masks, steps, metrics)
@@ -194,7 +196,7 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
         name: extranet_scores.score_like_extranet(truth[MIDDLE], frames[name]) for name in middles
     }
     part = {
-        "key": opened.number(inputs.key),
+        "key": opened.numbers[inputs.key],
         "holes": [float(masks[slot].mean()) if slot in masks else None for slot in SLOTS],
         "features": [[float(v) for v in astuple(features)] for features in surroundings.now],
         "paths": {name: paths[name] for name in CHOOSERS if name in paths},
@@ -215,33 +217,26 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
         },
     }
     if opened.settings.clock is not None:
-        part[SLOT_SCORES] = _score_slots(opened, frames, truth)
+        part[SLOT_SCORES] = score_slots(opened, frames, truth)
     return part
 
 
-def measure_slots(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
-    """Return what a part lacks for the real-time clock if it was measured without one."""
-    frames = opened.frames(inputs, opened.builder.build(inputs))
-    return {SLOT_SCORES: _score_slots(opened, frames, opened.truth(inputs.key))}
-
-
-def _score_slots(
+def score_slots(
     opened: OpenedSubject, frames: SystemFrames, truth: Mapping[int, Float32]
 ) -> dict[str, list[list[float] | None]]:
     """Return PSNR and SSIM of each picture of the tree at slots 1 to 3, as if repeated there.
 
     None stands before a picture's first slot. Without our network nothing is extrapolated.
     """
-
-    def judge(name: str, slot: int) -> list[float]:
-        frame, _ = score_frame(truth[slot], frames[name], None, frozenset(JUDGED))
-        return [getattr(frame, metric) for metric in JUDGED]
-
-    return {
-        name: [judge(name, slot) if slot >= first else None for slot in SLOTS]
-        for name, first in FIRST_SLOTS.items()
-        if opened.networks.own is not None or "E" not in name
-    }
+    scores: dict[str, list[list[float] | None]] = {}
+    for name, first in FIRST_SLOTS.items():
+        if opened.networks.own is None and "E" in name:
+            continue
+        scores[name] = [None] * (first - 1)
+        for slot in range(first, FACTOR):
+            frame, _ = score_frame(truth[slot], frames[name], None, frozenset(JUDGED))
+            scores[name].append([getattr(frame, metric) for metric in JUDGED])
+    return scores
 
 
 def timed_keys(opened: OpenedSubject) -> tuple[int, ...]:
@@ -266,13 +261,12 @@ def time_subject(opened: OpenedSubject, report: Callable[[int], None]) -> dict[s
     """
     steps: dict[str, list[float]] = defaultdict(list)
     systems: dict[str, list[float]] = defaultdict(list)
-    opened.restart()
     keys = timed_keys(opened)
     for count, key in enumerate(keys):
         check_stop()
         if count and key == keys[count - 1]:  # a lone interval is read again, with its features
             opened.restart()
-        inputs = opened.load(key, lambda recipes: True)
+        inputs = opened.reader.read(key)
         interval_steps, interval_systems = _time_interval(opened, inputs)
         report(key)
         if count == 0:  # compiled the kernels, and read what the next intervals share with it
@@ -281,6 +275,7 @@ def time_subject(opened: OpenedSubject, report: Callable[[int], None]) -> dict[s
             steps[name].append(ms)
         for name, ms in interval_systems.items():
             systems[name].append(ms)
+    opened.restart()
     return {
         "steps_ms": {name: median(values) for name, values in steps.items()},
         "systems_ms": {name: median(values) for name, values in systems.items()},
@@ -321,18 +316,13 @@ def _time_interval(
         # A copy has none of the motion fields that were computed before.
         frames = opened.frames(inputs, replace(interval))
         pictures = dict.fromkeys(pictures_of(name, path))
-        spent_ms, _ = _timed(partial(_make_all, frames, pictures))
+        spent_ms, _ = _timed(partial(list, map(frames.__getitem__, pictures)))
         systems[name] = spent_ms / count
         if name == POLICY:
             systems[name] += steps["features"] + steps["decide"]
         if path is not None or name in MOVING:
             systems[name] += steps["geometry"]
     return steps, systems
-
-
-def _make_all(frames: SystemFrames, names: Mapping[str, None]) -> None:
-    for name in names:
-        frames[name]
 
 
 def _time_frames(interval: Interval) -> dict[str, float]:

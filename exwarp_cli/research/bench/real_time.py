@@ -79,10 +79,6 @@ class ClockedInterval:
         return self.dropped.count(None)
 
 
-# What each decision path shows in an interval that begins with a free engine.
-Schedules = Mapping[str, ClockedInterval]
-
-
 def play_interval(path: str, latencies: Latencies, busy_slots: float = 0.0) -> ClockedInterval:
     """Run a decision path, S1 to S6, against the clock.
 
@@ -167,8 +163,22 @@ def clocked_row(
     else:
         pixels = about["width"] * about["height"]
         latencies = table_latencies(TABLE_PIXELS[TABLE_AS[clock]] if clock in TABLE_AS else pixels)
+    # What each path shows in an interval that begins with a free engine.
     schedules = {path: play_interval(path, latencies) for path in PATHS}
-    taken = _taken_paths(parts, schedules)
+    taken = {name: [name.upper()] * len(parts) for name in FIXED}
+    taken[POLICY] = [part["paths"][POLICY] for part in parts]
+    returns: F64 | None = None  # sums of rewards, float64 [intervals, 6]
+    if parts[0]["returns"] is not None:  # else nothing was extrapolated
+        quality = np.array(
+            [[_shown_quality(part, each) for each in schedules.values()] for part in parts]
+        )
+        dropped = [len(SLOTS) - each.generated for each in schedules.values()]
+        returns = np.array([clocked_returns(of_paths, dropped) for of_paths in quality])
+        # Oracles know the clock and the truth; of equal paths they take the last, which warps more.
+        backwards = list(PATHS)[::-1]
+        judged = {BEST_PSNR: quality[..., 0].mean(axis=-1), BEST_RETURN: returns}
+        for name, values in judged.items():
+            taken[name] = [backwards[i] for i in np.argmax(values[:, ::-1], axis=1).tolist()]
     return {
         "latency_ms": {WARP: latencies.warp_ms, EXTRAPOLATE: latencies.extrapolate_ms},
         "extrapolate_slots": latencies.extrapolate_slots,
@@ -177,27 +187,11 @@ def clocked_row(
             for path, each in schedules.items()
         },
         "systems": {
-            name: _clocked_system(parts, taken[name], latencies, schedules)
+            name: _clocked_system(parts, taken[name], latencies, returns)
             for name in CLOCKED_SYSTEMS
             if name in parts[0]["systems"]
         },
     }
-
-
-def _taken_paths(parts: Sequence[dict[str, Any]], schedules: Schedules) -> dict[str, list[str]]:
-    """Return the path of every interval by system; oracles know the clock and the truth."""
-    taken = {name: [name.upper()] * len(parts) for name in FIXED}
-    taken[POLICY] = [part["paths"][POLICY] for part in parts]
-    if BEST_PSNR in parts[0]["paths"]:
-        psnr = [_path_quality(part, schedules)[..., 0].mean(axis=-1) for part in parts]
-        taken[BEST_PSNR] = [_best_path(values) for values in psnr]
-        taken[BEST_RETURN] = [_best_path(_path_returns(part, schedules)) for part in parts]
-    return taken
-
-
-def _best_path(values: F64) -> str:
-    """Return the best path; of equal ones the last, which warps more."""
-    return list(PATHS)[len(PATHS) - 1 - int(np.argmax(values[::-1]))]
 
 
 def _shown_quality(part: Mapping[str, Any], interval: ClockedInterval) -> list[list[float]]:
@@ -206,22 +200,8 @@ def _shown_quality(part: Mapping[str, Any], interval: ClockedInterval) -> list[l
     return [scores[picture_at(interval.made_by, slot)][slot - 1] for slot in SLOTS]
 
 
-def _path_quality(part: Mapping[str, Any], schedules: Schedules) -> F64:
-    """Return PSNR and SSIM of what slots 1 to 3 of each path show, float64 [6, 3, 2]."""
-    return np.array([_shown_quality(part, schedules[path]) for path in PATHS], np.float64)
-
-
-def _path_returns(part: Mapping[str, Any], schedules: Schedules) -> F64:
-    """Return the sum of rewards of each path, float64 [6]."""
-    dropped = [len(SLOTS) - each.generated for each in schedules.values()]
-    return clocked_returns(_path_quality(part, schedules), dropped)
-
-
 def _clocked_system(
-    parts: Sequence[dict[str, Any]],
-    paths: Sequence[str],
-    latencies: Latencies,
-    schedules: Schedules,
+    parts: Sequence[dict[str, Any]], paths: Sequence[str], latencies: Latencies, returns: F64 | None
 ) -> dict[str, Any]:
     """Return what a system that takes these paths shows."""
     played = play(paths, latencies)
@@ -235,18 +215,15 @@ def _clocked_system(
         for part, interval in zip(parts, played, strict=True)
         for score in _shown_quality(part, interval)
     ]
-    mean_return = None
-    if parts[0]["returns"] is not None:  # else nothing was extrapolated
-        names = list(PATHS)
-        mean_return = mean(
-            float(_path_returns(part, schedules)[names.index(path)])
-            for part, path in zip(parts, paths, strict=True)
-        )
+    gains = []
+    if returns is not None:
+        columns = [list(PATHS).index(path) for path in paths]
+        gains = returns[np.arange(len(paths)), columns].tolist()
     return {
         "effective": effective_fps(played),
         "slots": {kind: slots[kind] for kind in (WARP, EXTRAPOLATE, *REASONS)},
         "psnr_db": mean(psnr for psnr, _ in quality),
         "ssim": mean(ssim for _, ssim in quality),
-        "return": mean_return,
+        "return": mean(gains),
         "decisions": count_decisions(paths),
     }

@@ -1,21 +1,22 @@
-"""Which sequences a benchmark measures, and how one is opened: files, networks, policy."""
+"""Which sequences a benchmark measures, how one is opened, and the frames that systems show."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from exwarp_cli.domain.decision import LOOKAHEAD
+from exwarp_cli.domain.decision import HOLD, LOOKAHEAD
 from exwarp_cli.domain.frame import Bool, Float32, place_on_canvas
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, UsageError
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
-from exwarp_cli.io.ffmpeg_filters import require_vmaf_size
-from exwarp_cli.io.footage import digest_frame, read_sequence_picture
+from exwarp_cli.io.ffmpeg_filters import minterpolate, require_vmaf_size
+from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.io.sequences import find_sequence
 from exwarp_cli.models.interpolator import OnnxInterpolator, load_interpolator
@@ -34,17 +35,23 @@ from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader
 from exwarp_cli.pipeline.job import require_state
 from exwarp_cli.pipeline.source import open_source
 from exwarp_cli.policy.state import LearnedPolicy
-from exwarp_cli.research.bench.system_frames import SystemFrames
 from exwarp_cli.research.bench.systems import (
+    CHOOSERS,
     EXTRANET,
     EXTRANET_FAST,
+    FIXED,
+    IMPORTED,
+    MINTERPOLATE,
     ONNX,
+    REPEATED,
     SLOTS,
     BenchSettings,
-    needs_network,
 )
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import DecisionSource, Method
+from exwarp_cli.synthesis.methods import METHODS, DecisionSource, Method, predict_path
+
+# Folder of what was measured, a file a key interval.
+PARTS = "parts"
 
 # What is read for it serves every system.
 EVERYTHING = Method("bench", None, lookahead=True, needs_motion=True, judge=DecisionSource.POLICY)
@@ -195,7 +202,7 @@ def load_networks(settings: BenchSettings, threads: int | None) -> Networks:
         When two interpolators have one name.
     """
     own = imported = look_ahead = None
-    if needs_network(settings.systems):
+    if any(name in CHOOSERS or name in FIXED[:-1] for name in settings.systems):
         own = load_extrapolator(settings.extrapolator, threads, settings.device)
     if settings.extranet is not None:
         imported = load_extrapolator(settings.extranet, threads, settings.device)
@@ -214,8 +221,73 @@ def load_networks(settings: BenchSettings, threads: int | None) -> Networks:
     return Networks(own, imported, look_ahead, interpolators)
 
 
+class SystemFrames:
+    """Frames of one key interval by the names of `systems`, each different one made once.
+
+    The interval comes with the next key frame, its past, and our network. `finish` brings pixels on
+    its window to what is judged.
+    """
+
+    def __init__(
+        self, interval: Interval, networks: Networks, finish: Callable[[Float32], Float32]
+    ) -> None:
+        self._interval, self._networks, self._finish = interval, networks, finish
+        self._frames: dict[str, Float32] = {}
+
+    def __getitem__(self, name: str) -> Float32:
+        """Return a picture, float32 [H, W, 3 or 4], scene-linear."""
+        if name not in self._frames:
+            self._frames[name] = self._finish(self._make(name))
+        return self._frames[name]
+
+    def _make(self, name: str) -> Float32:
+        interval = self._interval
+        if name.startswith(IMPORTED):
+            interval, name = self._with_imported, name.removeprefix(IMPORTED)
+        if name == REPEATED:
+            return _predict(HOLD, interval, 1)
+        if name == "W(E2)":
+            return predict_path("S4", interval, FACTOR - 1).pixels
+        if " " not in name:
+            slot = int(name[1])
+            if name[0] == "E":
+                return interval.extrapolated(slot)
+            return predict_path("S6", interval, slot).pixels
+        system, number = name.rsplit(" ", 1)
+        if system == MINTERPOLATE:
+            return self._interpolated_by_ffmpeg[int(number) - 1]
+        if system in self._networks.interpolators:
+            interval = replace(interval, interpolator=self._networks.interpolators[system])
+            system = "onnx"
+        return _predict(system, interval, int(number))
+
+    @cached_property
+    def _with_imported(self) -> Interval:
+        return replace(self._interval, extrapolator=self._networks.imported)
+
+    @cached_property
+    def _interpolated_by_ffmpeg(self) -> list[Float32]:
+        interval = self._interval
+        if interval.following is None:  # before a cut, where ffmpeg repeats the frame as well
+            return [_predict(HOLD, interval, slot) for slot in SLOTS]
+        older = interval.past[0].frame.image.pixels if interval.past else None
+        before, after = interval.key.image.pixels, interval.following.image.pixels
+        alpha = before[..., 3:]  # which ffmpeg does not make, and no score judges
+        frames = minterpolate(older, before, after)
+        return [np.concatenate([frame, alpha], axis=-1) for frame in frames]
+
+
+def _predict(method: str, interval: Interval, slot: int) -> Float32:
+    predict = METHODS[method].predict
+    assert predict is not None
+    return predict(interval, slot).pixels
+
+
 class OpenedSubject:
     """A subject, ready to be read interval by interval.
+
+    `keys` are the indices of the key frames that are measured: those with another one and truth
+    after. `numbers` are the numbers of all key frames. `parts` is where the parts of it lie.
 
     Raises
     ------
@@ -225,89 +297,69 @@ class OpenedSubject:
 
     def __init__(self, subject: Subject, settings: BenchSettings, networks: Networks) -> None:
         self.subject, self.settings, self.networks = subject, settings, networks
+        # Names of all systems that are compared.
+        self.systems = (*settings.systems, *networks.systems)
         self.source = open_source(subject.source)
-        keys = self.source.keys
+        keys, timeline = self.source.keys, self.source.timeline
+        self.display, self.numbers = keys.display, timeline.numbers
         if "vmaf" in settings.metrics:
             require_vmaf_size(keys.display.height, keys.display.width, keys.sequence.pattern)
-        self._truth = find_truth(subject.truth, self.source)
+        self.truth_sequence, self._truth_number = find_truth(subject.truth, self.source)
         self.policy = require_state(load_policy(subject.policy))
         self.restart()
+        last = len(self.numbers) - 1
+        usable = [
+            key
+            for key in timeline.select(settings.frames)
+            if key < last and self.truth_numbers(key).keys() >= set(SLOTS)
+        ]
+        if not usable:
+            raise MissingFrameError(
+                f"no key frame of {keys.sequence.pattern} that was asked for has "
+                "ground truth at its three slots and a key frame after it; give longer sequences"
+            )
+        self.keys = tuple(usable[:: settings.every])
+        name = "".join(c if c.isalnum() or c in "-_." else "_" for c in subject.name)
+        size = f"{self.display.width}x{self.display.height}"
+        self.parts = settings.output / PARTS / f"{name}-{size}-{subject.setting}"
 
     def restart(self) -> None:
         """Forget what was read: the next interval need not follow the last one."""
         asked = UpsampleSettings(self.subject.source, "", EVERYTHING.name)
-        display = self.source.keys.display
-        self._reader = IntervalReader(self.source, EVERYTHING, asked)
+        self.reader = IntervalReader(self.source, EVERYTHING, asked)
         extrapolator = self.networks.own or self.networks.imported
-        self.builder = IntervalBuilder(display, extrapolator, self.networks.look_ahead)
-        self.observer = Observer(display, self.source.setting)
+        self.builder = IntervalBuilder(self.display, extrapolator, self.networks.look_ahead)
+        self.observer = Observer(self.display, self.source.setting)
         self.chooser = LearnedPolicy(self.policy.network)
-
-    @property
-    def systems(self) -> tuple[str, ...]:
-        """Names of all systems that are compared."""
-        return (*self.settings.systems, *self.networks.systems)
-
-    @property
-    def keys(self) -> tuple[int, ...]:
-        """Indices of the key frames that are measured: those with another one and truth after."""
-        selected = self.source.timeline.select(self.settings.frames)
-        last = len(self.source.timeline.numbers) - 1
-        usable = [
-            key
-            for key in selected
-            if key < last and all(self._truth_number(key, slot) is not None for slot in SLOTS)
-        ]
-        if not usable:
-            raise MissingFrameError(
-                f"no key frame of {self.source.keys.sequence.pattern} that was asked for has "
-                "ground truth at its three slots and a key frame after it; give longer sequences"
-            )
-        return tuple(usable[:: self.settings.every])
-
-    def load(self, key: int, needed: Callable[[dict[int, str]], bool]) -> IntervalInputs:
-        """Read a key interval, unless its recipes show that it is not needed."""
-        return self._reader.read(key, lambda _key, recipes: needed(recipes))
 
     def frames(self, inputs: IntervalInputs, interval: Interval) -> SystemFrames:
         """Return what systems show, as files would hold it."""
-        canvas, display = interval.key.image.data_window, self.source.keys.display
+        canvas, template = interval.key.image.data_window, inputs.metadata.template
 
         def finish(pixels: Float32) -> Float32:
-            return place_on_canvas(
-                quantise_picture(pixels, inputs.metadata.template), canvas, display
-            )
+            return place_on_canvas(quantise_picture(pixels, template), canvas, self.display)
 
-        return SystemFrames(interval, finish, self.networks.imported, self.networks.interpolators)
+        return SystemFrames(interval, self.networks, finish)
+
+    def truth_numbers(self, key: int) -> dict[int, int]:
+        """Return the numbers of the ground truth of slots 0 to 4; 4 is the next key frame's."""
+        slots = (Slot(key + index // FACTOR, index % FACTOR) for index in range(FACTOR + 1))
+        numbers = enumerate(map(self._truth_number, slots))
+        return {index: number for index, number in numbers if number is not None}
 
     def truth(self, key: int) -> dict[int, Float32]:
         """Read the ground truth of slots 0 to 4 where there is one, on the display window."""
         frames = {}
-        for index in range(FACTOR + 1):
-            number = self._truth_number(key, index)
-            if number is not None:
-                image = read_sequence_picture(self._truth[0], number, self.source.keys.view)
-                frames[index] = image.on(image.display_window).pixels
+        for index, number in self.truth_numbers(key).items():
+            image = read_sequence_picture(self.truth_sequence, number, self.source.keys.view)
+            frames[index] = image.on(image.display_window).pixels
         return frames
-
-    def truth_digests(self, key: int) -> list[str]:
-        """Return digests of what the ground truth's frames depend on."""
-        numbers = [self._truth_number(key, index) for index in range(FACTOR + 1)]
-        return [digest_frame(self._truth[0], n) for n in numbers if n is not None]
 
     def masks(self, interval: Interval) -> dict[int, Bool]:
         """Return the holes of W at slots 1 to 3, on the display window."""
-        canvas, display = interval.key.image.data_window, self.source.keys.display
+        canvas = interval.key.image.data_window
         return {
-            slot: np.asarray(place_on_canvas(mask, canvas, display))
+            slot: np.asarray(place_on_canvas(mask, canvas, self.display))
             for slot in SLOTS
             if (mask := interval.hole_mask(slot)) is not None
         }
-
-    def number(self, key: int) -> int:
-        """Return the input number of a key frame."""
-        return self.source.timeline.numbers[key]
-
-    def _truth_number(self, key: int, index: int) -> int | None:
-        """Return the number of the ground truth of a slot; index 4 is the next key frame's."""
-        return self._truth[1](Slot(key + index // FACTOR, index % FACTOR))

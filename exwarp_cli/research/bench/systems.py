@@ -7,7 +7,7 @@ the extrapolated frame of slot 2 warped to slot 3. Those of other systems are ``
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -107,16 +107,6 @@ class BenchSettings:
 def is_lookahead(system: str) -> bool:
     """Return whether a system waits for the next key frame."""
     return system in WAITING or system.startswith(ONNX)
-
-
-def needs_network(systems: Iterable[str]) -> bool:
-    """Return whether any of the systems may extrapolate."""
-    return any(name in CHOOSERS or name in FIXED[:-1] for name in systems)
-
-
-def describe_system(name: str) -> str:
-    """Say what a system is."""
-    return f"network {name.removeprefix(ONNX)}" if name.startswith(ONNX) else ABOUT[name]
 
 
 def parse_names(text: str | None) -> tuple[str, ...]:

@@ -158,7 +158,7 @@ def deliver(frame: KeyFrame, look: Look, rng: np.random.Generator) -> KeyFrame:
     if look.tones == "8-bit":
         code = np.round(SRGB.to_code(pixels[..., :3].clip(0, 1)) * 255) / np.float32(255)
         pixels = _with_colour(pixels, SRGB.to_linear(code.astype(np.float32)))
-    gbuffer = None if frame.gbuffer is None else _geometry(frame.gbuffer, look)
+    gbuffer = None if frame.gbuffer is None else _deliver_geometry(frame.gbuffer, look)
     return replace(frame, image=replace(image, pixels=pixels), gbuffer=gbuffer)
 
 
@@ -178,22 +178,24 @@ def with_tones(image: Image, look: Look) -> Image:
     elif look.tones == "8-bit":
         colour = colour.clip(0, 1)
     if look.sharpened:
-        detail = colour - _blurred(colour)
-        colour = np.maximum(colour + np.float32(look.sharpened) * detail, 0)
+        # Against the mean of each pixel and its neighbours, (1, 2, 1) / 4 along both axes.
+        padded = np.pad(colour, ((1, 1), (1, 1), (0, 0)), "edge")
+        rows = (padded[:-2] + 2 * padded[1:-1] + padded[2:]) / np.float32(4)
+        blurred = (rows[:, :-2] + 2 * rows[:, 1:-1] + rows[:, 2:]) / np.float32(4)
+        colour = np.maximum(colour + np.float32(look.sharpened) * (colour - blurred), 0)
     return replace(image, pixels=_with_colour(image.pixels, colour))
 
 
-def _blurred(colour: Float32) -> Float32:
-    """Return the weighted mean of each pixel and its neighbours, (1, 2, 1) / 4 along both axes."""
-    padded = np.pad(colour, ((1, 1), (1, 1), (0, 0)), "edge")
-    rows = (padded[:-2] + 2 * padded[1:-1] + padded[2:]) / np.float32(4)
-    blurred: Float32 = (rows[:, :-2] + 2 * rows[:, 1:-1] + rows[:, 2:]) / np.float32(4)
-    return blurred
-
-
-def _geometry(gbuffer: GBuffer, look: Look) -> GBuffer:
+def _deliver_geometry(gbuffer: GBuffer, look: Look) -> GBuffer:
     if look.aliased:
-        gbuffer = _every_second(gbuffer)
+        parts = ((part.name, getattr(gbuffer, part.name)) for part in fields(gbuffer))
+        arrays = {name: part[::2, ::2] for name, part in parts if isinstance(part, np.ndarray)}
+        if gbuffer.bend is not None:
+            arrays["bend"] = gbuffer.bend[:, ::2, ::2]
+        for name in ("to_previous", "to_next", "bend"):
+            if name in arrays:
+                arrays[name] = arrays[name] / np.float32(2)
+        gbuffer = replace(gbuffer, window=_halved(gbuffer.window), **arrays)
     missing = (*look.missing, "depth") if look.depth == "absent" else look.missing
     gbuffer = gbuffer.without(*missing)
     return replace(
@@ -225,17 +227,6 @@ def _vectors(vectors: Float32 | None, kind: str) -> Float32 | None:
     if kind == "half":
         return vectors.astype(np.float16).astype(np.float32)
     return np.round(vectors * STEPS_A_PIXEL) / np.float32(STEPS_A_PIXEL)
-
-
-def _every_second(gbuffer: GBuffer) -> GBuffer:
-    parts = ((part.name, getattr(gbuffer, part.name)) for part in fields(gbuffer))
-    arrays = {name: part[::2, ::2] for name, part in parts if isinstance(part, np.ndarray)}
-    if gbuffer.bend is not None:
-        arrays["bend"] = gbuffer.bend[:, ::2, ::2]
-    for name in ("to_previous", "to_next", "bend"):
-        if name in arrays:
-            arrays[name] = arrays[name] / np.float32(2)
-    return replace(gbuffer, window=_halved(gbuffer.window), **arrays)
 
 
 def _halved(window: Window) -> Window:

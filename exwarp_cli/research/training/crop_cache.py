@@ -122,10 +122,15 @@ def choose_frames(
     rng = _generator(seed, manifest.scene, 0)
     can_halve = min(manifest.width, manifest.height) >= 2 * side
     variants = [Variant(p, backwards=b) for p in range(FACTOR) for b in (False, True)]
-    places = {
-        setting: [(v, k) for v in variants for k in _whole_intervals(v, manifest, setting)]
-        for setting in SETTINGS
-    }
+    places: dict[str, list[tuple[Variant, int]]] = {setting: [] for setting in SETTINGS}
+    for variant in variants:
+        instants = variant.order(manifest.instants.count)
+        for k in range(len(instants) // FACTOR):
+            places["slot"].append((variant, k))
+            # With key G-buffers alone the motion to the next key frame has to be known too: without
+            # it W is some decibels worse, as it is for users at the last key frame only.
+            if FACTOR * (k + 1) < len(instants) or manifest.has_key(instants[FACTOR * k]):
+                places["key"].append((variant, k))
     choices = []
     for _ in range(frames):
         setting = str(rng.choice(list(SETTINGS), p=list(SETTINGS.values())))
@@ -139,17 +144,6 @@ def choose_frames(
         choices.append(FrameChoice(variant, k, slot, setting, draw_look(rng, can_halve)))
     order = {variant: i for i, variant in enumerate(variants)}
     return sorted(choices, key=lambda c: (order[c.variant], c.k, c.setting, c.slot))
-
-
-def _whole_intervals(variant: Variant, manifest: SceneManifest, setting: str) -> list[int]:
-    # With key G-buffers alone the motion to the next key frame has to be known too: without it W
-    # is some decibels worse, as it is for users at the last key frame only.
-    order = variant.order(manifest.instants.count)
-    return [
-        k
-        for k in range(len(order) // FACTOR)
-        if setting == "slot" or FACTOR * (k + 1) < len(order) or manifest.has_key(order[FACTOR * k])
-    ]
 
 
 def cut_crops(scene: RenderedScene, settings: ExtrapolatorSettings) -> dict[str, np.ndarray]:
@@ -178,8 +172,15 @@ def cut_crops(scene: RenderedScene, settings: ExtrapolatorSettings) -> dict[str,
         truth = clip.truth(choice.k, choice.slot).on(view).pixels[..., :3]
         planes = _training_planes(interval.prepared(choice.slot), truth)
         weight = _crop_weight(interval, choice.slot)
+        total = np.cumsum(weight.ravel(), dtype=np.float64)
         for _ in range(CROPS):
-            y, x = _draw_corner(weight, side, rng)
+            # A crop is drawn by the weight of its middle.
+            index = int(np.searchsorted(total, rng.random() * total[-1]))
+            middle = divmod(min(index, weight.size - 1), weight.shape[1])
+            y, x = (
+                int(np.clip(place - side // 2, 0, size - side))
+                for place, size in zip(middle, weight.shape, strict=True)
+            )
             for name, array in planes.items():
                 crops.setdefault(name, []).append(array[:, y : y + side, x : x + side].copy())
             crops.setdefault("time", []).append(np.array(choice.slot / FACTOR, np.float32))
@@ -207,22 +208,20 @@ def _training_planes(prepared: Prepared, truth: Float32) -> dict[str, np.ndarray
     inputs = prepared.inputs.part(slice(None), slice(None))
     history = inputs.history.reshape(HISTORY_FRAMES, 4, *inputs.history.shape[1:])
     colour = np.concatenate([inputs.warped[3:], *history[:, :3]])
-    modulation = prepared.modulation
-    if modulation is None:
-        modulation = np.ones_like(truth)
+    modulation = np.ones_like(truth) if prepared.modulation is None else prepared.modulation
     # What was not rendered rightly is nothing to learn from.
     truth = np.where(np.isfinite(truth), truth, prepared.finish(inputs.warped[3:])[..., :3])
+    modulation, truth = (
+        np.clip(linear, -MOST_LINEAR, MOST_LINEAR).transpose(2, 0, 1)
+        for linear in (modulation, truth)
+    )
     return {
         "colour": colour.astype(np.float16),
         "mask": history[:, 3].astype(np.uint8),
         "features": inputs.features.astype(np.float16),
-        "modulation": _half_planes(modulation),
-        "target": _half_planes(truth),
+        "modulation": modulation.astype(np.float16),
+        "target": truth.astype(np.float16),
     }
-
-
-def _half_planes(linear: Float32) -> np.ndarray:
-    return np.clip(linear, -MOST_LINEAR, MOST_LINEAR).transpose(2, 0, 1).astype(np.float16)
 
 
 def _crop_weight(interval: Interval, slot: int) -> Float32:
@@ -235,33 +234,6 @@ def _crop_weight(interval: Interval, slot: int) -> Float32:
     if back.hole.any():
         weight += IN_HOLES / (1 - IN_HOLES) * back.hole / back.hole.sum()
     return np.asarray(weight, np.float32)
-
-
-def _draw_corner(weight: Float32, side: int, rng: np.random.Generator) -> tuple[int, int]:
-    """Draw the upper left corner (row, column) of a crop by the weight of its middle."""
-    height, width = weight.shape
-    total = np.cumsum(weight.ravel(), dtype=np.float64)
-    index = int(np.searchsorted(total, rng.random() * total[-1]))
-    y, x = divmod(min(index, weight.size - 1), width)
-    return (
-        int(np.clip(y - side // 2, 0, height - side)),
-        int(np.clip(x - side // 2, 0, width - side)),
-    )
-
-
-def crops_folder(scene: RenderedScene, settings: ExtrapolatorSettings, cache: Path) -> Path:
-    """Return where in a cache a scene's crops lie; those of other settings lie beside them."""
-    decisive = {"frames": settings.frames, "side": settings.side, "seed": settings.seed}
-    token = {
-        "version": VERSION, "crops": CROPS, "settings": decisive,
-        "manifest": asdict(scene.manifest),
-    }  # fmt: skip
-    return cache / f"{scene.name}-{digest_of(token)}"
-
-
-def write_crops(scene: RenderedScene, settings: ExtrapolatorSettings, folder: Path) -> None:
-    """Make a scene's crops (:func:`cut_crops`) and write them, see `write_arrays`."""
-    write_arrays(cut_crops(scene, settings), folder)
 
 
 def digest_of(token: Mapping[str, object]) -> str:
@@ -300,9 +272,11 @@ class CachedArrays(ABC):
     The array "time" has one number for each sample.
     """
 
-    def __init__(self, folders: Sequence[Path], names: Sequence[str]) -> None:
+    names: tuple[str, ...]  # of the arrays
+
+    def __init__(self, folders: Sequence[Path]) -> None:
         self._files = [
-            {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in names}
+            {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in self.names}
             for folder in folders
         ]
         counts = [len(files["time"]) for files in self._files]
@@ -311,12 +285,27 @@ class CachedArrays(ABC):
     def __len__(self) -> int:
         return len(self._places)
 
+    @staticmethod
+    @abstractmethod
+    def folder_of(scene: RenderedScene, settings: Any, cache: Path) -> Path:
+        """Return where in a cache a scene's arrays lie; those of other settings lie beside them."""
+
+    @staticmethod
+    @abstractmethod
+    def write(scene: RenderedScene, settings: Any, folder: Path) -> None:
+        """Make a scene's arrays and write them, see `write_arrays`."""
+
     @abstractmethod
     def draw(self, step: int, size: int, side: int, seed: int) -> Any:
         """Return the batch of a step of training: `size` patches of `side` pixels, varied.
 
         The seed and the step alone decide the order and the changes.
         """
+
+    def spread(self, count: int) -> list[int]:
+        """Return the indices of at most `count` samples, evenly apart."""
+        places = np.linspace(0, len(self) - 1, min(count, len(self)))
+        return [int(index) for index in np.unique(places.astype(int))]
 
     def draw_index(self, n: int, seed: int) -> int:
         """Return the index of the n-th sample that is drawn: a permutation, then another one."""
@@ -362,10 +351,24 @@ class Batch:
 
 
 class Crops(CachedArrays):
-    """All crops of some folders."""
+    """All crops of some folders, see :func:`cut_crops`."""
 
-    def __init__(self, folders: Sequence[Path]) -> None:
-        super().__init__(folders, CROP_ARRAYS)
+    names = CROP_ARRAYS
+
+    @staticmethod
+    def folder_of(scene: RenderedScene, settings: ExtrapolatorSettings, cache: Path) -> Path:
+        """Return where in a cache a scene's crops lie."""
+        decisive = {"frames": settings.frames, "side": settings.side, "seed": settings.seed}
+        token = {
+            "version": VERSION, "crops": CROPS, "settings": decisive,
+            "manifest": asdict(scene.manifest),
+        }  # fmt: skip
+        return cache / f"{scene.name}-{digest_of(token)}"
+
+    @staticmethod
+    def write(scene: RenderedScene, settings: ExtrapolatorSettings, folder: Path) -> None:
+        """Make a scene's crops and write them."""
+        write_arrays(cut_crops(scene, settings), folder)
 
     def batch(self, indices: Sequence[int], patches: Sequence[Patch] | None = None) -> Batch:
         """Return crops as they are cached, or a patch of each."""
@@ -441,18 +444,7 @@ def vary(batch: Batch, rng: np.random.Generator) -> Batch:
         torch.cat([recolour(frame[:, :3]), place(frame[:, 3:])], 1)
         for frame in torch.split(batch.history, 4, 1)
     ]
-    return Batch(
-        warped=torch.cat([recolour(batch.warped[:, :3]), recolour(batch.warped[:, 3:])], 1),
-        mask=place(batch.mask),
-        features=_vary_features(place(batch.features), rng),
-        history=torch.cat(frames, 1),
-        time=batch.time,
-        modulation=place(batch.modulation)[:, order],
-        target=place(batch.target)[:, order] * gain,
-    )
-
-
-def _vary_features(features: Tensor, rng: np.random.Generator) -> Tensor:
+    features = place(batch.features)
     axes, signs = rng.permutation(3).tolist(), rng.choice([-1.0, 1.0], 3)
     normal = features[:, axes] * features.new_tensor(signs).reshape(1, 3, 1, 1)
     surface = features[:, 3:].clone()
@@ -462,4 +454,12 @@ def _vary_features(features: Tensor, rng: np.random.Generator) -> Tensor:
         surface[:, 0] = UNKNOWN_DEPTH
     if rng.random() < NO_MATERIAL:
         surface[:, 1], surface[:, 2] = UNKNOWN_ROUGHNESS, UNKNOWN_METALLIC
-    return torch.cat([normal, surface], 1)
+    return Batch(
+        warped=torch.cat([recolour(batch.warped[:, :3]), recolour(batch.warped[:, 3:])], 1),
+        mask=place(batch.mask),
+        features=torch.cat([normal, surface], 1),
+        history=torch.cat(frames, 1),
+        time=batch.time,
+        modulation=place(batch.modulation)[:, order],
+        target=place(batch.target)[:, order] * gain,
+    )

@@ -25,10 +25,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from exwarp_cli.domain.network_api import HISTORY_FRAMES
+from exwarp_cli.domain.network_api import EXTRAPOLATOR_INTERFACE, HISTORY_FRAMES
 from exwarp_cli.errors import DamagedFileError, LayoutError, OutputExistsError, UsageError
 from exwarp_cli.io.files import make_folder
-from exwarp_cli.research.training.onnx_export import export_extrapolator
+from exwarp_cli.research.training.onnx_export import export_network
 from exwarp_cli.research.training.resumable_training import read_tensors
 
 # Height and width must be multiples of this: the network halves them three times.
@@ -153,16 +153,12 @@ class ExtraNet(nn.Module):
         full = torch.relu(self.bn2(self.conv2(x)))
         half = self.down1(full)
         quarter = self.down2(half)
-        eighth = torch.cat([self.down3(quarter), self._motion(history)], dim=1)
+        encoded = self.convHis3(self.convHis2(self.convHis1(torch.cat(list(history)))))
+        motion = self.lowlevelGated(torch.cat(encoded.chunk(HISTORY_FRAMES), dim=1))
+        eighth = torch.cat([self.down3(quarter), motion], dim=1)
         x = self.up3(self.up2(self.up1(eighth, quarter), half), full)
         answer: Tensor = self.outc(x) + pictures[:, :3]
         return answer
-
-    def _motion(self, history: Sequence[Tensor]) -> Tensor:
-        """Return what the history tells, [N, 32, H / 8, W / 8]."""
-        encoded = self.convHis3(self.convHis2(self.convHis1(torch.cat(list(history)))))
-        motion: Tensor = self.lowlevelGated(torch.cat(encoded.chunk(HISTORY_FRAMES), dim=1))
-        return motion
 
 
 class ExtraNetAdapter(nn.Module):
@@ -249,7 +245,9 @@ def import_extranet(checkpoint: Path, model: Path, *, overwrite: bool) -> None:
     network = read_extranet(checkpoint)
     make_folder(model.parent)
     about = f"ExtraNet (Guo et al. 2021), imported from {checkpoint.name}"
-    export_extrapolator(ExtraNetAdapter(network), model, stride=STRIDE, about=about)
+    export_network(
+        ExtraNetAdapter(network), model, EXTRAPOLATOR_INTERFACE, stride=STRIDE, about=about
+    )
 
 
 def read_extranet(path: Path) -> ExtraNet:
@@ -273,20 +271,12 @@ def read_extranet(path: Path) -> ExtraNet:
         if isinstance(tensor, Tensor)
     }
     network = ExtraNet()
-    _require_same_layers(path, tensors, network.state_dict())
-    network.load_state_dict(tensors)
-    return network.eval()
-
-
-def _require_same_layers(
-    path: Path, tensors: dict[str, Tensor], expected: dict[str, Tensor]
-) -> None:
-    """Refuse what does not fit, naming the first tensor and how many more there are."""
-    shared = [name for name in expected if name in tensors]
+    wanted = network.state_dict()
+    shared = [name for name in wanted if name in tensors]
     faults = (
-        ("lacks", [name for name in expected if name not in tensors]),
-        ("has a tensor that ExtraNet has not:", [name for name in tensors if name not in expected]),
-        ("has another shape of", [n for n in shared if tensors[n].shape != expected[n].shape]),
+        ("lacks", [name for name in wanted if name not in tensors]),
+        ("has a tensor that ExtraNet has not:", [name for name in tensors if name not in wanted]),
+        ("has another shape of", [n for n in shared if tensors[n].shape != wanted[n].shape]),
         ("has values that are not finite in",
          [name for name in shared if not torch.isfinite(tensors[name]).all()]),
     )  # fmt: skip
@@ -296,3 +286,5 @@ def _require_same_layers(
             raise LayoutError(
                 f"{path} {fault} {names[0]}{more}; give the file of ExtraNet's release"
             )
+    network.load_state_dict(tensors)
+    return network.eval()

@@ -179,7 +179,9 @@ class ExtrapolationNetwork(nn.Module):
         when = time.reshape(-1, 1, 1, 1)
         plane = torch.zeros_like(mask) + when
         inputs = torch.cat([warped, mask, features, history, plane], 1)
-        sides = self._sides(filled, mask)
+        sides = []
+        if a.reach:
+            sides = [_first_visible(filled, mask, side, a.reach) for side in SIDES]
         answer = self.net(torch.cat([inputs, *sides], 1))
         if self.detail is not None:
             answer = self.detail(torch.cat([answer, inputs], 1))
@@ -187,7 +189,10 @@ class ExtrapolationNetwork(nn.Module):
             return torch.add(filled, answer)
         parts = [self.candidate_count, 2 * a.flow]
         logits, flow, colour = torch.split(answer, [*parts, answer.shape[1] - sum(parts)], 1)
-        weights = torch.split(_softmax(logits.float()), 1, 1)
+        # The softmax over channels; onnxruntime's own transposes every plane for it.
+        logits = logits.float()
+        powers = torch.exp(logits - logits.amax(1, keepdim=True))
+        weights = torch.split(powers / powers.sum(1, keepdim=True), 1, 1)
         out = torch.zeros_like(filled)
         candidates = self._candidates(filled, history, when, flow.float(), sides)
         for weight, candidate in zip(weights, candidates, strict=True):
@@ -196,20 +201,15 @@ class ExtrapolationNetwork(nn.Module):
             out = out + (1 - mask) * colour
         elif a.residual:
             out = out + colour
-        return self._with_detail(filled, mask, out) if a.light else out
-
-    def _with_detail(self, filled: Tensor, mask: Tensor, answer: Tensor) -> Tensor:
-        """Return the answer in holes; elsewhere the filled warp with the light of the answer."""
-        # Renders that networks learn from have noise, and a mean of candidates is the best guess
-        # of what has noise: without this, clean frames came out 14 % softer than the truth.
-        change = torch.cat([mask * (answer - filled), mask], 1)
-        change, visible = torch.split(_window_mean(change, self.architecture.light), [3, 1], 1)
+        if not a.light:
+            return out
+        # Outside of holes the filled warp gets the light of the answer. Renders that networks learn
+        # from have noise, and a mean of candidates is the best guess of what has noise: without
+        # this, clean frames came out 14 % softer than the truth.
+        change = torch.cat([mask * (out - filled), mask], 1)
+        change, visible = torch.split(_window_mean(change, a.light), [3, 1], 1)
         lit = filled + change / visible.clamp_min(LEAST_VISIBLE)
-        return torch.where(mask > 0, lit, answer)
-
-    def _sides(self, filled: Tensor, mask: Tensor) -> list[Tensor]:
-        reach = self.architecture.reach
-        return [_first_visible(filled, mask, side, reach) for side in SIDES] if reach else []
+        return torch.where(mask > 0, lit, out)
 
     def _candidates(
         self, filled: Tensor, history: Tensor, when: Tensor, flow: Tensor, sides: list[Tensor]
@@ -231,12 +231,6 @@ class ExtrapolationNetwork(nn.Module):
         for index in range(a.flow):
             out.append(_sample(filled, flow[:, 2 * index : 2 * index + 2]))
         return out + [side[:, :3] for side in sides]
-
-
-def _softmax(logits: Tensor) -> Tensor:
-    """Return the softmax over channels; onnxruntime's own transposes every plane for it."""
-    powers = torch.exp(logits - logits.amax(1, keepdim=True))
-    return powers / powers.sum(1, keepdim=True)
 
 
 def _neighbours(frame: Tensor, radius: int) -> list[Tensor]:

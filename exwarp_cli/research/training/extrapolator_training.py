@@ -6,8 +6,7 @@ what a smaller one has learned (Net2Net, Chen et al. 2016).
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,22 +15,16 @@ import torch
 from onnx import numpy_helper
 from torch import Tensor, nn
 
+from exwarp_cli.domain.network_api import EXTRAPOLATOR_INTERFACE
 from exwarp_cli.errors import DamagedFileError, LayoutError
-from exwarp_cli.io.dataset import RenderedScene
-from exwarp_cli.research.training.crop_cache import (
-    Batch,
-    CachedArrays,
-    Crops,
-    crops_folder,
-    write_crops,
-)
+from exwarp_cli.research.training.crop_cache import Batch, CachedArrays, Crops
 from exwarp_cli.research.training.extrapolation_network import (
     STRIDE,
     ExtrapolationNetwork,
     GatedConvolution,
     build_network,
 )
-from exwarp_cli.research.training.onnx_export import export_extrapolator
+from exwarp_cli.research.training.onnx_export import export_network
 from exwarp_cli.research.training.resumable_training import (
     WARM_UP,
     DrawnBatches,
@@ -44,9 +37,6 @@ from exwarp_cli.research.training.training_settings import ExtrapolatorSettings,
 from exwarp_cli.runtime.stop import check_stop
 
 MODEL = "extrapolator.onnx"
-
-# What the learning rate ends at, as a share of its highest.
-LEAST_RATE = 0.02
 
 # Crops, at most, that validation looks at, and how many at a time.
 VALIDATED = 192
@@ -85,9 +75,12 @@ class ExtrapolatorTraining(ResumableTraining):
     network: ExtrapolationNetwork
     average: ExtrapolationNetwork
     settings: ExtrapolatorSettings
+    samples = Crops
     weight_decay = 0.01
     largest_gradient = 0.3
+    least_rate = 0.02
     columns = ("step", "seconds", "loss", "rate", "gain_db", "gain_holes_db")
+    scores_text = "{:+.2f} dB over the filled warp, {:+.2f} dB in holes"
 
     def __init__(self, folder: Path, settings: ExtrapolatorSettings, say: Say) -> None:
         require_sane(settings)
@@ -113,15 +106,6 @@ class ExtrapolatorTraining(ResumableTraining):
                 "give its --architecture and --width, or another --start"
             ) from error
 
-    def _sample_folder(self, scene: RenderedScene, cache: Path) -> Path:
-        return crops_folder(scene, self.settings, cache)
-
-    def _write_samples(self, scene: RenderedScene, folder: Path) -> None:
-        write_crops(scene, self.settings, folder)
-
-    def _open_samples(self, folders: Sequence[Path]) -> Crops:
-        return Crops(folders)
-
     def run(self, samples: CachedArrays, held_out: CachedArrays, every: int) -> None:
         """Train to the end; a checkpoint and a row of the curve every so many steps."""
         scenes = self.settings.scenes
@@ -144,7 +128,7 @@ class ExtrapolatorTraining(ResumableTraining):
             f"ExWarp extrapolation network, {self.settings.architecture}, {self.step} steps on "
             f"{len(self.settings.scenes['training'])} scenes, seed {self.settings.seed}"
         )
-        export_extrapolator(self.average, path, stride=STRIDE, about=about)
+        export_network(self.average, path, EXTRAPOLATOR_INTERFACE, stride=STRIDE, about=about)
         return path
 
     def _loss(self, batch: Batch) -> Tensor:
@@ -153,35 +137,24 @@ class ExtrapolatorTraining(ResumableTraining):
         colour = batch.finish(answer.float())
         return loss_of(colour, batch.target, batch.plain, batch.mask)
 
-    def _rate(self) -> float:
-        # A straight rise, then half a cosine.
-        if self.step < WARM_UP:
-            return self.settings.rate * (self.step + 1) / WARM_UP
-        done = (self.step - WARM_UP) / max(1, self.settings.steps - WARM_UP)
-        wave = 0.5 * (1 + math.cos(math.pi * done))
-        return self.settings.rate * (LEAST_RATE + (1 - LEAST_RATE) * wave)
+    def _decayed(self) -> float:
+        return (self.step - WARM_UP) / max(1, self.settings.steps - WARM_UP)
 
     @torch.no_grad()
     def _validate(self, samples: Crops) -> tuple[float, float]:
         """Return by how many dB the network is above the filled warp: overall, and in holes."""
         self.average.eval()
-        count = min(VALIDATED, len(samples))
-        indices = np.unique(np.linspace(0, len(samples) - 1, count).astype(int))
+        indices = samples.spread(VALIDATED)
         gains: list[float] = []
         gains_in_holes: list[float] = []
         for first in range(0, len(indices), VALIDATION_BATCH):
             check_stop()
-            chosen = indices[first : first + VALIDATION_BATCH].tolist()
-            batch = samples.batch(chosen).to(self.device)
+            batch = samples.batch(indices[first : first + VALIDATION_BATCH]).to(self.device)
             colour, plain = batch.finish(self.average(*batch.inputs)), batch.plain
             for where, rows in ((None, gains), (1 - batch.mask, gains_in_holes)):
                 gain = psnr(colour, batch.target, where) - psnr(plain, batch.target, where)
                 rows += gain.tolist()
         return float(np.nanmean(gains)), float(np.nanmean(gains_in_holes))
-
-    def _scores_text(self, *scores: float) -> str:
-        gain, in_holes = scores
-        return f"{gain:+.2f} dB over the filled warp, {in_holes:+.2f} dB in holes"
 
 
 def _is_bfloat16_fast(device: str) -> bool:
@@ -237,7 +210,7 @@ def psnr(colour: Tensor, truth: Tensor, where: Tensor | None = None) -> Tensor:
 
 
 def load_exported(path: Path, network: ExtrapolationNetwork) -> None:
-    """Take the weights of a model that `export_extrapolator` wrote.
+    """Take the weights of a model that `export_network` wrote.
 
     The network is of the same architecture and width; in evaluation it answers as the model does.
     Raises KeyError or ValueError when the model has other layers, and InputError when the file

@@ -1,4 +1,4 @@
-"""The look-ahead network and its training.
+"""The look-ahead network, the samples of rendered scenes that it learns from, and its training.
 
 A U-Net weighs what both key frames show of each pixel of a slot. After Briedis and others,
 "Kernel-Based Frame Interpolation for Spatio-Temporally Adaptive Rendering", SIGGRAPH 2023, with
@@ -8,7 +8,9 @@ kernels of one pixel: weights, softmax over candidates, are made once for all la
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,23 +18,27 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from exwarp_cli.domain.network_api import CANDIDATES, LOOKAHEAD_INTERFACE, SIDES
+from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.network_api import (
+    CANDIDATES,
+    LOOKAHEAD_INTERFACE,
+    SIDES,
+    LazyInputs,
+    Tile,
+    TileSpan,
+)
+from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.dataset import RenderedScene
+from exwarp_cli.research.training.augmentation import PLAIN, Look, Variant, draw_look
+from exwarp_cli.research.training.crop_cache import CachedArrays, digest_of, write_arrays
 from exwarp_cli.research.training.extrapolation_network import LEAK, STRIDE, UNet
-from exwarp_cli.research.training.lookahead_samples import (
-    SampleBatch,
-    Samples,
-    samples_folder,
-    write_samples,
-)
 from exwarp_cli.research.training.onnx_export import export_network
-from exwarp_cli.research.training.resumable_training import (
-    WARM_UP,
-    ResumableTraining,
-    read_checkpoint,
-)
+from exwarp_cli.research.training.resumable_training import ResumableTraining, read_checkpoint
+from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.research.training.training_settings import LookAheadSettings
+from exwarp_cli.runtime.stop import check_stop
+from exwarp_cli.synthesis.warp import linear_to_srgb
 
 MODEL = "lookahead.onnx"
 
@@ -58,8 +64,8 @@ CERTAIN = 2.0
 # scenes in the mean, and lost 0.07 on one: it is surer than it should be on unknown scenes.
 SHARE = 0.6
 
-# Share of the steps for which the rate stays, and what it ends at, as a share of its highest.
-HIGH, LEAST_RATE = 0.3, 0.005
+# Share of the steps for which the rate stays.
+HIGH = 0.3
 
 # Values as displayed above it count as it: far highlights are not visible.
 BRIGHTEST = 1.5
@@ -75,6 +81,186 @@ BLOCK, LEAST_SLOPE = 8, 2e-3
 
 # Slots, at most, that validation looks at.
 VALIDATED = 60
+
+# Of what is cached; samples of another version are made again.
+VERSION = 1
+
+# Names of what is cached of slots, one ``.npy`` each.
+PICTURES = tuple(LOOKAHEAD_INTERFACE.inputs)
+SAMPLE_ARRAYS = (*PICTURES, "truth", "time")
+
+# First key frames of the variants; the fast ones span two key intervals.
+SLOW_PHASES, FAST_PHASES = (0, 1, 2, 3), (1, 4)
+
+# Phases of the variants in a look that is drawn.
+LOOK_PHASES = (0, 2)
+
+# Channels in the order in which a slot has them that is played backwards.
+SWAPPED = {
+    "colour": (0, 1, 2, 6, 7, 8, 3, 4, 5, 12, 13, 14, 9, 10, 11),
+    "masks": (1, 0, 3, 2, 5, 4),
+    "depth": (1, 0),
+}
+
+# Pixels by which patches are drawn beyond the frame's edge before they are moved inside.
+OVERHANG = 12
+
+# Share of patches that are the worst of `TRIED` for softmax splatting.
+HARDER = 0.6
+TRIED = 4
+
+# How often depth is left out, and the octaves by which it is shifted.
+NO_DEPTH = 0.12
+DEPTH_SHIFT = 3.0
+
+# Logarithm of what colour is multiplied by.
+BRIGHTNESS = (-0.6, 0.3)
+
+
+class _Recorder:
+    """Stands in for a network: keeps its inputs, and answers with what `softsplat` makes."""
+
+    checksum = ""
+
+    def __init__(self) -> None:
+        self.pictures: dict[str, np.ndarray] = {}
+
+    def weigh(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
+        height, width = inputs.shape
+        part = inputs.part(slice(0, height), slice(0, width))
+        self.pictures = {name: p.astype(np.float16) for name, p in part.pictures.items()}
+        weights = np.zeros((CANDIDATES, height, width), np.float32)
+        weights[0] = 1
+        yield (TileSpan(0, height, 0, height), TileSpan(0, width, 0, width)), weights
+
+
+def slot_samples(clip: SceneClip, setting: str = "key") -> Iterator[dict[str, np.ndarray]]:
+    """Yield what a network is given at each slot between key frames, with the truth.
+
+    By `SAMPLE_ARRAYS`: the inputs and ``truth`` [3, H, W], as displayed, float16; ``time`` float32.
+    """
+    for k in clip.intervals:
+        interval = clip.interval(k, setting)
+        for slot in range(1, FACTOR):
+            recorder, following = _Recorder(), interval.following
+            assert following is not None
+            mixer = replace(interval, interpolator=recorder).look_ahead(slot, weighs=True)
+            mixer.make(interval.key.image.pixels, following.image.pixels)
+            truth = np.ascontiguousarray(clip.truth(k, slot).pixels[..., :3], np.float32)
+            yield recorder.pictures | {
+                "truth": linear_to_srgb(truth).transpose(2, 0, 1).astype(np.float16),
+                "time": np.array(interval.time(slot), np.float32),
+            }
+            check_stop()
+
+
+def variants_of(name: str, seed: int) -> list[tuple[Variant, Look]]:
+    """Return how a scene is played and delivered; looks are drawn by its name and a seed."""
+    rng = np.random.default_rng((seed, zlib.crc32(name.encode())))
+    plain = [Variant(phase) for phase in SLOW_PHASES]
+    fast = [Variant(phase, speed=2) for phase in FAST_PHASES]
+    looks = [(Variant(phase), draw_look(rng, can_halve=False)) for phase in LOOK_PHASES]
+    return [*((variant, PLAIN) for variant in (*plain, *fast)), *looks]
+
+
+@dataclass(frozen=True)
+class SampleBatch:
+    """A batch as the network takes it, and the truth."""
+
+    inputs: Mapping[str, Tensor]  # By name, float32 [N, channels, S, S]
+    time: Tensor  # float32 [N]
+    truth: Tensor  # float32 [N, 3, S, S], as displayed
+
+    def to(self, device: str) -> SampleBatch:
+        """Return the batch on a device."""
+        inputs = {name: picture.to(device) for name, picture in self.inputs.items()}
+        return SampleBatch(inputs, self.time.to(device), self.truth.to(device))
+
+
+class Samples(CachedArrays):
+    """The slots of some folders, of which patches are read as they are needed."""
+
+    names = SAMPLE_ARRAYS
+
+    @staticmethod
+    def folder_of(scene: RenderedScene, settings: LookAheadSettings, cache: Path) -> Path:
+        """Return where in a cache a scene's samples lie."""
+        token = {"version": VERSION, "seed": settings.seed, "manifest": asdict(scene.manifest)}
+        return cache / f"lookahead-{scene.name}-{digest_of(token)}"
+
+    @staticmethod
+    def write(scene: RenderedScene, settings: LookAheadSettings, folder: Path) -> None:
+        """Make the samples of a scene, and write them."""
+        clip, samples = SceneClip(scene), []
+        for variant, look in variants_of(scene.name, settings.seed):
+            clip = clip.seen_as(variant, look)
+            samples += list(slot_samples(clip))
+        stacks = {name: np.stack([sample[name] for sample in samples]) for name in SAMPLE_ARRAYS}
+        write_arrays(stacks, folder)
+
+    def whole(self, index: int) -> SampleBatch:
+        """Return a slot as it is, as a batch of one."""
+        f, i = self._places[index]
+        return _stack([{name: np.asarray(self._files[f][name][i]) for name in SAMPLE_ARRAYS}])
+
+    def draw(self, step: int, size: int, side: int, seed: int) -> SampleBatch:
+        """Return the batch of a step of training: patches of slots, varied."""
+        rng = np.random.default_rng((seed, step))
+        indices = [self.draw_index(step * size + n, seed) for n in range(size)]
+        return _stack([_vary_patch(self._draw_patch(index, side, rng), rng) for index in indices])
+
+    def _draw_patch(self, index: int, side: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        f, i = self._places[index]
+        files = self._files[f]
+        height, width = files["truth"].shape[-2:]
+        count = TRIED if rng.random() < HARDER else 1
+        corners = [
+            tuple(
+                int(rng.integers(-OVERHANG, room - side + OVERHANG + 1).clip(0, room - side))
+                for room in (height, width)
+            )
+            for _ in range(count)
+        ]
+
+        def error(corner: tuple[int, ...]) -> float:
+            rows, columns = (slice(first, first + side, 4) for first in corner)
+            softsplat = files["colour"][i, :3, rows, columns].astype(np.float32)
+            return float(np.abs(softsplat - files["truth"][i, :, rows, columns]).mean())
+
+        y, x = corners[0] if count == 1 else max(corners, key=error)
+        patch = {n: files[n][i, :, y : y + side, x : x + side] for n in (*PICTURES, "truth")}
+        return patch | {"time": files["time"][i]}
+
+
+def _vary_patch(patch: Mapping[str, np.ndarray], rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Turn, flip, play backwards, re-expose and recolour a patch, or leave out its depth."""
+    pictures = {n: np.asarray(patch[n], np.float32) for n in (*PICTURES, "truth")}
+    order, gain = rng.permutation(3), np.float32(np.exp(rng.uniform(*BRIGHTNESS)))
+    for name in ("colour", "truth"):
+        shape = pictures[name].shape
+        pictures[name] = pictures[name].reshape(-1, 3, *shape[1:])[:, order].reshape(shape) * gain
+    pictures["depth"] = pictures["depth"] + np.float32(rng.uniform(-DEPTH_SHIFT, DEPTH_SHIFT))
+    if rng.random() < NO_DEPTH:
+        pictures["depth"] = np.full_like(pictures["depth"], pictures["depth"].max())
+    for axis in (-1, -2):
+        if rng.random() < 0.5:
+            pictures = {n: np.flip(p, axis) for n, p in pictures.items()}
+    if rng.random() < 0.5:
+        pictures = {n: p.swapaxes(-1, -2) for n, p in pictures.items()}
+    time = np.float32(patch["time"])
+    if rng.random() < 0.5:
+        for name, channels in SWAPPED.items():
+            pictures[name] = pictures[name][list(channels)]
+        time = np.float32(1) - time
+    return pictures | {"time": np.array(time)}
+
+
+def _stack(patches: Sequence[Mapping[str, np.ndarray]]) -> SampleBatch:
+    def stack(name: str) -> Tensor:
+        planes = np.stack([patch[name] for patch in patches]).astype(np.float32)
+        return torch.from_numpy(np.ascontiguousarray(planes))
+
+    return SampleBatch({name: stack(name) for name in PICTURES}, stack("time"), stack("truth"))
 
 
 class NormalisedConvolution(nn.Module):
@@ -196,11 +382,14 @@ class LookAheadTraining(ResumableTraining):
     network: WeighingNetwork
     average: WeighingNetwork
     settings: LookAheadSettings
+    samples = Samples
     weight_decay = 1e-5
     largest_gradient = 0.5
+    least_rate = 0.005
     # The scores of held-out slots: dB over `softsplat`, and how far the mean gradient is from the
     # truth's.
     columns = ("step", "seconds", "loss", "rate", "gain_db", "sharpness_percent")
+    scores_text = "{:+.2f} dB over softsplat, gradients {:+.1f} % of the truth's"
 
     def _make_network(self) -> WeighingNetwork:
         return WeighingNetwork(self.settings.width)
@@ -214,15 +403,6 @@ class LookAheadTraining(ResumableTraining):
                 f"{path} holds another network than one of {self.settings.width} channels; give "
                 "its --width, or another --start"
             ) from error
-
-    def _sample_folder(self, scene: RenderedScene, cache: Path) -> Path:
-        return samples_folder(scene, self.settings.seed, cache)
-
-    def _write_samples(self, scene: RenderedScene, folder: Path) -> None:
-        write_samples(scene, self.settings.seed, folder)
-
-    def _open_samples(self, folders: Sequence[Path]) -> Samples:
-        return Samples(folders)
 
     def export(self) -> Path:
         """Write the network as an ONNX model; return its path."""
@@ -239,22 +419,15 @@ class LookAheadTraining(ResumableTraining):
         colour = mix(self.network(**batch.inputs, time=batch.time), batch.inputs["colour"])
         return loss_of(colour, batch.truth)
 
-    def _rate(self) -> float:
-        # A straight rise, a plain, half a cosine.
-        settings = self.settings
-        if self.step < WARM_UP:
-            return settings.rate * (self.step + 1) / WARM_UP
-        done = max(0.0, (self.step / settings.steps - HIGH) / (1 - HIGH))
-        wave = 0.5 * (1 + math.cos(math.pi * done))
-        return settings.rate * (LEAST_RATE + (1 - LEAST_RATE) * wave)
+    def _decayed(self) -> float:
+        return max(0.0, (self.step / self.settings.steps - HIGH) / (1 - HIGH))
 
     @torch.no_grad()
     def _validate(self, samples: Samples) -> tuple[float, float]:
         """Return the gain over `softsplat` in dB, and per cent of sharpness, of held-out slots."""
         self.average.eval()
-        count = min(VALIDATED, len(samples))
-        indices = np.unique(np.linspace(0, len(samples) - 1, count).astype(int))
-        scores = [self._score(samples.whole(int(index)).to(self.device)) for index in indices]
+        indices = samples.spread(VALIDATED)
+        scores = [self._score(samples.whole(index).to(self.device)) for index in indices]
         gain, sharpness = np.mean(scores, axis=0)
         return float(gain), float(sharpness)
 
@@ -271,7 +444,3 @@ class LookAheadTraining(ResumableTraining):
         gain = 10 / math.log(10) * (_log_error(plain, truth) - _log_error(colour, truth))
         slopes = [sum(g.abs().mean() for g in _gradients(p.mean(1))) for p in (colour, truth)]
         return float(gain), 100 * (float(slopes[0]) / max(float(slopes[1]), 1e-6) - 1)
-
-    def _scores_text(self, *scores: float) -> str:
-        gain, sharpness = scores
-        return f"{gain:+.2f} dB over softsplat, gradients {sharpness:+.1f} % of the truth's"

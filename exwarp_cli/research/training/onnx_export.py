@@ -21,7 +21,7 @@ from torch import nn
 from exwarp_cli import __version__
 from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION
 from exwarp_cli.accelerator.mlp import OUTPUTS, QuantisedMlp, Requantisation
-from exwarp_cli.domain.network_api import EXTRAPOLATOR_INTERFACE, TIME_INPUT, NetworkInterface
+from exwarp_cli.domain.network_api import TIME_INPUT, NetworkInterface
 from exwarp_cli.io.files import atomic_write_bytes
 from exwarp_cli.models.model_file import INTERFACE_KEY, STRIDE_KEY
 
@@ -46,11 +46,6 @@ VALUES = "values"
 
 F32 = npt.NDArray[np.float32]
 Array = npt.NDArray[np.generic]
-
-
-def export_extrapolator(module: nn.Module, path: Path, *, stride: int, about: str) -> None:
-    """Write a network that extrapolates; see `export_network`."""
-    export_network(module, path, EXTRAPOLATOR_INTERFACE, stride=stride, about=about)
 
 
 def export_network(

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import astuple, dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -47,14 +47,14 @@ OUTCOMES_VERSION, FEATURES_VERSION = 1, 1
 # and from five views of a scene hardly anything was learned of it.
 BEGINNING_EVERY = 6
 
-SCHEMA = "exwarp.policy-table/1"
-
 # Folder of tables, beside the models.
 TABLES = "tables"
 
+FIELDS = 8  # of `Features`
+
 F64 = npt.NDArray[np.float64]
 Say = Callable[[str], None]
-Table = TypeVar("Table")
+Table = TypeVar("Table", bound="TrainingTable")
 
 
 @dataclass(frozen=True)
@@ -123,14 +123,13 @@ def measure_view(scene: RenderedScene, view: View, model: Path | None, cache: Pa
     make_folder(cache)
     features = _read_cached(features_file, clip, view)
     outcomes = _read_cached(outcomes_file, clip, view)
-    needs_features, needs_outcomes = features is None, outcomes is None
     feature_rows: list[F64] = []
     outcome_rows: list[F64] = []
     # Interval by interval, so that both find the same frames in memory.
-    for k in view.intervals(clip) if needs_features or needs_outcomes else ():
-        if needs_features:
+    for k in view.intervals(clip) if features is None or outcomes is None else ():
+        if features is None:
             feature_rows.append(_interval_features(clip, view, k))
-        if needs_outcomes:
+        if outcomes is None:
             interval = replace(clip.causal(k, view.setting), extrapolator=network)
             if view.begins:
                 interval = replace(interval, past=())
@@ -186,8 +185,75 @@ def _interval_features(clip: SceneClip, view: View, k: int) -> F64:
 
 
 @dataclass(frozen=True)
-class PolicyTable:
+class TrainingTable:
+    """What a policy is trained and judged on, of one scene; kept in a file."""
+
+    schema: ClassVar[str]
+    kind: ClassVar[str]  # what it is called
+    row: ClassVar[str]
+    facts: ClassVar[tuple[str, ...]]  # names of the fields that are no arrays
+    # By the name of an array: its type in the file and in memory, and the shape of a row.
+    arrays: ClassVar[Mapping[str, tuple[type, type, tuple[int, ...]]]]
+
+    def __len__(self) -> int:
+        return len(getattr(self, next(iter(self.arrays))))
+
+    def save(self, path: Path) -> None:
+        """Write the table, whole or not at all; the same table gives the same bytes."""
+        about = {"schema": self.schema} | {name: getattr(self, name) for name in self.facts}
+        content: dict[str, Array] = {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)}
+        for name, (stored, _, _) in self.arrays.items():
+            content[name] = getattr(self, name).astype(stored)
+        atomic_write_bytes(path, pack_arrays(content, compressed=True))
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a table; raises InputError when there is none, or DamagedFileError."""
+        try:
+            content = unpack_arrays(path.read_bytes())
+            about = json.loads(content["about"].tobytes())
+            if about["schema"] != cls.schema:
+                raise ValueError(f"its schema is {about['schema']!r}, not {cls.schema}")
+            facts = {n: tuple(v) if isinstance(v := about[n], list) else v for n in cls.facts}
+            rows: dict[str, Array] = {
+                name: content[name].astype(kind) for name, (_, kind, _) in cls.arrays.items()
+            }
+            table = cls(**facts, **rows)
+            table.validate()
+        except FileNotFoundError as error:
+            raise InputError(f"there is no {cls.kind} {path}; check the path") from error
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            reason = (str(error) or type(error).__name__).splitlines()[0]
+            raise DamagedFileError(
+                f"{path} is no {cls.kind} that can be read ({reason}); make it again with --data"
+            ) from error
+        return table
+
+    def validate(self) -> None:
+        """Raise ValueError for no rows, other shapes, or numbers that are not finite."""
+        if not len(self):
+            raise ValueError(f"it has no {self.row}")
+        for name, (_, _, shape) in self.arrays.items():
+            array = getattr(self, name)
+            if array.shape != (len(self), *shape):
+                raise ValueError(f"an array is {array.shape}, not {(len(self), *shape)}")
+            if not np.isfinite(array).all():
+                raise ValueError("a number is not finite")
+
+
+@dataclass(frozen=True)
+class PolicyTable(TrainingTable):
     """The key intervals of one scene, group by group: a group is one view at one size."""
+
+    schema = "exwarp.policy-table/1"
+    kind, row = "policy table", "key interval"
+    facts = ("scene", "groups", "network")
+    arrays: ClassVar = {
+        "group": (np.int16, np.int16, ()),
+        "features": (np.float64, np.float64, (3, FIELDS)),
+        # Some millionths of a decibel are lost.
+        "outcomes": (np.float32, np.float64, (len(NODES), 2, 2)),
+    }
 
     scene: str
     # Names, as in "key-phase0-speed1 427x240"; intervals that are measured as beginnings are
@@ -199,28 +265,31 @@ class PolicyTable:
     outcomes: F64  # float64 [N, 5, 2, 2], see `exwarp_cli.policy.outcomes`.
     network: str  # Checksum of the network whose frames were judged.
 
-    def __len__(self) -> int:
-        return len(self.group)
+    def validate(self) -> None:
+        """Raise ValueError for groups without a name as well."""
+        super().validate()
+        if self.group.min() < 0 or self.group.max() >= len(self.groups):
+            raise ValueError("a group has no name")
 
     @cached_property
     def states(self) -> F64:
         """The network's inputs at every node of every interval, float64 [N, 5, 44]."""
         states = np.empty((len(self), len(NODES), INPUTS))
-        features = [[_features_from(fields) for fields in row] for row in self.features]
-        for row, (first, second, third) in enumerate(features):
+        features = []
+        for fields in self.features.reshape(-1, FIELDS).tolist():
+            objects, emd_normal, emd_position, var_x, var_y, width, height, distance = fields
+            emd, variance = (emd_normal, emd_position), (var_x, var_y)
+            features.append(
+                Features(int(objects), *emd, *variance, int(width), int(height), distance)
+            )
+        for row in range(len(self)):
             older = range(row - 1, max(row - 1 - OLDER_KEYS, -1), -1)
-            before = tuple(features[i][0] for i in older if self.group[i] == self.group[row])
+            before = tuple(features[3 * i] for i in older if self.group[i] == self.group[row])
+            first, second, third = features[3 * row : 3 * row + 3]
             surroundings = StateHistory((first, second, third), before)
             for column, node in enumerate(NODES):
                 states[row, column] = surroundings.inputs(node)
         return states
-
-
-def _features_from(fields: F64) -> Features:
-    objects, emd_normal, emd_position, var_x, var_y, width, height, distance = fields.tolist()
-    return Features(
-        int(objects), emd_normal, emd_position, var_x, var_y, int(width), int(height), distance
-    )
 
 
 def join_views(
@@ -234,9 +303,8 @@ def join_views(
     counts: list[int] = []
     for size, view, measured in parts:
         count = len(measured.outcomes)
-        group_sizes = [1] * count if view.begins else [count]
-        names += [f"{view.name} {size}"] * len(group_sizes)
-        counts += group_sizes
+        counts += [1] * count if view.begins else [count]
+        names += [f"{view.name} {size}"] * (count if view.begins else 1)
     return PolicyTable(
         scene,
         tuple(names),
@@ -245,78 +313,6 @@ def join_views(
         np.concatenate([measured.outcomes for _, _, measured in parts]),
         network,
     )
-
-
-def save_table(path: Path, table: PolicyTable) -> None:
-    """Write a table, whole or not at all; the same table gives the same bytes."""
-    about = {
-        "schema": SCHEMA, "scene": table.scene, "groups": table.groups, "network": table.network,
-    }  # fmt: skip
-    arrays: dict[str, Array] = {
-        "group": table.group,
-        "features": table.features,
-        # Some millionths of a decibel are lost.
-        "outcomes": table.outcomes.astype(np.float32),
-    }
-    write_table(path, about, arrays)
-
-
-def load_table(path: Path) -> PolicyTable:
-    """Read a table; raises InputError when there is none, or it is damaged."""
-    with reading_table(path, SCHEMA, "policy table") as (about, arrays):
-        table = PolicyTable(
-            about["scene"],
-            tuple(about["groups"]),
-            arrays["group"].astype(np.int16),
-            arrays["features"].astype(np.float64),
-            arrays["outcomes"].astype(np.float64),
-            about["network"],
-        )
-        count = len(table)
-        if not count:
-            raise ValueError("it has no key interval")
-        require_shape(table.features, (count, 3, 8))
-        require_shape(table.outcomes, (count, len(NODES), 2, 2))
-        if table.group.min() < 0 or table.group.max() >= len(table.groups):
-            raise ValueError("a group has no name")
-    return table
-
-
-def write_table(path: Path, about: dict[str, Any], arrays: dict[str, Array]) -> None:
-    """Write a table's arrays with what it is about; the same table gives the same bytes."""
-    header = {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)}
-    atomic_write_bytes(path, pack_arrays(header | arrays, compressed=True))
-
-
-@contextmanager
-def reading_table(
-    path: Path, schema: str, kind: str
-) -> Iterator[tuple[dict[str, Any], dict[str, Array]]]:
-    """Read a table: what it is about, and its arrays. The block may raise ValueError for damage.
-
-    Raises InputError when there is none, and DamagedFileError when it cannot be read.
-    """
-    try:
-        arrays = unpack_arrays(path.read_bytes())
-        about = json.loads(arrays["about"].tobytes())
-        if about["schema"] != schema:
-            raise ValueError(f"its schema is {about['schema']!r}, not {schema}")
-        yield about, arrays
-    except FileNotFoundError as error:
-        raise InputError(f"there is no {kind} {path}; check the path") from error
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise DamagedFileError(
-            f"{path} is no {kind} that can be read ({reason}); make it again with --data"
-        ) from error
-
-
-def require_shape(array: Array, shape: tuple[int, ...]) -> None:
-    """Raise ValueError for an array of another shape, or with a number that is not finite."""
-    if array.shape != shape:
-        raise ValueError(f"an array is {array.shape}, not {shape}")
-    if not np.isfinite(array).all():
-        raise ValueError("a number is not finite")
 
 
 @dataclass(frozen=True)
@@ -345,22 +341,22 @@ def find_tables(survey: Survey, tables: Path | None, output: Path, say: Say) -> 
             raise UsageError(
                 f"{unused[0]} is for measuring scenes; give --data too, or leave it out"
             )
-        return read_tables(tables or shipped_folder() / TABLES, load_table, "policy table")
+        return read_tables(PolicyTable, tables or shipped_folder() / TABLES)
     require_no_tables(tables)
     measured = _build_tables(survey, say)
     make_folder(output / TABLES)
     paths = [output / TABLES / f"{table.scene}.npz" for table in measured]
     for path, table in zip(paths, measured, strict=True):
-        save_table(path, table)
+        table.save(path)
     # Read back, so that a training from the files gives the same network.
-    return [load_table(path) for path in paths]
+    return [PolicyTable.load(path) for path in paths]
 
 
-def read_tables(folder: Path, load: Callable[[Path], Table], kind: str) -> list[Table]:
+def read_tables(kind: type[Table], folder: Path) -> list[Table]:
     """Read all tables of a folder; raises InputError where it has none."""
-    tables = [load(path) for path in sorted(folder.glob("*.npz"))]
+    tables = [kind.load(path) for path in sorted(folder.glob("*.npz"))]
     if not tables:
-        raise InputError(f"{folder} holds no {kind}; make some with --data")
+        raise InputError(f"{folder} holds no {kind.kind}; make some with --data")
     return tables
 
 

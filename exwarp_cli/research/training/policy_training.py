@@ -2,7 +2,8 @@
 
 Written to the output folder: ``policy.npz`` (integers and floats, what ``exwarp upsample`` runs),
 ``policy.onnx`` and ``policy-int8.onnx``, ``policy-without-SCENE.npz`` for each scene,
-``policy.json`` with every score, and the files' checksums.
+``policy.json`` with every score, and the files' checksums. Policies are scored on a table beside
+fixed paths, oracles and a linear regression.
 """
 
 from __future__ import annotations
@@ -18,33 +19,43 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.accelerator.fixed_point import to_fixed
 from exwarp_cli.accelerator.mlp import QuantisedMlp
-from exwarp_cli.accelerator.mlp_kernel import MlpKernel
-from exwarp_cli.domain.decision import NODES, PATHS
+from exwarp_cli.domain.decision import (
+    CHOICES,
+    EXTRAPOLATE,
+    NODES,
+    PATHS,
+    WARP,
+    find_path,
+    walk_tree,
+)
+from exwarp_cli.domain.settings import DEFAULT_FPS
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.models.model_file import CHECKSUMS
 from exwarp_cli.models.policy_files import SHIPPED_POLICY, policy_name_without, save_network
+from exwarp_cli.policy.outcomes import (
+    best_psnr,
+    best_return,
+    choice_rewards,
+    path_returns,
+    slot_quality,
+)
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 from exwarp_cli.research.training.onnx_export import export_float, export_integer
 from exwarp_cli.research.training.outcome_tables import PolicyTable
-from exwarp_cli.research.training.policy_scores import (
-    NAMES,
-    PolicyScore,
-    fit_regression,
-    fixed_path,
-    greedy_paths,
-    oracle_paths,
-    predict_rewards,
-    score_paths,
-    score_random,
+from exwarp_cli.research.training.q_learning import (
+    Layers,
+    integer_values,
+    q_values,
+    quantise,
+    train_decisions,
 )
-from exwarp_cli.research.training.q_learning import Layers, q_values, quantise, train_decisions
 from exwarp_cli.research.training.training_settings import PolicySettings
 
 F64 = npt.NDArray[np.float64]
-F32 = npt.NDArray[np.float32]
+Bool = npt.NDArray[np.bool_]
+Paths = npt.NDArray[np.intp]
 Say = Callable[[str], None]
 
 SCHEMA = "exwarp.policy-scores/1"
@@ -54,35 +65,26 @@ FLOAT_MODEL, INTEGER_MODEL = "policy.onnx", "policy-int8.onnx"
 # Name of all rows of a table, beside "key 427x240" and the like.
 ALL = "all"
 
+NAMES = tuple(PATHS)
 
-@dataclass(frozen=True)
-class LearnedNetwork:
-    """A trained network in both arithmetics."""
+# Weight of the squared coefficients beside the mean squared error, in units of the inputs.
+RIDGE = 1e-2
 
-    floats: Layers  # Weights float64 [out, in] and biases [out] of each layer.
-    network: QuantisedMlp  # In integers
-
-    @property
-    def single(self) -> list[tuple[F32, F32]]:
-        """The float network's weights and biases in the precision that it was trained in."""
-        return [(w.astype(np.float32), b.astype(np.float32)) for w, b in self.floats]
-
-    def values(self, table: PolicyTable) -> F64:
-        """Return the float network's outputs, float64 [N, 5, 2]."""
-        return q_values(self.floats, table)
-
-    def outputs(self, table: PolicyTable) -> F64:
-        """Return the integer network's outputs, float64 [N, 5, 2]."""
-        states = to_fixed(table.states.reshape(-1, INPUTS))
-        outputs, _ = MlpKernel(self.network).decide_many(states)
-        return outputs.astype(np.float64).reshape(-1, len(NODES), 2)
+# Of the Markdown tables, and how some policies are called there.
+COLUMNS = ("exwarp", *PATHS, "oracle", "oracle-return", "regressor", "random")
+TITLES = {
+    "exwarp": "policy",
+    "oracle": "best PSNR",
+    "oracle-return": "best return",
+    "regressor": "regression",
+}
 
 
-def learn(tables: Sequence[PolicyTable], settings: PolicySettings) -> LearnedNetwork:
+def learn(tables: Sequence[PolicyTable], settings: PolicySettings) -> tuple[Layers, QuantisedMlp]:
     """Train a network on some scenes and quantise it; they are the calibration states too."""
     floats = train_decisions(tables, settings)
     states = np.concatenate([table.states.reshape(-1, INPUTS) for table in tables])
-    return LearnedNetwork(floats, quantise([w for w, _ in floats], [b for _, b in floats], states))
+    return floats, quantise([w for w, _ in floats], [b for _, b in floats], states)
 
 
 def train_policy(
@@ -102,18 +104,19 @@ def train_policy(
     for index, table in enumerate(tables):
         training_tables = [t for i, t in enumerate(tables) if i != index]
         say(f"without {table.scene}: training on {', '.join(t.scene for t in training_tables)}")
-        learned = learn(training_tables, settings)
+        floats, network = learn(training_tables, settings)
         name = policy_name_without(table.scene)
-        _save(output / name, learned, training_tables, settings)
+        save_network(output / name, network, _metadata(training_tables, settings))
         written.append(name)
-        folds[table.scene] = _judge(learned, table, training_tables)
+        folds[table.scene] = _judge(floats, network, table, training_tables)
         say(f"without {table.scene}: {_score_text(folds[table.scene][ALL])}")
     say(f"training on all {len(tables)} scenes")
-    final = learn(tables, settings)
-    _save(output / SHIPPED_POLICY, final, tables, settings, has_floats=True)
-    floats = final.single
-    export_float([w for w, _ in floats], [b for _, b in floats], output / FLOAT_MODEL)
-    export_integer(final.network, output / INTEGER_MODEL)
+    floats, network = learn(tables, settings)
+    # In the precision that they were trained in.
+    single = [(w.astype(np.float32), b.astype(np.float32)) for w, b in floats]
+    save_network(output / SHIPPED_POLICY, network, _metadata(tables, settings), single)
+    export_float([w for w, _ in single], [b for _, b in single], output / FLOAT_MODEL)
+    export_integer(network, output / INTEGER_MODEL)
     report = {
         "schema": SCHEMA,
         "settings": asdict(settings),
@@ -121,7 +124,10 @@ def train_policy(
             table.scene: {
                 "intervals": len(table),
                 "points": len(table) * len(NODES),
-                "groups": _group_sizes(table),
+                "groups": {
+                    name: int((np.array(table.groups)[table.group] == name).sum())
+                    for name in dict.fromkeys(table.groups)
+                },
                 "extrapolator": table.network,
             }
             for table in tables
@@ -150,16 +156,14 @@ def rows_by_part(table: PolicyTable) -> dict[str, npt.NDArray[np.bool_]]:
     return parts | {str(name): names == name for name in sorted(set(names))}
 
 
-def _group_sizes(table: PolicyTable) -> dict[str, int]:
-    names = np.array(table.groups)[table.group]
-    return {name: int((names == name).sum()) for name in dict.fromkeys(table.groups)}
-
-
 def _judge(
-    learned: LearnedNetwork, table: PolicyTable, training_tables: Sequence[PolicyTable]
+    network_floats: Layers,
+    network: QuantisedMlp,
+    table: PolicyTable,
+    training_tables: Sequence[PolicyTable],
 ) -> dict[str, Any]:
     """Score a policy on a scene that it never saw, beside what it competes with."""
-    floats, integers = learned.values(table), learned.outputs(table)
+    floats, integers = q_values(network_floats, table), integer_values(network, table.states)
     policies = {
         "exwarp": greedy_paths(integers),
         "float": greedy_paths(floats),
@@ -182,21 +186,14 @@ def _judge(
     return judgement
 
 
-def _save(
-    path: Path,
-    learned: LearnedNetwork,
-    tables: Sequence[PolicyTable],
-    settings: PolicySettings,
-    has_floats: bool = False,
-) -> None:
-    metadata = {
+def _metadata(tables: Sequence[PolicyTable], settings: PolicySettings) -> dict[str, Any]:
+    return {
         "about": "ExWarp's predictor: deep Q-learning on rendered scenes",
         "state": STATE_VERSION,
         "scenes": [table.scene for table in tables],
         "settings": asdict(settings),
         "extrapolator": sorted({table.network for table in tables}),
     }
-    save_network(path, learned.network, metadata, learned.single if has_floats else ())
 
 
 def add_checksums(folder: Path, names: Sequence[str]) -> None:
@@ -214,10 +211,152 @@ def add_checksums(folder: Path, names: Sequence[str]) -> None:
 
 
 def _score_text(part: dict[str, Any]) -> str:
-    scores = {name: PolicyScore(**score) for name, score in part["scores"].items()}
-    best = max(scores[name].psnr_db for name in PATHS)
+    scores = part["scores"]
+    best = max(scores[name]["psnr_db"] for name in PATHS)
     own, oracle = scores["exwarp"], scores["oracle"]
     return (
-        f"return {own.reward:.3f}, PSNR {own.psnr_db:.3f} dB; best fixed path {best:.3f}, "
-        f"oracle {oracle.psnr_db:.3f}; int8 agrees on {part['agreement']:.2%}"
+        f"return {own['reward']:.3f}, PSNR {own['psnr_db']:.3f} dB; best fixed path {best:.3f}, "
+        f"oracle {oracle['psnr_db']:.3f}; int8 agrees on {part['agreement']:.2%}"
     )
+
+
+@dataclass(frozen=True)
+class PolicyScore:
+    """Means over the key intervals of a table, or of a part of it."""
+
+    intervals: int  # How many
+    reward: float  # Undiscounted sum of the rewards of an interval.
+    # Of what is shown at slots 1 to 3
+    psnr_db: float
+    ssim: float
+    new_frames: float  # Of an interval; effective FPS is base FPS times one more than this.
+    warp_share: float  # Share of the decisions that are warps, 0 to 1.
+    paths: tuple[int, ...]  # Intervals by path, S1 to S6
+
+
+def score_paths(table: PolicyTable, paths: Paths, rows: Bool) -> PolicyScore:
+    """Score the paths, an index each, that some rows of a table took."""
+    chosen = paths[rows]
+    shares = np.eye(len(NAMES))[chosen]
+    means = _weighted_means(table, shares, rows)
+    return PolicyScore(len(chosen), *means, tuple(int(n) for n in shares.sum(axis=0)))
+
+
+def score_random(table: PolicyTable, rows: Bool) -> PolicyScore:
+    """Score what tossing a coin at every node comes to on average, exactly."""
+    odds = np.array([0.5 ** len(path.choices) for path in PATHS.values()])
+    count = int(rows.sum())
+    return PolicyScore(count, *_weighted_means(table, np.tile(odds, (count, 1)), rows), ())
+
+
+def _weighted_means(
+    table: PolicyTable, shares: F64, rows: Bool
+) -> tuple[float, float, float, float, float]:
+    """Return reward, PSNR, SSIM, new frames and warp share for shares [N, 6] of the paths."""
+    outcomes = table.outcomes[rows]
+    quality = slot_quality(outcomes).mean(axis=-2)
+    generated = np.array([path.generated for path in PATHS.values()])
+    counts = np.array(
+        [[list(PATHS[name].choices.values()).count(c) for c in CHOICES] for name in NAMES]
+    )
+    warps, decisions = counts[:, CHOICES.index(WARP)], counts.sum(axis=1)
+    per_path = shares.mean(axis=0)
+    return (
+        float((shares * path_returns(outcomes)).sum(axis=1).mean()),
+        float((shares * quality[..., 0]).sum(axis=1).mean()),
+        float((shares * quality[..., 1]).sum(axis=1).mean()),
+        float(per_path @ generated),
+        float(per_path @ warps / (per_path @ decisions)),
+    )
+
+
+def greedy_paths(values: npt.NDArray[Any]) -> Paths:
+    """Return the path of each interval by values [N, 5, 2]: the larger wins, ties go to warping."""
+    paths = []
+    for row in np.where(values[..., 1] > values[..., 0], EXTRAPOLATE, WARP).tolist():
+        choices = dict(zip(NODES, row, strict=True))
+        paths.append(NAMES.index(find_path(dict(walk_tree(choices.__getitem__)))))
+    return np.array(paths, np.intp)
+
+
+def fixed_path(table: PolicyTable, name: str) -> Paths:
+    """Return one path throughout."""
+    return np.full(len(table), NAMES.index(name), np.intp)
+
+
+def oracle_paths(table: PolicyTable) -> dict[str, Paths]:
+    """Return the best paths: by mean PSNR, and by return."""
+    return {"oracle": best_psnr(table.outcomes), "oracle-return": best_return(table.outcomes)}
+
+
+def fit_regression(tables: Sequence[PolicyTable]) -> F64:
+    """Fit the reward of both choices at each node to the states of some scenes.
+
+    Returns coefficients float64 [5, 45, 2] of the 44 inputs and of a constant, by node and choice.
+    """
+    states = np.concatenate([table.states for table in tables])
+    gains = np.concatenate([choice_rewards(table.outcomes) for table in tables])
+    weights = np.concatenate([np.full(len(table), 1 / len(table)) for table in tables])
+    coefficients = []
+    for node in range(len(NODES)):
+        x = np.concatenate([states[:, node], np.ones((len(states), 1))], axis=1)
+        scaled = x * weights[:, None] / weights.sum()
+        coefficients.append(
+            np.linalg.solve(scaled.T @ x + RIDGE * np.eye(x.shape[1]), scaled.T @ gains[:, node])
+        )
+    return np.array(coefficients)
+
+
+def predict_rewards(coefficients: F64, table: PolicyTable) -> F64:
+    """Return the expected reward of both choices at every node, float64 [N, 5, 2]."""
+    states = table.states
+    x = np.concatenate([states, np.ones((*states.shape[:2], 1))], axis=2)
+    return np.asarray(np.einsum("nki,kic->nkc", x, coefficients))
+
+
+def policy_card(report: dict[str, Any]) -> str:
+    """Return the tables of what ``policy.json`` holds: every scene when it was left out.
+
+    One table for PSNR and SSIM, one for return, one for what was chosen.
+    """
+    rows = [
+        (scene, part, scores)
+        for scene, parts in report["left_out"].items()
+        for part, scores in parts.items()
+        if part != "all"
+    ]
+    titles = [TITLES.get(name, name) for name in COLUMNS]
+    quality = [table_row("scene", "frames", *titles), table_rule(2 + len(COLUMNS))]
+    gains = [table_row("return", "frames", *titles), table_rule(2 + len(COLUMNS))]
+    names = ("scene", "frames", "intervals", *PATHS, "warps", "effective fps", "int8 = float")
+    choices = [table_row(*names), table_rule(len(names))]
+    for scene, part, entry in rows:
+        scores = [entry["scores"][name] for name in COLUMNS]
+        best = max(score["psnr_db"] for score in scores[1 : 1 + len(PATHS)])
+        cells = [f"{score['psnr_db']:.2f} / {score['ssim']:.3f}" for score in scores]
+        marked = (
+            f"**{cell}**" if score["psnr_db"] == best and name in PATHS else cell
+            for name, score, cell in zip(COLUMNS, scores, cells, strict=True)
+        )
+        quality.append(table_row(scene, part, *marked))
+        gains.append(table_row(scene, part, *(f"{score['reward']:.2f}" for score in scores)))
+        own = entry["scores"]["exwarp"]
+        fps = float(DEFAULT_FPS) * (1 + own["new_frames"])
+        counts = (str(count) for count in (own["intervals"], *own["paths"]))
+        shares = (f"{own['warp_share']:.1%}", f"{fps:.1f}", f"{entry['agreement']:.2%}")
+        choices.append(table_row(scene, part, *counts, *shares))
+    means = (
+        sum(entry["scores"][name]["reward"] for _, _, entry in rows) / len(rows) for name in COLUMNS
+    )
+    gains.append(table_row("**mean**", "", *(f"{mean:.3f}" for mean in means)))
+    return "\n\n".join("\n".join(lines) for lines in (quality, gains, choices))
+
+
+def table_row(*cells: str) -> str:
+    """Return a row of a Markdown table."""
+    return "| " + " | ".join(cells) + " |"
+
+
+def table_rule(count: int) -> str:
+    """Return what stands below the titles of a Markdown table."""
+    return "|" + "---|" * count

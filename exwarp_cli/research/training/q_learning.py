@@ -22,8 +22,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION, MAX_SHIFT, ONE
+from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION, MAX_SHIFT, ONE, to_fixed
 from exwarp_cli.accelerator.mlp import QuantisedLayer, QuantisedMlp, Requantisation
+from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import CHOICES, FEATURES, NEXT_NODE, NODES
 from exwarp_cli.policy.outcomes import choice_rewards
 from exwarp_cli.policy.state import INPUTS, STATE_COUNT
@@ -147,6 +148,12 @@ def q_values(layers: Layers, table: PolicyTable) -> F64:
         activations = np.maximum(activations @ weights.T + biases, 0)
     weights, biases = layers[-1]
     return np.asarray(activations @ weights.T + biases)
+
+
+def integer_values(network: QuantisedMlp, states: F64) -> npt.NDArray[np.int64]:
+    """Return a network's outputs in integers for states float64 [N, nodes, 44], [N, nodes, 2]."""
+    outputs, _ = MlpKernel(network).decide_many(to_fixed(states.reshape(-1, INPUTS)))
+    return outputs.astype(np.int64).reshape(*states.shape[:2], len(CHOICES))
 
 
 def quantise(weights: Sequence[F64], biases: Sequence[F64], states: F64) -> QuantisedMlp:

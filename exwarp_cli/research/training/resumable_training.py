@@ -58,9 +58,12 @@ class ResumableTraining(ABC):
     DamagedFileError when its checkpoint cannot be used. `say` receives what happens, in lines.
     """
 
+    samples: type[CachedArrays]  # what it learns from
     weight_decay: float
     largest_gradient: float  # a longer one is scaled to this norm
+    least_rate: float  # what the learning rate ends at, as a share of its highest
     columns: tuple[str, ...]  # of the curve: step, seconds, loss, rate, scores of `_validate`
+    scores_text: str  # how these scores are said; a format
 
     def __init__(self, folder: Path, settings: Settings, say: Say) -> None:
         self.folder, self.settings, self.say = folder, settings, say
@@ -82,7 +85,14 @@ class ResumableTraining(ABC):
                     f"{folder} holds a training with other settings, see {SETTINGS} there; "
                     "repeat those to go on with it, or choose another folder"
                 )
-            self._restore(checkpoint)
+            content = read_checkpoint(checkpoint, self.device)
+            try:
+                self.network.load_state_dict(content["network"])
+                self.average.load_state_dict(content["average"])
+                self.optimiser.load_state_dict(content["optimiser"])
+                self.step, self.seconds = content["step"], content["seconds"]
+            except (KeyError, RuntimeError, ValueError) as error:
+                raise _damaged(checkpoint) from error
             self.say(f"going on at step {self.step} of {settings.steps}")
         atomic_write_text(path, text)
 
@@ -93,20 +103,12 @@ class ResumableTraining(ABC):
     def _load_start(self, path: Path) -> None: ...
 
     @abstractmethod
-    def _sample_folder(self, scene: RenderedScene, cache: Path) -> Path: ...
-
-    @abstractmethod
-    def _write_samples(self, scene: RenderedScene, folder: Path) -> None: ...
-
-    @abstractmethod
-    def _open_samples(self, folders: Sequence[Path]) -> CachedArrays: ...
-
-    @abstractmethod
     def export(self) -> Path:
         """Write the network as an ONNX model; return its path."""
 
     @abstractmethod
-    def _rate(self) -> float: ...
+    def _decayed(self) -> float:
+        """Return how far the learning rate has fallen after the warm-up, 0 to 1."""
 
     @abstractmethod
     def _loss(self, batch: Any) -> Tensor: ...
@@ -114,9 +116,6 @@ class ResumableTraining(ABC):
     @abstractmethod
     def _validate(self, samples: Any) -> tuple[float, ...]:
         """Return scores of the averaged network on scenes that are held out."""
-
-    @abstractmethod
-    def _scores_text(self, *scores: float) -> str: ...
 
     def begin_with(self, path: Path) -> None:
         """Take the weights of another training's file, unless this one is under way.
@@ -155,12 +154,12 @@ class ResumableTraining(ABC):
             training.begin_with(start)
         samples = {}
         for part, chosen in parts.items():
-            folders = [training._sample_folder(scene, cache) for scene in chosen]
+            folders = [cls.samples.folder_of(scene, settings, cache) for scene in chosen]
             for count, (scene, place) in enumerate(zip(chosen, folders, strict=True), start=1):
                 if not is_complete(place):
                     say(f"preparing {scene.name}, {count} of {len(chosen)}")
-                    training._write_samples(scene, place)
-            samples[part] = training._open_samples(folders)
+                    cls.samples.write(scene, settings, place)
+            samples[part] = cls.samples(folders)
         training.run(samples["training"], samples["validation"], every)
         return training.export()
 
@@ -199,36 +198,38 @@ class ResumableTraining(ABC):
                 "folder"
             )
         self.optimiser.step()
-        self._update_average()
-        return value
-
-    @torch.no_grad()
-    def _update_average(self) -> None:
-        # Statistics of the normalisation are averaged as the weights are.
+        # A running average, of the statistics of the normalisation as well.
         newest_share = 1 - min(AVERAGED, (1 + self.step) / (10 + self.step))
         newest = self.network.state_dict()
-        for name, averaged in self.average.state_dict().items():
-            if averaged.is_floating_point():
-                averaged.lerp_(newest[name], newest_share)
+        with torch.no_grad():
+            for name, averaged in self.average.state_dict().items():
+                if averaged.is_floating_point():
+                    averaged.lerp_(newest[name], newest_share)
+        return value
+
+    def _rate(self) -> float:
+        """Return the learning rate: a straight rise, a plain if there is one, half a cosine."""
+        if self.step < WARM_UP:
+            return self.settings.rate * (self.step + 1) / WARM_UP
+        wave = 0.5 * (1 + math.cos(math.pi * self._decayed()))
+        return self.settings.rate * (self.least_rate + (1 - self.least_rate) * wave)
 
     def _record(self, loss: float, *scores: float) -> None:
-        values = (round(self.seconds), loss, self._rate(), *scores)
-        add_row(self.folder / CURVE, self.step, values, self.columns)
+        """Add a row to the curve; rows from this step on are of a broken run, and removed."""
+        path = self.folder / CURVE
+        rows = [row for row in _rows(path) if int(row["step"]) < self.step]
+        values = (self.step, round(self.seconds), loss, self._rate(), *scores)
+        texts = (str(v) if isinstance(v, int) else f"{v:.5g}" for v in values)
+        rows.append(dict(zip(self.columns, texts, strict=True)))
+        with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
+            writer = csv.DictWriter(file, self.columns, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
         minutes_left = self.seconds / self.step * (self.settings.steps - self.step) / 60
         self.say(
             f"step {self.step} of {self.settings.steps}: loss {loss:.4f}, held-out scenes "
-            f"{self._scores_text(*scores)}, {minutes_left:.0f} min left"
+            f"{self.scores_text.format(*scores)}, {minutes_left:.0f} min left"
         )
-
-    def _restore(self, path: Path) -> None:
-        content = read_checkpoint(path, self.device)
-        try:
-            self.network.load_state_dict(content["network"])
-            self.average.load_state_dict(content["average"])
-            self.optimiser.load_state_dict(content["optimiser"])
-            self.step, self.seconds = content["step"], content["seconds"]
-        except (KeyError, RuntimeError, ValueError) as error:
-            raise _damaged(path) from error
 
     def _save(self) -> None:
         content = {
@@ -289,20 +290,6 @@ def read_tensors(path: Path, device: str, damaged: DamagedFileError) -> object:
     except Exception as error:  # damaged pickles and archives end in exceptions of every kind
         raise damaged from error
     return content
-
-
-def add_row(path: Path, step: int, values: Sequence[float], columns: Sequence[str]) -> None:
-    """Add a row for a step to a curve; rows from that step on are of a broken run, and removed.
-
-    `values` are those of the columns after the first; floats are written with five digits.
-    """
-    rows = [row for row in _rows(path) if int(row["step"]) < step]
-    texts = (str(v) if isinstance(v, int) else f"{v:.5g}" for v in (step, *values))
-    rows.append(dict(zip(columns, texts, strict=True)))
-    with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def last_row(path: Path) -> dict[str, float]:

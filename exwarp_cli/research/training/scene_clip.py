@@ -75,7 +75,9 @@ class SceneClip:
         """
         index, manifest = self._order[FACTOR * k], self.scene.manifest
         if self.variant.speed == 1 and manifest.has_key(index):
-            gbuffer = self._rendered_key(index // manifest.keys.step)
+            number = manifest.keys.first + index // manifest.keys.step
+            raw = read_raw(self.scene.keys, number, GEOMETRY)
+            gbuffer = settle_motion(raw.settle(self._convention(self.scene.keys)))
             return self._play(index, gbuffer.to_previous, gbuffer.to_next, gbuffer.bend)
         return self._play(index, *self._motion(index, FACTOR * self.variant.speed))
 
@@ -180,12 +182,6 @@ class SceneClip:
                 self._frames.popitem(last=False)
         self._frames.move_to_end(index)
         return self._frames[index]
-
-    def _rendered_key(self, k: int) -> GBuffer:
-        """Return the G-buffer of a key frame's own file, its motion settled; k from 0."""
-        shot, number = self.scene.keys, self.scene.manifest.keys.first + k
-        raw = read_raw(shot, number, GEOMETRY)
-        return settle_motion(raw.settle(self._convention(shot)))
 
     def _convention(self, shot: Shot) -> MotionConvention:
         size = (shot.display.width, shot.display.height)

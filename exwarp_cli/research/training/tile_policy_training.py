@@ -1,17 +1,20 @@
 """Training the policy of tiles: deep Q-learning on what each choice gains in every tile.
 
-Written to the output folder: ``tile-policy.npz`` in integers, ``tile-policy.json`` with what
-every scene gained when it was left out, beside simpler rules at equal cost, and the file's
-checksum. `policy_training` trains the paper's policy of whole frames.
+Tables of tiles, one file a scene, say what a policy sees of each tile, and how wrong every maker's
+pixels are there, so that a policy is trained and judged again without rendering or E. Written to
+the output folder: ``tile-policy.npz`` in integers, ``tile-policy.json`` with what every scene
+gained when it was left out, beside simpler rules at equal cost, and the file's checksum.
+`policy_training` trains the paper's policy of whole frames.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,18 +22,43 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from exwarp_cli.accelerator.fixed_point import to_fixed
 from exwarp_cli.accelerator.mlp import QuantisedMlp
-from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
-from exwarp_cli.domain.tiles import REWARP, TILE_STATE
+from exwarp_cli.domain.tiles import REWARP, TILE_FEATURES, TILE_STATE
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.errors import UsageError
+from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
 from exwarp_cli.io.files import atomic_write_text, make_folder
+from exwarp_cli.metrics.display import encode_display
+from exwarp_cli.models.model_file import shipped_folder
+from exwarp_cli.models.picture_network import OnnxExtrapolator
 from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, save_network
-from exwarp_cli.policy.state import INPUTS, TILE_NODES, tile_paths
-from exwarp_cli.research.training.policy_training import add_checksums, require_two_scenes
-from exwarp_cli.research.training.q_learning import fit_network, quantise
-from exwarp_cli.research.training.tile_tables import TileTable
+from exwarp_cli.policy.state import (
+    INPUTS,
+    TILE_NODES,
+    scale_tile_features,
+    tile_inputs,
+    tile_paths,
+)
+from exwarp_cli.research.training.augmentation import Variant
+from exwarp_cli.research.training.outcome_tables import (
+    TrainingTable,
+    extrapolator,
+    read_tables,
+    require_no_tables,
+)
+from exwarp_cli.research.training.policy_training import (
+    add_checksums,
+    require_two_scenes,
+    table_row,
+    table_rule,
+)
+from exwarp_cli.research.training.q_learning import fit_network, integer_values, quantise
+from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.research.training.training_settings import TilePolicySettings
+from exwarp_cli.runtime.stop import check_stop
+from exwarp_cli.synthesis.interval import tile_features
+from exwarp_cli.synthesis.methods import predict_path
 
 F64 = npt.NDArray[np.float64]
 Margins = npt.NDArray[Any]
@@ -54,6 +82,126 @@ EFFORTS = tuple(i / 20 for i in range(1, 20))
 
 # The nodes after warping and after extrapolating; none after slot 3.
 AFTER = {"d2": ("d5", "d4"), "d4": None, "d5": None}
+
+# What errors are of: slot, maker, and a path whose frame shows it.
+MADE = ((2, WARP, "S6"), (2, EXTRAPOLATE, "S3"), (3, WARP, "S6"), (3, EXTRAPOLATE, "S3"),
+        (3, REWARP, "S4"))  # fmt: skip
+
+# Folder of the tables of tiles, beside the models.
+TILE_TABLES = "tiles"
+
+# Variants of each scene: every instant as a key frame, and time in both directions.
+VARIANTS = tuple(
+    Variant(phase, backwards=back) for back in (False, True) for phase in range(FACTOR)
+)
+
+
+@dataclass(frozen=True)
+class TileTable(TrainingTable):
+    """All tiles of a scene's key intervals."""
+
+    schema = "exwarp.tile-table/1"
+    kind, row = "table of tiles", "tile"
+    facts = ("scene", "width", "network")
+    arrays: ClassVar = {
+        "interval": (np.int32, np.int32, ()),
+        "features": (np.float32, np.float64, (3, len(TILE_FEATURES))),
+        "errors": (np.float32, np.float64, (len(MADE),)),
+    }
+
+    scene: str
+    width: int  # Of its frames, pixels
+    interval: npt.NDArray[np.int32]  # int32 [N]: which key interval a tile belongs to.
+    features: F64  # float64 [N, 3, 6]: of slots 1 to 3, in the order of `TILE_FEATURES`.
+    errors: F64  # float64 [N, 5]: mean squared error, squared display levels, of what `MADE` names.
+    network: str  # Checksum of the network whose frames were judged.
+
+    @cached_property
+    def slots(self) -> list[F64]:
+        """Scaled features of slots 1 to 3, float64 [N, 6] each."""
+        return [
+            scale_tile_features(self.features[:, slot], self.width) for slot in range(FACTOR - 1)
+        ]
+
+    @cached_property
+    def states(self) -> F64:
+        """The network's inputs at each node of `DECIDED`, float64 [N, 3, 44]."""
+        states = np.stack([tile_inputs(self.slots, node) for node in TILE_NODES], axis=1)
+        assert states.shape[1:] == (len(TILE_NODES), INPUTS)
+        return states
+
+    def error(self, slot: int, maker: str) -> F64:
+        """Return the errors of a slot's tiles by one maker, float64 [N]."""
+        places = [(number, name) for number, name, _ in MADE]
+        return np.asarray(self.errors[:, places.index((slot, maker))])
+
+
+def measure_tiles(
+    scene: RenderedScene, network: OnnxExtrapolator, say: Callable[[str], None]
+) -> TileTable:
+    """Make the frames of all makers of a scene's key intervals, and measure their tiles.
+
+    Of a scene that is not rendered to the end its first unbroken run of key frames counts.
+    """
+    scene = scene.as_far_as_rendered()
+    features: list[F64] = []
+    errors: list[F64] = []
+    numbers: list[npt.NDArray[np.int32]] = []
+    clips = SceneClip(scene)
+    intervals = ((clip, k) for clip in map(clips.seen_as, VARIANTS) for k in clip.intervals)
+    for clip, k in intervals:
+        truth = {slot: encode_display(clip.truth(k, slot).pixels) for slot in (2, 3)}
+        interval = replace(clip.causal(k, "key"), extrapolator=network)
+        by_slot = [tile_features(interval, slot) for slot in range(1, FACTOR)]
+        features.append(np.stack(by_slot, axis=2).reshape(-1, FACTOR - 1, len(TILE_FEATURES)))
+        by_maker = []
+        for slot, _, path in MADE:
+            frame = encode_display(predict_path(path, interval, slot).pixels)
+            squares = np.square(frame[..., :3] - truth[slot][..., :3]).mean(axis=-1)
+            by_maker.append(interval.mosaic.means(squares).ravel())
+        errors.append(np.stack(by_maker, axis=-1))
+        numbers.append(np.full(len(errors[-1]), len(numbers), np.int32))
+        say(f"{scene.name}: {len(numbers)} key intervals")
+        check_stop()
+    return TileTable(
+        scene.name,
+        scene.manifest.width,
+        np.concatenate(numbers),
+        np.concatenate(features),
+        np.concatenate(errors),
+        network.checksum,
+    )
+
+
+def find_tile_tables(
+    data: Path | None,
+    model: Path | None,
+    tables: Path | None,
+    output: Path,
+    say: Callable[[str], None],
+) -> list[TileTable]:
+    """Measure the tiles of benchmark scenes and write their tables, or read those that are there.
+
+    A scene whose table is in the output folder, made with the same network, is not measured again.
+    Parameters and errors are those of `outcome_tables.find_tables`.
+    """
+    if data is None:
+        if model is not None:
+            raise UsageError("--extrapolator is for measuring scenes; give --data too")
+        folder = tables or shipped_folder() / TILE_TABLES
+        return read_tables(TileTable, folder)
+    require_no_tables(tables)
+    make_folder(output / TILE_TABLES)
+    found = []
+    for scene in find_scenes(data, BENCHMARK):
+        network = extrapolator(model)
+        path = output / TILE_TABLES / f"{scene.name}.npz"
+        table = TileTable.load(path) if path.exists() else None
+        if table is None or table.network != network.checksum:
+            measure_tiles(scene, network, say).save(path)
+            table = TileTable.load(path)
+        found.append(table)
+    return found
 
 
 def gains(table: TileTable) -> F64:
@@ -101,9 +249,8 @@ def train_tiles(tables: Sequence[TileTable], settings: TilePolicySettings) -> Qu
 
 def choice_margins(network: QuantisedMlp, table: TileTable) -> npt.NDArray[np.int64]:
     """Return by how much extrapolating is worth more than warping, int64 [N, 3]."""
-    outputs, _ = MlpKernel(network).decide_many(to_fixed(table.states.reshape(-1, INPUTS)))
-    margins = outputs[:, 1].astype(np.int64) - outputs[:, 0].astype(np.int64)
-    return margins.reshape(-1, len(TILE_NODES))
+    outputs = integer_values(network, table.states)
+    return outputs[..., 1] - outputs[..., 0]
 
 
 def choose(margins: Margins, price: float) -> Chosen:
@@ -227,3 +374,21 @@ def train_tile_policy(
     atomic_write_text(output / REPORT, json.dumps(report, indent=1) + "\n")
     add_checksums(output, [SHIPPED_TILE_POLICY])
     return report
+
+
+def tile_policy_card(report: dict[str, Any]) -> str:
+    """Return what ``tile-policy.json`` holds: what choices gain at some shares of the area.
+
+    In per cent of what E gains everywhere, in dB over all scenes.
+    """
+    curves = report["gain_percent"]
+    shares = list(next(iter(curves.values())))
+    lines = [table_row("choice", *(f"{float(share):.0%} of the area" for share in shares))]
+    lines.append(table_rule(1 + len(shares)))
+    for name, gains in curves.items():
+        lines.append(table_row(name, *(f"{gains[share]:.0f} %" for share in shares)))
+    everywhere = ", ".join(
+        f"{scene} {gain:+.2f}" for scene, gain in report["extrapolator_gain_db"].items()
+    )
+    s4 = f"Always S4, at half of the area, gains {report['always_s4_percent']:.0f} %."
+    return "\n".join([*lines, "", f"E everywhere gains, in dB: {everywhere}. {s4}"])

@@ -1,16 +1,31 @@
-"""The page of a benchmark: the paper's tables and figures, and frames of each sequence."""
+"""The files of a benchmark, each written whole or not at all: tables, and a page with figures.
+
+The page has the paper's tables and figures, and frames of each sequence.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
 
+from exwarp_cli.accelerator.mac_array import MacArray, schedule
+from exwarp_cli.accelerator.mlp import PAPER_SIZES
 from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.io.files import atomic_write_text, make_folder, remove_leftovers
+from exwarp_cli.pipeline.progress import Progress
+from exwarp_cli.report.csv_tables import escape_formula, format_csv
+from exwarp_cli.report.folder import PAGE_FILE
 from exwarp_cli.report.gallery import BUDGET, PICTURE_BYTES, TRUTH, Album
-from exwarp_cli.report.html import Block, Number, Page, Section, Table, Text, Viewer
-from exwarp_cli.report.schema import mean
+from exwarp_cli.report.html import Block, Number, Page, Section, Table, Text, Viewer, render
+from exwarp_cli.report.schema import mean, to_json
 from exwarp_cli.report.sentences import format_percent, format_time
-from exwarp_cli.research.bench.bench_document import Document, describe_benchmark
+from exwarp_cli.research.bench.bench_document import (
+    Document,
+    bench_document,
+    describe_benchmark,
+    feature_points,
+    identify,
+)
 from exwarp_cli.research.bench.bench_figures import FIGURES, draw_features, sequence_labels
 from exwarp_cli.research.bench.bench_tables import (
     PAPER,
@@ -21,8 +36,10 @@ from exwarp_cli.research.bench.bench_tables import (
     make_tables,
 )
 from exwarp_cli.research.bench.benchmark import Benchmark, Measured
-from exwarp_cli.research.bench.subjects import OpenedSubject, load_networks
+from exwarp_cli.research.bench.subjects import OpenedSubject
 from exwarp_cli.research.bench.systems import CHOOSERS, FIXED_PATHS, POLICY, SLOTS, pictures_of
+
+JSON_FILE, MARKDOWN_FILE = "bench.json", "bench.md"
 
 # Tables by section: what a farm asks first before what the paper shows.
 SECTIONS = {
@@ -49,6 +66,82 @@ HEADLINE = ((POLICY, "ExWarp"), ("s6", "warping alone"), ("softsplat", "look-ahe
 
 # Systems whose frames are shown, with all that options add.
 PICTURED = (POLICY, "s6", "softsplat", "minterpolate", "hold")
+
+
+def write_benchmark(
+    folder: Path, benchmark: Benchmark, clock_hz: float, progress: Progress
+) -> Document:
+    """Write bench.json, bench.md, a CSV file a table, and the page.
+
+    Returns
+    -------
+    dict
+        What bench.json holds.
+
+    Raises
+    ------
+    OutputError
+        When a file cannot be written.
+    """
+    make_folder(folder)
+    remove_leftovers(folder)
+    document = bench_document(benchmark, schedule(MacArray(), PAPER_SIZES), clock_hz)
+    for table in make_tables(document):
+        text = _format_rows([column.key for column in table.columns], table.rows)
+        atomic_write_text(folder / f"{table.name}.csv", text)
+    # What Figure 4 draws: a row a slot.
+    points = [
+        {"scene": row.subject.name, "size": identify(row)["size"], "setting": row.subject.setting}
+        | point
+        for row in benchmark.measured
+        for point in feature_points(row)
+    ]
+    atomic_write_text(folder / "features.csv", _format_rows(list(points[0]), points))
+    atomic_write_text(folder / MARKDOWN_FILE, format_markdown(document))
+    progress.message("making frames for the page")
+    page = bench_page(benchmark, document, _make_albums(benchmark))
+    atomic_write_text(folder / PAGE_FILE, render(page))
+    # The document last, as it marks a complete benchmark.
+    atomic_write_text(folder / JSON_FILE, to_json(document))
+    return document
+
+
+def describe_files(folder: Path) -> list[str]:
+    """Say in lines what lies in a benchmark's folder."""
+    return [
+        f"tables in {folder / MARKDOWN_FILE}, {folder / JSON_FILE} and CSV files beside them",
+        f"page to look at: {folder / PAGE_FILE}",
+    ]
+
+
+def _format_rows(header: Sequence[str], rows: Sequence[Row]) -> str:
+    cells = ([row.get(key) for key in header] for row in rows)
+    escaped = ([escape_formula(c) if isinstance(c, str) else c for c in row] for row in cells)
+    return format_csv(header, escaped)
+
+
+def format_markdown(document: Document) -> str:
+    """Write all tables for a wiki page; columns in which nothing was measured are left out."""
+    parts = [f"# ExWarp benchmark\n\n{_escape(describe_benchmark(document))}\n"]
+    for table in make_tables(document):
+        if not table.rows:
+            continue
+        columns = table.measured_columns
+        lines = [
+            "| " + " | ".join(_escape(column.title) for column in columns) + " |",
+            "|" + "|".join("---:" if column.style else "---" for column in columns) + "|",
+        ]
+        for row in table.rows:
+            lines.append("| " + " | ".join(_escape(column.text(row)) for column in columns) + " |")
+        parts.append(f"## {table.title}\n\n{table.note}\n\n" + "\n".join(lines) + "\n")
+    return "\n".join(parts)
+
+
+def _escape(text: str) -> str:
+    """Keep names of files from being taken for marks."""
+    for mark in "\\`*_|<>[]&":
+        text = text.replace(mark, f"\\{mark}")
+    return " ".join(text.split())
 
 
 def bench_page(benchmark: Benchmark, document: Document, albums: Sequence[Album]) -> Page:
@@ -108,7 +201,7 @@ def _page_table(title: str, table: BenchTable, rows: Sequence[Row], note: str = 
         spare.remove(SEQUENCE[0].key)
     columns = [
         column
-        for column in table.measured_columns()
+        for column in table.measured_columns
         if column.key not in spare or len({row.get(column.key) for row in rows} - {None}) > 1
     ]
     cells = [[None if row.get(c.key) is None else c.text(row) for c in columns] for row in rows]
@@ -116,9 +209,23 @@ def _page_table(title: str, table: BenchTable, rows: Sequence[Row], note: str = 
 
 
 def _numbers(document: Document) -> list[Number]:
-    """Return the headline: what is saved first, then means over the sequences."""
-    rows = document["comparison"]
-    numbers = _render_time_numbers(document)
+    """Return the headline: what is saved first, then means over the sequences.
+
+    What is saved against rendering is there where headers state how long that took.
+    """
+    rows, numbers = document["comparison"], []
+    for name, label in HEADLINE:
+        timed = [row for row in document["render_time"] if name in (row["saved_share"] or {})]
+        if timed:
+            share = format_percent(mean(row["saved_share"][name] for row in timed))
+            rendered = format_time(mean(row["key_frame_s"] for row in timed))
+            generated = format_time(mean(row["generated_frame_s"][name] for row in timed))
+            numbers += [
+                Number("Render time saved", str(share), f"{label}, of rendering all frames"),
+                Number("Rendered frame", str(rendered), "by the headers, on average"),
+                Number("Generated frame", str(generated), f"{label}, files apart"),
+            ]
+            break
     for name, label in HEADLINE:
         systems = [row["systems"][name] for row in rows if name in row["systems"]]
         psnr, ssim = (mean(system[key] for system in systems) for key in ("psnr_db", "ssim"))
@@ -133,58 +240,41 @@ def _numbers(document: Document) -> list[Number]:
     return [*numbers, Number("Sequences", str(len(rows)), f"{count:,} key intervals")]
 
 
-def _render_time_numbers(document: Document) -> list[Number]:
-    """Return what was saved against rendering, where headers state how long that took."""
-    rows = [row for row in document["render_time"] if row["saved_share"] is not None]
-    for name, label in HEADLINE:
-        timed = [row for row in rows if name in row["saved_share"]]
-        if timed:
-            share = format_percent(mean(row["saved_share"][name] for row in timed))
-            rendered = format_time(mean(row["key_frame_s"] for row in timed))
-            generated = format_time(mean(row["generated_frame_s"][name] for row in timed))
-            return [
-                Number("Render time saved", str(share), f"{label}, of rendering all frames"),
-                Number("Rendered frame", str(rendered), "by the headers, on average"),
-                Number("Generated frame", str(generated), f"{label}, files apart"),
-            ]
-    return []
+def _make_albums(benchmark: Benchmark) -> list[Album]:
+    """Return an album for each subject: a usual and a bad key interval, made once more.
 
-
-def make_albums(benchmark: Benchmark) -> list[Album]:
-    """Return an album for each subject: a usual and a bad key interval, made once more."""
+    They have the median and the worst PSNR of the first system that is shown.
+    """
     extra = [name for name in benchmark.systems if name not in benchmark.settings.systems]
     systems = [name for name in PICTURED if name in benchmark.systems] + extra
-    keys = [_pictured_keys(row, systems) for row in benchmark.measured]
+    chosen: list[list[int]] = []
+    for row in benchmark.measured:
+        judge = next((name for name in systems if name in row.parts[0]["systems"]), None)
+        numbers: set[int] = set()
+        if judge is not None:
+            quality = {
+                part["key"]: sum(frame["all"]["psnr_db"] for frame in part["systems"][judge])
+                for part in row.parts
+            }
+            ranked = sorted(quality, key=lambda number: quality[number])
+            numbers = {ranked[0], ranked[len(ranked) // 2]}
+        chosen.append(sorted(numbers))
     # A picture and an error for each system, half as large, and the truth, at three slots.
-    pictures = sum(map(len, keys)) * len(SLOTS) * (1.5 * len(systems) + 1)
+    pictures = sum(map(len, chosen)) * len(SLOTS) * (1.5 * len(systems) + 1)
     room = min(PICTURE_BYTES, int(BUDGET / max(pictures, 1)))
-    return [
-        _make_album(benchmark, row, chosen, systems, room)
-        for row, chosen in zip(benchmark.measured, keys, strict=True)
-    ]
-
-
-def _pictured_keys(row: Measured, systems: Sequence[str]) -> list[int]:
-    """Return the numbers of the key frames with the median and the worst PSNR of a system."""
-    judge = next((name for name in systems if name in row.parts[0]["systems"]), None)
-    if judge is None:
-        return []
-    ranked = sorted(row.parts, key=lambda p: sum(f["all"]["psnr_db"] for f in p["systems"][judge]))
-    return sorted({ranked[0]["key"], ranked[len(ranked) // 2]["key"]})
+    subjects = zip(benchmark.measured, benchmark.opened, chosen, strict=True)
+    return [_make_album(row, opened, keys, systems, room) for row, opened, keys in subjects]
 
 
 def _make_album(
-    benchmark: Benchmark, row: Measured, keys: Sequence[int], systems: Sequence[str], room: int
+    row: Measured, opened: OpenedSubject, keys: Sequence[int], systems: Sequence[str], room: int
 ) -> Album:
+    """Return an album of some key frames, by their numbers; `room` is in bytes a picture."""
     album = Album((*systems, TRUTH), next(iter(systems), TRUTH), TRUTH, room)
-    settings = benchmark.settings
-    opened = OpenedSubject(row.subject, settings, load_networks(settings, None))
-    index_of = {opened.number(key): key for key in opened.keys}
     parts = {part["key"]: part for part in row.parts}
     for number in keys:
-        key, part = index_of[number], parts[number]
-        opened.restart()
-        inputs = opened.load(key, lambda recipes: True)
+        key, part = opened.numbers.index(number), parts[number]
+        inputs = opened.reader.read(key)
         interval = opened.builder.build(inputs)
         frames, masks = opened.frames(inputs, interval), opened.masks(interval)
         truth, paths = opened.truth(key), FIXED_PATHS | part["paths"]
@@ -200,18 +290,14 @@ def _make_album(
             # Named after what made the frame of the learned policy, where that was measured.
             chosen = part["systems"].get(POLICY)
             maker = "blend" if chosen is None else str(chosen[slot - 1]["made_by"])
-            album.set_facts(frame, maker, _facts(part, slot, systems))
+            facts = {"slot": f"{slot} after key frame {number}"}
+            if path := part["paths"].get(POLICY):
+                facts["path"] = path
+            for name in systems:
+                psnr = part["systems"][name][slot - 1]["all"]["psnr_db"]
+                facts[f"PSNR {name}"] = f"{psnr:.2f} dB"
+            if (hole := part["holes"][slot - 1]) is not None:
+                facts["holes"] = f"{hole:.1%}"
+            album.set_facts(frame, maker, facts)
+        opened.restart()
     return album
-
-
-def _facts(part: dict[str, Any], slot: int, systems: Sequence[str]) -> dict[str, str]:
-    facts = {"slot": f"{slot} after key frame {part['key']}"}
-    if path := part["paths"].get(POLICY):
-        facts["path"] = path
-    for name in systems:
-        score = part["systems"][name][slot - 1]["all"]
-        facts[f"PSNR {name}"] = f"{score['psnr_db']:.2f} dB"
-    hole = part["holes"][slot - 1]
-    if hole is not None:
-        facts["holes"] = f"{hole:.1%}"
-    return facts
