@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import MotionError
 from exwarp_cli.kernels._row_bands import threads
@@ -119,7 +118,7 @@ def _too_little_motion(
 ) -> MotionFinding:
     """Return the reading where too little moves to measure: at rest, all readings are the same."""
     reason = f"frames {frames} hold too little motion to measure"
-    if any(_usable_movers(frame).any() for pair in pairs for frame in pair):
+    if any((frame.moving & frame.usable).any() for pair in pairs for frame in pair):
         return _untested(guess, reason)
     if guess is not None:
         return replace(_untested(guess, reason), resting=True)
@@ -132,14 +131,10 @@ def _too_little_motion(
     return MotionFinding(convention, "untested", evidence, resting=True)
 
 
-def _usable_movers(frame: FrameSamples) -> Bool:
-    return np.asarray(frame.moving & frame.usable)
-
-
 def _without_vanishing(guess: MotionConvention, pairs: Pairs) -> MotionConvention:
     """Return the named convention without a length or alpha that makes every vector vanish."""
     moving = np.concatenate(
-        [frame.motion[_usable_movers(frame)] for pair in pairs for frame in pair]
+        [frame.motion[frame.moving & frame.usable] for pair in pairs for frame in pair]
     )
 
     def usable(axes: AxisMap | None) -> AxisMap | None:
