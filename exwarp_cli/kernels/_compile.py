@@ -20,11 +20,12 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Any
 
 import numba
 from llvmlite import binding  # type: ignore[import-untyped]
 from numba.core import compiler, serialize
+from numba.core.caching import NullCache
 from numba.core.runtime.nrt import rtsys
 from numba.extending import register_jitable
 from numba.misc.appdirs import AppDirs
@@ -52,29 +53,16 @@ _dumps: Any = serialize.dumps
 _Folders: Any = AppDirs
 
 
-@overload
-def kernel(function: Kernel) -> Kernel: ...
-
-
-@overload
-def kernel(*, parallel: Literal[True]) -> Callable[[Kernel], Any]: ...
-
-
-def kernel(function: Kernel | None = None, *, parallel: bool = False) -> Any:
-    """Compile a function on its first call, and keep the machine code on disk.
-
-    With `parallel` the function takes a band as its last argument, and loops over that band's
-    :func:`_row_bands.band_range`. Callers leave the band out; see `ParallelKernel`.
-    """
-    return ParallelKernel if function is None else _compile(function)
-
-
 class ParallelKernel:
-    """A kernel that runs on as many threads as :func:`_row_bands.threads` returns."""
+    """A kernel that runs on as many threads as :func:`_row_bands.threads` returns.
+
+    Its function takes a band as its last argument, and loops over that band's
+    :func:`_row_bands.band_range`. Callers leave the band out.
+    """
 
     def __init__(self, function: Kernel) -> None:
         functools.update_wrapper(self, function)
-        self._compiled = _compile(function)
+        self._compiled = kernel(function)
 
     def __call__(self, *arguments: object) -> None:
         _row_bands.run_bands(self._compiled, arguments, _row_bands.threads())
@@ -84,7 +72,8 @@ class ParallelKernel:
         self._compiled(*arguments, _row_bands.ALL)
 
 
-def _compile(function: Kernel) -> Kernel:
+def kernel(function: Kernel) -> Kernel:
+    """Compile a function on its first call, and keep the machine code on disk."""
     assert isinstance(function, types.FunctionType)
     dispatcher: Any = numba.njit(function, **OPTIONS)
     if dispatcher is not function:  # it is with NUMBA_DISABLE_JIT
@@ -115,7 +104,7 @@ def processor() -> str:
     return str(binding.get_host_cpu_name())
 
 
-class KernelCache:
+class KernelCache(NullCache):
     """The builds of one kernel on disk, one file each, in place of numba's cache.
 
     A file's name is a digest of all that its content depends on. Files are written atomically, and
@@ -142,7 +131,9 @@ class KernelCache:
                 if content[:32] == hashlib.sha256(content[32:]).digest():
                     result = _rebuild(target, *pickle.loads(content[32:]))
                     compilation.loaded += 1
-                    _note_use(folder / str(name))
+                    with suppress(OSError):
+                        if time.time() - (folder / str(name)).stat().st_mtime > TOUCH_INTERVAL:
+                            os.utime(folder / str(name))
                     return result
         compilation.begin()
         return None
@@ -162,15 +153,6 @@ class KernelCache:
         except OSError:
             with suppress(OSError):
                 temporary.unlink()
-
-    def enable(self) -> None:
-        """Do nothing; part of numba's interface."""
-
-    def disable(self) -> None:
-        """Do nothing; part of numba's interface."""
-
-    def flush(self) -> None:
-        """Do nothing; part of numba's interface."""
 
     def _name(self, signature: Any, codegen: Any) -> str | None:
         """Return the file name of a build, or None if it cannot be cached."""
@@ -270,12 +252,6 @@ def _is_writable(folder: Path) -> bool:
             return True
     except OSError:
         return False
-
-
-def _note_use(path: Path) -> None:
-    with suppress(OSError):
-        if time.time() - path.stat().st_mtime > TOUCH_INTERVAL:
-            os.utime(path)
 
 
 @functools.cache

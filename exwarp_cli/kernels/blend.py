@@ -6,14 +6,13 @@ import math
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32, I16, I32
 from exwarp_cli.kernels.gather import clamp
 from exwarp_cli.kernels.holes import DIRECTIONS
 
 Side = tuple[F32, F32, B8, B8]
-Row = tuple[F32, B8, B8]
 Visibility = tuple[F32, B8, B8]
 
 # Exponent of the depth weight: a surface twice as near outweighs the other 1000 to 1.
@@ -57,71 +56,11 @@ def _has_near_depth(depth: F32, hole: B8, at: tuple[int, int], target: np.float3
     return near
 
 
-@device_function
-def _mark_shared_edges(
-    i: int,
-    before: tuple[F32, B8],  # depth and hole, [H, W]; as `after`
-    after: tuple[F32, B8],
-    shared: B8,  # [W], written
-) -> None:
-    """Mark pixels of row i where the sides show two surfaces whose common edge passes by.
-
-    The pixels of a key frame have the surface of their centre, so edges moved to the slot are off
-    by up to half a pixel. If one side shows the nearer surface and the other the one behind, and
-    each has the other surface beside that pixel, the edge passes through the pixel.
-    """
-    first, first_hole = before
-    second, second_hole = after
-    for j in range(shared.size):
-        a, b = first[i, j], second[i, j]
-        both_visible = not (first_hole[i, j] | second_hole[i, j] | math.isnan(a) | math.isnan(b))
-        shared[j] = both_visible and not _same_depth(a, b)
-        if shared[j]:
-            shared[j] = _has_near_depth(first, first_hole, (i, j), b)
-            shared[j] &= _has_near_depth(second, second_hole, (i, j), a)
-
-
-@device_function
-def _write_row_weights(
-    before: Row,  # depth, hole and ghost of the row, [W]; as `after`
-    after: Row,
-    # shared: [W]: pixels where time alone decides, so that the edge covers a share of the pixel
-    shared: B8,
-    time: np.float32,
-    weight: F32,  # [W], written; 0 in holes
-    depth: F32,  # [W], written
-    hole: B8,  # [W], written
-) -> None:
-    """Write the weight of the later key frame for a row."""
-    first, first_hole, first_fringe = before
-    second, second_hole, second_fringe = after
-    for j in range(weight.size):
-        nearest = second[j]
-        nearest = first[j] if (first[j] < nearest) | math.isnan(nearest) else nearest
-        a = _depth_weight(first[j], nearest, first_hole[j], first_fringe[j])
-        b = _depth_weight(second[j], nearest, second_hole[j], second_fringe[j])
-        a = np.float32(1) - time if shared[j] else a * (np.float32(1) - time)
-        b = time if shared[j] else b * time
-        seen = a + b > 0
-        depth[j], hole[j] = nearest, not seen
-        weight[j] = b / (a + b) if seen else np.float32(0)
-
-
 @inline
 def _repeat_channels(weight: F32, channels: int, out: F32) -> None:
     for j in range(weight.size):
         for c in range(channels):
             out[j * channels + c] = weight[j]
-
-
-@device_function
-def _mix_row(first: F32, second: F32, weight: F32, out: F32) -> None:
-    """Mix two rows of values; `weight` is that of the second."""
-    # From the heavier side: exact where it counts alone, whatever the other holds.
-    for k in range(out.size):
-        early, late, remainder = first[k], second[k], np.float32(1) - weight[k]
-        forward, backward = early + weight[k] * (late - early), late + remainder * (early - late)
-        out[k] = forward if weight[k] < np.float32(0.5) else backward
 
 
 @device_function
@@ -142,7 +81,11 @@ def _blend_row(before: F32, after: F32, weight: F32, out: F32) -> None:
         np.ascontiguousarray(after).reshape(-1),
     )
     mixed, target = np.empty(out.size, np.float32), out.reshape(-1)
-    _mix_row(first, second, weights, mixed)  # `out` may be `before`, for which loops are slow
+    # From the heavier side: exact where it counts alone, whatever the other holds.
+    for k in range(mixed.size):  # `out` may be `before`, for which loops are slow
+        early, late, remainder = first[k], second[k], np.float32(1) - weights[k]
+        forward, backward = early + weights[k] * (late - early), late + remainder * (early - late)
+        mixed[k] = forward if weights[k] < np.float32(0.5) else backward
     for k in range(out.size):
         target[k] = mixed[k]
 
@@ -157,14 +100,38 @@ def _weigh_row(
     depth: F32,
     hole: B8,
 ) -> None:
+    """Write the weight of the later key frame for row i, 0 in holes, and the nearer depth.
+
+    The pixels of a key frame have the surface of their centre, so edges moved to the slot are off
+    by up to half a pixel. If one side shows the nearer surface and the other the one behind, and
+    each has the other surface beside that pixel, the edge passes through the pixel: it is shared,
+    and time alone decides, so that the edge covers a share of it.
+    """
+    first, first_hole, first_fringe = before
+    second, second_hole, second_fringe = after
     shared = np.empty(weight.size, np.bool_)
-    _mark_shared_edges(i, (before[0], before[1]), (after[0], after[1]), shared)
-    first = before[0][i], before[1][i], before[2][i]
-    second = after[0][i], after[1][i], after[2][i]
-    _write_row_weights(first, second, shared, time, weight, depth, hole)
+    for j in range(weight.size):
+        a, b = first[i, j], second[i, j]
+        both_visible = not (first_hole[i, j] | second_hole[i, j] | math.isnan(a) | math.isnan(b))
+        shared[j] = both_visible and not _same_depth(a, b)
+        if shared[j]:
+            shared[j] = _has_near_depth(first, first_hole, (i, j), b)
+            shared[j] &= _has_near_depth(second, second_hole, (i, j), a)
+    early_depth, early_hole, early_fringe = first[i], first_hole[i], first_fringe[i]
+    late_depth, late_hole, late_fringe = second[i], second_hole[i], second_fringe[i]
+    for j in range(weight.size):
+        x, nearest = early_depth[j], late_depth[j]
+        nearest = x if (x < nearest) | math.isnan(nearest) else nearest
+        early = _depth_weight(x, nearest, early_hole[j], early_fringe[j])
+        late = _depth_weight(late_depth[j], nearest, late_hole[j], late_fringe[j])
+        early = np.float32(1) - time if shared[j] else early * (np.float32(1) - time)
+        late = time if shared[j] else late * time
+        seen = early + late > 0
+        depth[j], hole[j] = nearest, not seen
+        weight[j] = late / (early + late) if seen else np.float32(0)
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def write_later_weights(
     before: Visibility,  # depth, hole and ghost, as for `blend`; as `after`
     after: Visibility,
@@ -179,7 +146,7 @@ def write_later_weights(
         _weigh_row(i, before, after, time, later[i], depth[i], hole[i])
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def mix_frames(
     before: F32,  # before, after: [H, W, C]
     after: F32,
@@ -192,7 +159,7 @@ def mix_frames(
         _blend_row(before[i], after[i], later[i], out[i])
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def blend(
     # before: pixels [H, W, C], depth [H, W] (+inf background, NaN unknown), hole, ghost; as `after`
     before: Side,
@@ -218,13 +185,10 @@ def blend(
         _blend_row(before[0][i], after[0][i], later, out[i])
 
 
-CandidateSides = tuple[F32, F32, F32, F32]
-
-
-@kernel(parallel=True)
+@ParallelKernel
 def mix_candidates(
     mixed: F32,  # [H, W, C], the first candidate
-    sides: CandidateSides,  # the four others, [H, W, C]
+    sides: tuple[F32, F32, F32, F32],  # the four others, [H, W, C]
     weights: F32,  # [5, h, w], in the order of the candidates; their sum is 1
     corner: tuple[int, int],  # row and column of the part's first pixel
     out: F32,  # [H, W, C], written in the part
@@ -303,7 +267,7 @@ def _visible_source(i: int, j: int, side: SourceSide) -> tuple[int, np.float32]:
     return pixel, trust if pixel >= 0 else np.float32(0)
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def choose_sources(
     # before: per key frame: field [H, W, 2] px from the slot, NaN if none; depth that the slot
     # shows; depth of its own pixels; hole; ghost [H, W]
@@ -380,7 +344,7 @@ def _nearest_visible(
     return y, x
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def adopt_sources(
     # pixel: from `choose_sources`, as is `later`; changed in holes, its own place if nothing is
     # visible
@@ -407,7 +371,7 @@ def adopt_sources(
                 later[i, j] = later[y, x]
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def sample_surface(
     image: F32,  # [H, W, C]
     depth: F32,  # [H, W] of its pixels, +inf background

@@ -19,21 +19,12 @@ SPAN, FINE = 64, 16
 
 
 @inline
-def _find_root(parent: I32, label_components: int) -> int:
+def _find_root(parent: I32, label: int) -> int:
     # Path halving: every other label on the way skips one.
-    while parent[label_components] != label_components:
-        parent[label_components] = parent[parent[label_components]]
-        label_components = int(parent[label_components])
-    return label_components
-
-
-@inline
-def _join_sets(parent: I32, first: int, second: int) -> int:
-    """Merge two sets under the lower root, and return it."""
-    first, second = _find_root(parent, first), _find_root(parent, second)
-    low, high = min(first, second), max(first, second)
-    parent[high] = low
-    return low
+    while parent[label] != label:
+        parent[label] = parent[parent[label]]
+        label = int(parent[label])
+    return label
 
 
 @inline
@@ -88,43 +79,32 @@ def _label_runs(
     """Label the runs of a row by those above, and note which labels meet; return the last label."""
     skipped = 0
     for n in range(counts[1]):
-        begin, end, label_components = current[0][n], current[1][n], np.int32(0)
+        begin, end, label = current[0][n], current[1][n], np.int32(0)
         ident = rows[1][begin]
         while skipped < counts[0] and above[1][skipped] < begin:
             skipped += 1
         k = skipped
         while k < counts[0] and above[0][k] <= end:
             if rows[0][above[0][k]] == ident:
-                label_components = (
-                    np.int32(_join_sets(parent, label_components, above[2][k]))
-                    if label_components > 0
-                    else above[2][k]
-                )
+                meeting = above[2][k]
+                if label > 0:  # two sets become one, under the lower root
+                    first, second = _find_root(parent, label), _find_root(parent, meeting)
+                    meeting = np.int32(min(first, second))
+                    parent[max(first, second)] = meeting
+                label = meeting
             k += 1
-        if label_components == 0:
+        if label == 0:
             last_label += 1
-            label_components = np.int32(last_label)
-            parent[label_components] = label_components
-        current[2][n] = label_components
+            label = np.int32(last_label)
+            parent[label] = label
+        current[2][n] = label
     return last_label
 
 
 @device_function
-def _write_run(label_components: np.int32, line: I32) -> None:
+def _write_run(label: np.int32, line: I32) -> None:
     for j in range(line.size):
-        line[j] = label_components
-
-
-@device_function
-def _write_runs(runs: Runs, count: int, parent: I32, line: I32) -> None:
-    """Write a row's labels from the roots of its runs."""
-    done = np.int64(0)
-    for n in range(count):
-        begin, end = np.int64(runs[0][n]), np.int64(runs[1][n])
-        _write_run(np.int32(0), line[done:begin])
-        _write_run(parent[runs[2][n]], line[begin:end])
-        done = end
-    _write_run(np.int32(0), line[done:])
+        line[j] = label
 
 
 @kernel
@@ -157,8 +137,13 @@ def label_components(
         else:  # its parent is lower, so that one's number is final
             parent[k] = parent[parent[k]]
     for i in range(height):
-        at = first[i]
-        _write_runs((begins[at:], ends[at:], run_labels[at:]), first[i + 1] - at, parent, labels[i])
+        line, done = labels[i], np.int64(0)
+        for n in range(first[i], first[i + 1]):
+            begin, end = np.int64(begins[n]), np.int64(ends[n])
+            _write_run(np.int32(0), line[done:begin])
+            _write_run(parent[run_labels[n]], line[begin:end])
+            done = end
+        _write_run(np.int32(0), line[done:])
     return total
 
 

@@ -17,7 +17,6 @@ from exwarp_cli.kernels.array_types import I64, U8, U16, U32
 @device_function
 def _delta_encode(values: U16, previous: U16, shift: np.uint16, out: U8) -> None:
     """Write the differences of one byte of pairs [N], plus 128; `shift` selects the byte."""
-    # One output array, which is not read: so the loop becomes vector instructions.
     # One output array, and no look back into it: so the loop becomes vector instructions.
     for i in range(out.size):
         rise = np.uint16(np.uint16(values[i] >> shift) - np.uint16(previous[i] >> shift))
@@ -181,21 +180,13 @@ def _float_to_half(bits: np.uint32) -> np.uint16:
     return np.uint16(half | sign)
 
 
-@inline
-def _nan_to_half(bits: np.uint32) -> np.uint16:
-    """Return the half that keeps the upper bits of a NaN."""
-    payload = (bits >> np.uint32(13)) & np.uint32(0x3FF)
-    sign = (bits >> np.uint32(16)) & np.uint32(0x8000)
-    return np.uint16(sign | np.uint32(0x7C00) | payload | np.uint32(payload == 0))
-
-
 @kernel
 def round_to_half(
     pixels: U32,  # bits of floats [H, W], contiguous
     bounded: bool,  # values beyond half's range, and infinity, become its largest; else infinity
     out: U16,  # bits of halves [H, W], contiguous, written
 ) -> None:
-    """Round floats to halves, in a tenth of the time that numpy takes."""
+    """Round floats to halves, in a tenth of the time that numpy takes; NaN keeps its upper bits."""
     most = np.uint32(0x477FE000) if bounded else np.uint32(0x7F800000)
     for y in range(len(pixels)):
         row, halfs = pixels[y], out[y]
@@ -207,4 +198,7 @@ def round_to_half(
         if largest > np.uint32(0x7F800000):
             for x in range(row.size):
                 if row[x] & np.uint32(0x7FFFFFFF) > np.uint32(0x7F800000):
-                    halfs[x] = _nan_to_half(row[x])
+                    payload = (row[x] >> np.uint32(13)) & np.uint32(0x3FF)
+                    sign = (row[x] >> np.uint32(16)) & np.uint32(0x8000)
+                    nan = sign | np.uint32(0x7C00) | payload | np.uint32(payload == 0)
+                    halfs[x] = np.uint16(nan)

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import device_function, kernel
+from exwarp_cli.kernels._compile import ParallelKernel, device_function, kernel
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32, F64, I64
 
@@ -22,18 +22,7 @@ from exwarp_cli.kernels.array_types import B8, F32, F64, I64
 ROWS_PER_STRIP = 32
 
 
-@device_function
-def _finite_range(values: F32, mask: B8) -> tuple[np.float32, np.float32]:
-    least, most = np.float32(np.inf), np.float32(-np.inf)
-    for i in range(mask.shape[0]):
-        for j in range(mask.shape[1]):
-            value = values[i, j]
-            if mask[i, j] and abs(value) < np.float32(np.inf):
-                least, most = min(least, value), max(most, value)
-    return least, most
-
-
-@kernel(parallel=True)
+@ParallelKernel
 def write_ranges(
     values: F32,  # [H, W, C]
     mask: B8,  # [H, W]: pixels that count
@@ -45,7 +34,14 @@ def write_ranges(
     for strip in band_range(out.shape[0], band):
         rows = slice(strip * ROWS_PER_STRIP, (strip + 1) * ROWS_PER_STRIP)
         for c in range(values.shape[2]):
-            out[strip, c, 0], out[strip, c, 1] = _finite_range(values[rows, :, c], mask[rows])
+            channel, counts = values[rows, :, c], mask[rows]
+            least, most = np.float32(np.inf), np.float32(-np.inf)
+            for i in range(counts.shape[0]):
+                for j in range(counts.shape[1]):
+                    value = channel[i, j]
+                    if counts[i, j] and abs(value) < np.float32(np.inf):
+                        least, most = min(least, value), max(most, value)
+            out[strip, c, 0], out[strip, c, 1] = least, most
 
 
 BINS = 256
@@ -72,7 +68,7 @@ def _count_channel(values: F32, mask: B8, low: float, high: float, counts: I64) 
                 counts[_bin_of(np.float64(values[i, j]), low, high)] += 1
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def count_histograms(
     values: F32,  # [H, W, C]
     mask: B8,  # [H, W]: pixels that count
@@ -178,7 +174,7 @@ def _write_block_mean(motion: F32, mask: B8, mean: F64) -> None:
     mean[1] = sum_y / count if count > 0 else np.nan
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def block_means(
     motion: F32,  # [H, W, 2] px
     mask: B8,  # [H, W]: pixels that count; [0, 0] for all
@@ -228,19 +224,7 @@ def _copy_between(values: F32, mask: B8, low: float, high: float, out: F32) -> N
         count += mask[n] & (value > np.float32(0)) & (value >= low) & (value <= high)
 
 
-@device_function
-def _pick_band(values: F32, mask: B8, low: float, high: float, out: F32, counts: I64) -> None:
-    total, below, count = 0, 0, 0
-    for begin in range(0, values.size, TALLY_SPAN):
-        span, span_mask = values[begin : begin + TALLY_SPAN], mask[begin : begin + TALLY_SPAN]
-        counting, lower, between = _tally(span, span_mask, low, high)
-        if between > 0:
-            _copy_between(span, span_mask, low, high, out[count:])
-        total, below, count = total + counting, below + lower, count + between
-    counts[0], counts[1], counts[2] = total, below, count
-
-
-@kernel(parallel=True)
+@ParallelKernel
 def pick_between(
     values: F32,  # [N]
     mask: B8,  # [N]: those that count, where they are above 0
@@ -253,8 +237,15 @@ def pick_between(
     """Copy values above 0 that lie from `low` to `high`, by bands."""
     step = out.shape[1] - 1
     for strip in band_range(out.shape[0], band):
-        span = slice(min(strip * step, values.size), min((strip + 1) * step, values.size))
-        _pick_band(values[span], mask[span], low, high, out[strip], counts[strip])
+        total, below, count = 0, 0, 0
+        end = min((strip + 1) * step, values.size)
+        for begin in range(strip * step, end, TALLY_SPAN):
+            span = slice(begin, min(begin + TALLY_SPAN, end))
+            counting, lower, between = _tally(values[span], mask[span], low, high)
+            if between > 0:
+                _copy_between(values[span], mask[span], low, high, out[strip, count:])
+            total, below, count = total + counting, below + lower, count + between
+        counts[strip, 0], counts[strip, 1], counts[strip, 2] = total, below, count
 
 
 def positive_median(

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline, kernel
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32, F64
 
@@ -104,7 +104,7 @@ def sample_pixel(
     return False
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def gather_bilinear(
     image: F32,  # [H, W, C], fewer than 2^31 values
     field: F32,  # [h, w, 2] px, +x right, +y down, from `out` to the source; NaN without one
@@ -155,7 +155,7 @@ def _raise_pixel(
                 bound[place] = value if more else bound[place]
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def raise_bounds(
     pixels: F32,  # [H, W, C]; non-finite values do not count
     field: F32,  # [h, w, 2] px from the slot to the frame; beyond the frame its edge counts
@@ -191,7 +191,7 @@ def raise_bounds(
                     _raise_pixel(flat, area, channels, clear, sign, bounds, at)
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def clamp_to_bounds(
     bound: F32,  # [H, W, C], `sign` times the bounds; -inf for a bound of 0
     wanted: B8,  # [H, W]: pixels that are clamped; [0, 0] for all

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32, F64, I16, I32
 
@@ -48,19 +48,6 @@ def _squared_distance(position: F32, i: int, j: int, other: F32, y: int, x: int)
 
 
 @inline
-def _neighbour_distance(position: F32, i: int, j: int, down: int, right: int) -> np.float32:
-    """Return the squared distance to the nearer of the two neighbours on an axis, or infinity."""
-    # The nearer, so that a silhouette beside the pixel does not enlarge it.
-    height, width, _ = position.shape
-    best = np.float32(np.inf)
-    if i >= down and j >= right:
-        best = min(best, _squared_distance(position, i - down, j - right, position, i, j))
-    if i + down < height and j + right < width:
-        best = min(best, _squared_distance(position, i + down, j + right, position, i, j))
-    return best
-
-
-@inline
 def _beyond_footprint(
     position: F32, i: int, j: int, squared: np.float32, rounded: np.float32
 ) -> bool:
@@ -71,8 +58,15 @@ def _beyond_footprint(
     """
     # What is within the footprint of one axis needs no roots.
     total, squared_footprints = np.float32(0.0), FOOTPRINTS * FOOTPRINTS
+    height, width, _ = position.shape
     for axis in range(2):
-        step = _neighbour_distance(position, i, j, 1 - axis, axis)
+        # The nearer neighbour, so that a silhouette beside the pixel does not enlarge it.
+        down, right = 1 - axis, axis
+        step = np.float32(np.inf)
+        if i >= down and j >= right:
+            step = min(step, _squared_distance(position, i - down, j - right, position, i, j))
+        if i + down < height and j + right < width:
+            step = min(step, _squared_distance(position, i + down, j + right, position, i, j))
         if step < np.float32(np.inf):
             if squared <= squared_footprints * step:
                 return False
@@ -81,11 +75,6 @@ def _beyond_footprint(
     for c in range(3):
         size += abs(position[p, q, c])
     return bool(math.sqrt(squared) > FOOTPRINTS * total + rounded * size)
-
-
-@inline
-def _is_background(depth: F32, i: int, j: int) -> bool:
-    return math.isinf(depth[np.uint64(i), np.uint64(j)])
 
 
 @inline
@@ -122,7 +111,7 @@ def _other_surface(
     )
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def mark_holes(
     field: F32,  # [H, W, 2], from the target instant to the source instant; NaN is a hole
     depths: tuple[F32, F32],  # [H, W] at target and source; +inf background
@@ -153,8 +142,9 @@ def mark_holes(
             # None is below 0, where conversion would round up.
             x = min(int(fx + np.float32(0.5)), width - 1)
             y = min(int(fy + np.float32(0.5)), height - 1)
-            sky = _is_background(depths[0], i, j)
-            if sky != _is_background(depths[1], y, x):
+            # Unsigned indices need no test for counting from the end.
+            sky = math.isinf(depths[0][np.uint64(i), np.uint64(j)])
+            if sky != math.isinf(depths[1][np.uint64(y), np.uint64(x)]):
                 continue
             if sky:
                 hole[i, j] = False
@@ -181,16 +171,7 @@ MIN_WEIGHT = 1e-6
 INFINITE = np.int32(0x7F800000)  # The bits of infinity; those of NaN are greater
 
 
-@device_function
-def _count_row(hole: B8, bits: I32) -> tuple[np.int32, np.int32]:
-    count, most = np.int32(0), np.int32(0)
-    for j in range(hole.size):
-        count += np.int32(hole[j])
-        most = max(most, bits[j] if (not hole[j]) & (bits[j] < INFINITE) else np.int32(0))
-    return count, most
-
-
-@kernel(parallel=True)
+@ParallelKernel
 def count_holes(
     hole: B8,  # [H, W]
     bits: I32,  # [H, W], bits of the depth, not negative; +inf background, NaN unknown
@@ -202,19 +183,16 @@ def count_holes(
     # Bits of non-negative floats sort as the floats do, and their maximum needs no branches.
     height, _ = hole.shape
     for i in band_range(height, band):
-        counts[i], furthest[i] = _count_row(hole[i], bits[i])
+        row, row_bits = hole[i], bits[i]
+        count, most = np.int32(0), np.int32(0)
+        for j in range(row.size):
+            count = np.int32(count + np.int32(row[j]))
+            visible = (not row[j]) & (row_bits[j] < INFINITE)
+            most = max(most, row_bits[j] if visible else np.int32(0))
+        counts[i], furthest[i] = count, most
 
 
-@device_function
-def _list_row(hole: B8, columns: I32) -> None:
-    place = np.int64(0)
-    for j in range(hole.size):
-        # Overwritten unless it is a hole: a branch took twice as long.
-        columns[np.uint64(place)] = j
-        place += np.int64(hole[j])
-
-
-@kernel(parallel=True)
+@ParallelKernel
 def list_holes(
     hole: B8,  # [H, W]
     first: I32,  # [H + 1]: number of holes in all rows above
@@ -226,29 +204,14 @@ def list_holes(
     for i in band_range(height, band):
         begin, end = first[i], first[i + 1]
         if begin < end:
-            columns = np.empty(width, np.int32)
-            _list_row(hole[i], columns)
+            row, columns = hole[i], np.empty(width, np.int32)
+            place = np.int64(0)
+            for j in range(row.size):
+                # Overwritten unless it is a hole: a branch took twice as long.
+                columns[np.uint64(place)] = j
+                place += np.int64(row[j])
             for n in range(end - begin):
                 column[begin + n] = columns[n]
-
-
-@device_function
-def _answer_row(
-    ahead_distances: I16,  # [W + 2], distances of the row ahead; 0 at the ends, beyond the frame
-    hole: B8,
-    dx: int,  # columns in a step
-    reach: int,  # most steps
-    # distances: [W + 2], written between the ends: 1 if visible, else one more than ahead; 0 out of
-    # reach
-    distances: I16,
-) -> None:
-    """Write the distances that the pixels of a row report to those behind them."""
-    unit, limit = np.int16(1), np.int16(reach)
-    row_ahead = ahead_distances[1 + dx : 1 + dx + hole.size]
-    for j in range(hole.size):
-        step = row_ahead[j]
-        next_step = np.int16(step + unit) if (step > 0) & (step < limit) else np.int16(0)
-        distances[j + 1] = next_step if hole[j] else unit
 
 
 @device_function
@@ -256,16 +219,22 @@ def _march_across_rows(
     direction: int, hole: B8, first: I32, column: I32, reach: int, steps: I16
 ) -> None:
     """Write one direction of `ray_march_visible` that leads to another row."""
-    # Against the direction, so that pixels read distances that are already known.
+    # Against the direction, so that pixels read distances that are already known: 1 if visible,
+    # else one more than the pixel ahead; 0 out of reach, and beyond the frame.
     height, width = hole.shape
     dy, dx = DIRECTIONS[direction]
-    distances = np.zeros((2, width + 2), np.int16)  # at first none: beyond the frame
+    unit, limit = np.int16(1), np.int16(reach)
+    distances = np.zeros((2, width + 2), np.int16)
     for row in range(height):
         i = row if dy < 0 else height - 1 - row
-        ahead, current = distances[row % 2], distances[1 - row % 2]
+        ahead, current, row_hole = distances[row % 2], distances[1 - row % 2], hole[i]
         for k in range(first[i], first[i + 1]):
             steps[k] = ahead[np.uint64(column[k] + 1 + dx)]
-        _answer_row(ahead, hole[i], dx, reach, current)
+        row_ahead = ahead[1 + dx : 1 + dx + width]
+        for j in range(width):
+            step = row_ahead[j]
+            next_step = np.int16(step + unit) if (step > 0) & (step < limit) else np.int16(0)
+            current[j + 1] = next_step if row_hole[j] else unit
 
 
 @device_function
@@ -281,7 +250,7 @@ def _march_along_row(dx: int, width: int, first: I32, column: I32, reach: int, s
             visited, distance = int(column[k]), (step + 1 if 0 < step < reach else 0)
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def ray_march_visible(
     hole: B8,  # [H, W]
     first: I32,  # from `list_holes`, as is `column`
@@ -299,31 +268,6 @@ def ray_march_visible(
             )
         else:
             _march_across_rows(direction, hole, first, column, reach, steps[direction])
-
-
-@device_function
-def _write_depths(
-    at: int, stride: int, depth: F32, columns: I32, cap: np.float32, steps: I16, far: F32, most: F64
-) -> None:
-    """Write the depths that a row's holes see in one direction, and raise their maximum, `most`.
-
-    `depth` is [H W]; the row begins at `at`, and a step is `stride` pixels.
-    """
-    for n in range(columns.size):
-        away = np.int64(steps[n])
-        # Unsigned indices need no test for counting from the end: a third less time here.
-        visible = min(depth[np.uint64(at + columns[n] + away * stride)], cap)
-        far[n] = visible if away > 0 else np.float32(-1)
-        most[n] = max(most[n], np.float64(far[n]))
-
-
-@device_function
-def _write_wanted(at: int, depth: F32, columns: I32, cap: np.float32, most: F64, known: B8) -> None:
-    """Replace the greatest depth that holes see by that of their own surface, where it is known."""
-    for n in range(columns.size):
-        own = np.float64(depth[np.uint64(at + columns[n])])
-        known[n] = not math.isnan(own)
-        most[n] = min(own, np.float64(cap)) if known[n] else most[n]
 
 
 @device_function
@@ -363,15 +307,6 @@ def _add_seen(
 
 
 @device_function
-def _write_means(at: int, channels: int, columns: I32, sums: F64, totals: F64, pixels: F32) -> None:
-    for n in range(columns.size):
-        p = (at + columns[n]) * channels
-        for c in range(channels):
-            mean = sums[n * channels + c] / totals[n]
-            pixels[p + c] = np.float32(mean) if totals[n] > 0 else np.float32(0)
-
-
-@device_function
 def _fill_row(
     at: int,
     size: tuple[int, int],
@@ -391,18 +326,30 @@ def _fill_row(
     sums, totals = np.zeros(count * channels, np.float64), np.zeros(count, np.float64)
     for way in range(len(DIRECTIONS)):
         stride = DIRECTIONS[way][0] * width + DIRECTIONS[way][1]
-        _write_depths(at, stride, depth, columns, cap, steps[way][begin:end], far[way], wanted)
-    _write_wanted(at, depth, columns, cap, wanted, known)
+        away, seen = steps[way][begin:end], far[way]
+        for n in range(count):  # the depth that each hole sees, and the greatest of all directions
+            # Unsigned indices need no test for counting from the end: a third less time here.
+            ahead = depth[np.uint64(at + columns[n] + np.int64(away[n]) * stride)]
+            seen[n] = min(ahead, cap) if away[n] > 0 else np.float32(-1)
+            wanted[n] = max(wanted[n], np.float64(seen[n]))
+    for n in range(count):  # instead of that, the depth of the hole's own surface where it is known
+        own = np.float64(depth[np.uint64(at + columns[n])])
+        known[n] = not math.isnan(own)
+        wanted[n] = min(own, np.float64(cap)) if known[n] else wanted[n]
     for way in range(len(DIRECTIONS)):
         dy, dx = DIRECTIONS[way]
         away = steps[way][begin:end]
         _write_weights(dy * dy + dx * dx, far[way], wanted, known, away, weights)
         origin = (at, dy * width + dx, channels)
         _add_seen(origin, columns, away, weights, pixels, sums, totals)
-    _write_means(at, channels, columns, sums, totals, pixels)
+    for n in range(count):
+        p = (at + columns[n]) * channels
+        for c in range(channels):
+            mean = sums[n * channels + c] / totals[n]
+            pixels[p + c] = np.float32(mean) if totals[n] > 0 else np.float32(0)
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def fill_holes(
     image: F32,  # [H, W, C], changed in holes
     depth: F32,  # [H, W], +inf background; in holes that of the missing surface, NaN if unknown

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32
 from exwarp_cli.kernels.gather import clamp
@@ -27,23 +27,11 @@ def _clamp_known(value: np.float32, low: float, high: float, unknown: float) -> 
     return np.float32(low) if value < low else np.float32(high) if value > high else value
 
 
-@inline
-def _clamp_normal(value: np.float32) -> np.float32:
-    return np.float32(0) if math.isinf(value) else _clamp_known(value, -1.0, 1.0, 0.0)
-
-
 PlaneRow = tuple[int, int]  # A plane and a row of it
 
 # Columns of a part that lie in the frame: the first, the one after the last, and the first's column
 # in the frame. At least one.
 Columns = tuple[int, int, int]
-
-
-@device_function
-def _visible_columns(left: int, width: int, count: int) -> Columns:
-    """Return which of `count` columns from `left` on lie in a frame of some width."""
-    begin = clamp(-left, 0, count - 1)
-    return begin, clamp(width - left, begin + 1, count), clamp(left + begin, 0, width - 1)
 
 
 @device_function
@@ -81,25 +69,6 @@ def _write_colour(
 
 
 @device_function
-def _write_mask(row: B8, columns: Columns, line: F32) -> None:
-    begin, end, start = columns
-    for n in range(end - begin):
-        line[begin + n] = np.float32(row[start + n])
-
-
-@device_function
-def _write_visible_colour(y: int, out: F32) -> None:
-    """Write again the newest frame's mask, and its colour there alone."""
-    mask, copy = out[MASK_PLANES[0], y], out[6, y]
-    for x in range(mask.size):  # as a slice, it took a second more to compile
-        copy[x] = mask[x]
-    for c in range(3):
-        line, visible = out[COLOUR_PLANES[0] + c, y], out[c, y]
-        for x in range(mask.size):
-            visible[x] = line[x] * mask[x]
-
-
-@device_function
 def _write_normals(normal: F32, at: int, columns: Columns, out: F32, place: PlaneRow) -> None:
     """Write three lines of a row of normals [H W 3] that begins at pixel `at`; 0 without any."""
     begin, end, _ = columns
@@ -112,7 +81,8 @@ def _write_normals(normal: F32, at: int, columns: Columns, out: F32, place: Plan
     for c in range(3):
         line = out[plane + c, y][begin:end]
         for n in range(line.size):
-            line[n] = _clamp_normal(line[n])
+            value = line[n]
+            line[n] = np.float32(0) if math.isinf(value) else _clamp_known(value, -1.0, 1.0, 0.0)
 
 
 @device_function
@@ -163,17 +133,27 @@ def _write_input_row(
     for k in range(4):  # a call for each took twice as long to compile
         colour = pixels[k]
         _write_colour(colour.reshape(-1), at, colour.shape[2], columns, out, (COLOUR_PLANES[k], y))
+    begin, end, start = columns
     for k in range(3):
-        _write_mask(masks[k][i], columns, out[MASK_PLANES[k], y])
+        line, row = out[MASK_PLANES[k], y], masks[k][i]
+        for n in range(end - begin):
+            line[begin + n] = np.float32(row[start + n])
     _write_normals(normal.reshape(-1), at, columns, out, (7, y))
     _write_depth(depth.reshape(-1), at, columns, median, defaults[0], out[10, y])
     for k in range(2):
         _write_unit_values(materials[k].reshape(-1), at, columns, defaults[1 + k], out[11 + k, y])
-    _write_visible_colour(y, out)
+    # Again the newest frame's mask, and its colour there alone.
+    mask, copy = out[MASK_PLANES[0], y], out[6, y]
+    for x in range(mask.size):  # as a slice, it took a second more to compile
+        copy[x] = mask[x]
+    for c in range(3):
+        colour_line, visible = out[COLOUR_PLANES[0] + c, y], out[c, y]
+        for x in range(mask.size):
+            visible[x] = colour_line[x] * mask[x]
     _repeat_ends(columns, y, out)
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def write_input_planes(
     # frames: F_k, F_k-1, F_k-2 moved to the slot: colour [H, W, C] and mask [H, W]
     frames: tuple[Frame, Frame, Frame],
@@ -194,13 +174,15 @@ def write_input_planes(
     pixels = (frames[0][0], frames[1][0], frames[2][0], filled)
     masks = (frames[0][1], frames[1][1], frames[2][1])
     shape, materials = (surface[0], surface[1]), (surface[2], surface[3])
-    columns = _visible_columns(corner[1], width, out.shape[2])
+    left, count = corner[1], out.shape[2]
+    begin = clamp(-left, 0, count - 1)
+    columns = begin, clamp(width - left, begin + 1, count), clamp(left + begin, 0, width - 1)
     for y in band_range(out.shape[1], band):
         i = clamp(corner[0] + y, 0, height - 1)
         _write_input_row((i, y), columns, pixels, masks, (shape, materials), defaults, median, out)
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def write_network_frame(
     colour: F32,  # [3, H, W], linear
     modulation: F32,  # [H, W, 3], multiplied with it; [0, 0, 3] for none
@@ -221,15 +203,7 @@ def write_network_frame(
                 out[i, j, c] = filled[i, j, c]
 
 
-@inline
-def _surface_colour(
-    diffuse: np.float32, glossy: np.float32, bounds: tuple[float, float]
-) -> np.float32:
-    colour: np.float32 = _clamp_known(np.float32(diffuse + glossy), bounds[0], bounds[1], np.nan)
-    return colour
-
-
-@kernel(parallel=True)
+@ParallelKernel
 def divide_by_albedo(
     pixels: F32,  # [H, W, C], scene-linear
     albedo: F32,  # [H, W, 3]; its sum with `specular`, within `bounds`, is the surface colour
@@ -245,7 +219,8 @@ def divide_by_albedo(
         source, target = pixels[i].reshape(-1), out[i].reshape(-1)
         for j in range(width):
             for c in range(3):
-                colour = _surface_colour(diffuse[3 * j + c], glossy[3 * j + c], bounds)
+                both = np.float32(diffuse[3 * j + c] + glossy[3 * j + c])
+                colour = _clamp_known(both, bounds[0], bounds[1], np.nan)
                 target[channels * j + c] = source[channels * j + c] / colour
             for k in range(channels * j + 3, channels * (j + 1)):
                 target[k] = source[k]

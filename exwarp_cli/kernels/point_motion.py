@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32, I32
 from exwarp_cli.kernels.gather import MAX_DISTANCE, clear_pixel, sample_border
@@ -75,7 +75,7 @@ def _clear_surface(target: Parts, colours: Colours, i: int, j: int, place: int) 
         metallic[row, column] = np.float32(0)
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def copy_surface(
     field: F32,  # [H, W, 2] px from the slot to the frame; NaN where it shows nothing
     # source: depth, normal, roughness, metallic of the frame, by nearest pixel; [0, 0(, 3)] if
@@ -110,7 +110,7 @@ def copy_surface(
                 _sample_colour(colours[1], shape, x, y, target_colours[1], place)
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def fill_predicted(
     predicted: F32,  # [H, W, 2] px; NaN where there is none
     moved: F32,  # [H, W, 2] px, changed where it is NaN
@@ -302,7 +302,7 @@ def _point_step(
     return step_xy
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def follow_points(
     # step: [H, W, 2] px over the step, at the pixels of the instant reached; NaN where unknown
     step: F32,
@@ -342,7 +342,7 @@ def follow_points(
             moved[i, j, 1] += step_y
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def follow_visible(
     step: F32,  # as `stencil`: see `follow_points`; the id is 0 beyond the frame
     stencil: I32,

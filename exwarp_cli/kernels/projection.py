@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import inline, kernel
+from exwarp_cli.kernels._compile import ParallelKernel, inline, kernel
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32, F64
 
@@ -61,7 +61,7 @@ def _rigid_displacement(
     return away_x, away_y
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def write_rigid_motion(
     position: F32,  # [H, W, 3], world space; or [0, 0, 3], then depth places the points
     depth: F32,  # [H, W], along the camera's axis; +inf is background, at infinity
@@ -86,7 +86,7 @@ def write_rigid_motion(
                 out[i, j, 0], out[i, j, 1] = x, y
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def mark_static(
     position: F32,  # as `depth`, `camera`, `at_infinity`: see `write_rigid_motion`
     depth: F32,

@@ -9,37 +9,13 @@ import math
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._compile import ParallelKernel, inline, kernel
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import F32, I32, U32
 from exwarp_cli.kernels.silhouettes import SAME_DEPTH
 
 
-@device_function
-def _scale_adjacent(raw: F32, scales: tuple[np.float32, np.float32], out: F32) -> None:
-    # Two adjacent channels of four: strides that the compiler knows halve the time.
-    for n in range(out.size // 2):
-        x, y = raw[4 * n] * scales[0], raw[4 * n + 1] * scales[1]
-        is_finite = abs(x + y) < np.float32(np.inf)
-        out[2 * n] = x if is_finite else np.float32(np.nan)
-        out[2 * n + 1] = y if is_finite else np.float32(np.nan)
-
-
-@device_function
-def _scale_pair(
-    raw: F32, channels: tuple[int, int], scales: tuple[np.float32, np.float32], out: F32
-) -> None:
-    if raw.shape[1] == 4 and channels[1] == channels[0] + 1:
-        _scale_adjacent(raw.reshape(-1)[channels[0] :], scales, out.reshape(-1))
-        return
-    for n in range(out.shape[0]):
-        x, y = raw[n, channels[0]] * scales[0], raw[n, channels[1]] * scales[1]
-        is_finite = math.isfinite(x + y)
-        out[n, 0] = x if is_finite else np.float32(np.nan)
-        out[n, 1] = y if is_finite else np.float32(np.nan)
-
-
-@kernel(parallel=True)
+@ParallelKernel
 def scale_vectors(
     raw: F32,  # [N, C]
     channels: tuple[int, int],  # of x and y
@@ -49,7 +25,21 @@ def scale_vectors(
 ) -> None:
     """Write two channels times their scales."""
     rows = band_range(out.shape[0], band)
-    _scale_pair(raw[rows.start : rows.stop], channels, scales, out[rows.start : rows.stop])
+    values, vectors = raw[rows.start : rows.stop], out[rows.start : rows.stop]
+    if values.shape[1] == 4 and channels[1] == channels[0] + 1:
+        # Two adjacent channels of four: strides that the compiler knows halve the time.
+        flat, pairs = values.reshape(-1)[channels[0] :], vectors.reshape(-1)
+        for n in range(pairs.size // 2):
+            x, y = flat[4 * n] * scales[0], flat[4 * n + 1] * scales[1]
+            is_finite = abs(x + y) < np.float32(np.inf)
+            pairs[2 * n] = x if is_finite else np.float32(np.nan)
+            pairs[2 * n + 1] = y if is_finite else np.float32(np.nan)
+        return
+    for n in range(vectors.shape[0]):
+        x, y = values[n, channels[0]] * scales[0], values[n, channels[1]] * scales[1]
+        is_finite = math.isfinite(x + y)
+        vectors[n, 0] = x if is_finite else np.float32(np.nan)
+        vectors[n, 1] = y if is_finite else np.float32(np.nan)
 
 
 @kernel
@@ -206,21 +196,15 @@ def write_moving_ids(
 
 
 @inline
-def _relative_difference(first: np.float32, second: np.float32) -> np.float32:
-    """Return the relative difference of two depths; background is one surface."""
-    if first == second:  # infinite too
-        return np.float32(0)
-    return abs(first - second) / max(abs(first), abs(second))
-
-
-@inline
 def _nearest_id_in_depth(ids: I32, depth: F32, i: int, j: int) -> np.int32:
     least, best_id = np.float32(np.inf), ids[i, j]
     for y in range(max(i - 1, 0), min(i + 2, ids.shape[0])):
         for x in range(max(j - 1, 0), min(j + 2, ids.shape[1])):
             if ids[y, x] < 0 or (y == i and x == j):
                 continue
-            difference = _relative_difference(depth[i, j], depth[y, x])
+            own, neighbour = depth[i, j], depth[y, x]
+            difference = abs(own - neighbour) / max(abs(own), abs(neighbour))
+            difference = np.float32(0) if own == neighbour else difference  # background is one
             if not difference <= SAME_DEPTH:  # nor NaN
                 continue
             if ids[y, x] == ids[i, j]:

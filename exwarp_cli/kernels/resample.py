@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32, F64
 from exwarp_cli.kernels.gather import clamp, sample_pixel
@@ -168,7 +168,7 @@ def _sharpen(smooth: F32, sharp: F32, limit: np.float32) -> None:
             smooth[c] += limit * (sharp[c] - smooth[c])
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def resample_alike(
     image: F32,  # scene-linear; other arrays as for `resample`
     field: F32,
@@ -209,7 +209,7 @@ def resample_alike(
             _sharpen(smooth, sharp, limit[i, j])
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def resample(
     image: F32,  # [H, W, C], fewer than 2^31 values; best display-encoded
     field: F32,  # [h, w, 2] px, +x right, +y down, from `out` to the source; NaN without one
@@ -271,7 +271,7 @@ def _linear_value(code: np.float32) -> np.float32:
     return -linear if code < 0 else linear
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def encode_srgb(pixels: F32, out: F32, band: Band) -> None:
     """Write the sRGB codes of scene-linear pixels [H, W, C]; alpha is copied."""
     for i in band_range(pixels.shape[0], band):
@@ -281,7 +281,7 @@ def encode_srgb(pixels: F32, out: F32, band: Band) -> None:
                 codes[j, c] = _srgb_code(line[j, c]) if c < COLOUR_CHANNELS else line[j, c]
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def decode_srgb(codes: F32, out: F32, band: Band) -> None:
     """Invert `encode_srgb`; `out` may be `codes`."""
     for i in band_range(codes.shape[0], band):

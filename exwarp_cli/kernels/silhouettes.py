@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32, F64, I32
 from exwarp_cli.kernels.projection import project_point, screen_displacement
@@ -27,8 +27,6 @@ DEPTH_JUMP = np.float32(1.1)
 
 # Pixels by which the motion of neighbours differs from which on they are two surfaces.
 MOTION_GAP = np.float32(1 / 8)
-
-ROWS_PER_STRIP = 16
 
 
 @device_function
@@ -45,42 +43,7 @@ def _write_extremes(above: Line, current: Line, below: Line, low: Line, high: Li
     low[width + 1], high[width + 1] = low[width], high[width]
 
 
-@device_function
-def _mark_depth_edges(depth: F32, low: F32, high: F32, edge: B8) -> None:
-    """Mark the pixels of a row whose nearest or farthest neighbour is another surface."""
-    # The others lie between those two: they are of its surface if both are.
-    infinite = np.float32(np.inf)
-    for j in range(depth.size):
-        least = np.minimum(low[j], np.minimum(low[j + 1], low[j + 2]))
-        most = np.maximum(high[j], np.maximum(high[j + 1], high[j + 2]))
-        same = depth[j] - least <= SAME_DEPTH * depth[j]
-        same &= (most - depth[j] <= SAME_DEPTH * most) & (most < infinite)
-        edge[j] = not (same | (least == infinite))
-
-
-@device_function
-def _mark_id_edges(low: I32, high: I32, edge: B8) -> None:
-    for j in range(edge.size):
-        least = min(low[j], min(low[j + 1], low[j + 2]))
-        most = max(high[j], max(high[j + 1], high[j + 2]))
-        edge[j] |= least != most
-
-
-@device_function
-def _find_edge_rows(depth: F32, stencil: I32, rows: tuple[int, int], edge: B8) -> None:
-    height, width = depth.shape
-    low, high = np.empty(width + 2, np.float32), np.empty(width + 2, np.float32)
-    low_id, high_id = np.empty(width + 2, np.int32), np.empty(width + 2, np.int32)
-    for i in range(rows[0], rows[1]):
-        above, below = max(i - 1, 0), min(i + 1, height - 1)
-        _write_extremes(depth[above], depth[i], depth[below], low, high)
-        _mark_depth_edges(depth[i], low, high, edge[i])
-        if stencil.shape[0] > 0:
-            _write_extremes(stencil[above], stencil[i], stencil[below], low_id, high_id)
-            _mark_id_edges(low_id, high_id, edge[i])
-
-
-@kernel(parallel=True)
+@ParallelKernel
 def find_edges(
     depth: F32,  # [H, W], not negative; +inf background
     stencil: I32,  # [H, W], or [0, 0] if unknown
@@ -90,11 +53,28 @@ def find_edges(
     """Mark pixels with another surface among their eight neighbours."""
     # Minimum and maximum of three rows, then of three columns, without branches: 0.3 times
     # cv2.remap. Comparing each pixel with its eight neighbours took 19 times.
-    height, _ = depth.shape
-    for strip in band_range((height + ROWS_PER_STRIP - 1) // ROWS_PER_STRIP, band):
-        begin = strip * ROWS_PER_STRIP
-        end = min(begin + ROWS_PER_STRIP, height)
-        _find_edge_rows(depth, stencil, (begin, end), edge)
+    height, width = depth.shape
+    infinite = np.float32(np.inf)
+    low, high = np.empty(width + 2, np.float32), np.empty(width + 2, np.float32)
+    low_id, high_id = np.empty(width + 2, np.int32), np.empty(width + 2, np.int32)
+    for i in band_range(height, band):
+        above, below = max(i - 1, 0), min(i + 1, height - 1)
+        _write_extremes(depth[above], depth[i], depth[below], low, high)
+        row, edges = depth[i], edge[i]
+        for j in range(row.size):
+            # Neighbours lie between the nearest and the farthest: they are of the pixel's surface
+            # if both of these are.
+            least = np.minimum(low[j], np.minimum(low[j + 1], low[j + 2]))
+            most = np.maximum(high[j], np.maximum(high[j + 1], high[j + 2]))
+            same = row[j] - least <= SAME_DEPTH * row[j]
+            same &= (most - row[j] <= SAME_DEPTH * most) & (most < infinite)
+            edges[j] = not (same | (least == infinite))
+        if stencil.shape[0] > 0:
+            _write_extremes(stencil[above], stencil[i], stencil[below], low_id, high_id)
+            for j in range(edges.size):
+                least_id = min(low_id[j], min(low_id[j + 1], low_id[j + 2]))
+                most_id = max(high_id[j], max(high_id[j + 1], high_id[j + 2]))
+                edges[j] |= least_id != most_id
 
 
 @device_function
@@ -125,26 +105,7 @@ def _mark_rim_row(depth: F32, i: int, rim: B8) -> None:
     _mark_rim(above, depth[i], below, rim)
 
 
-@device_function
-def _write_sources(
-    i: int,  # the row
-    line: F32,  # [2 W], x and y in turn
-    shape: tuple[int, int],  # H, W
-    source: I32,  # [W], written, counted along the rows
-) -> None:
-    """Write the nearest pixel that a row [2 W] of a motion field leads to; H W without one."""
-    height, width = np.int32(shape[0]), np.int32(shape[1])
-    half = np.float32(0.5)
-    end_x, end_y = np.float32(shape[1]) - half, np.float32(shape[0]) - half
-    for j in range(source.size):
-        x, y = np.float32(j) + line[2 * j], np.float32(i) + line[2 * j + 1]
-        is_inside = (x >= -half) & (y >= -half) & (x <= end_x) & (y <= end_y)
-        column = min(np.int32(x + half if is_inside else half), width - np.int32(1))
-        row = min(np.int32(y + half if is_inside else half), height - np.int32(1))
-        source[j] = row * width + column if is_inside else height * width
-
-
-@kernel(parallel=True)
+@ParallelKernel
 def _mark_rims(
     depth: F32,  # [H, W]
     rims: B8,  # [H W + 1], written but for the last
@@ -155,7 +116,7 @@ def _mark_rims(
         _mark_rim_row(depth, i, rims[i * width : (i + 1) * width])
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def _mark_ghosts(
     field: F32,  # as `near`, `ghost`: see `find_ghosts`
     near: F32,
@@ -165,11 +126,18 @@ def _mark_ghosts(
 ) -> None:
     """Mark the pixels that show a rim without being one."""
     height, width = near.shape
-    source = np.empty(width, np.int32)
+    rows, columns, half = np.int32(height), np.int32(width), np.float32(0.5)
+    end_x, end_y = np.float32(width) - half, np.float32(height) - half
+    source = np.empty(width, np.int32)  # the nearest pixel, counted along the rows
     for i in band_range(height, band):
-        ghosts = ghost[i]
+        ghosts, line = ghost[i], np.ascontiguousarray(field[i]).reshape(-1)
         _mark_rim_row(near, i, ghosts)
-        _write_sources(i, np.ascontiguousarray(field[i]).reshape(-1), (height, width), source)
+        for j in range(source.size):
+            x, y = np.float32(j) + line[2 * j], np.float32(i) + line[2 * j + 1]
+            is_inside = (x >= -half) & (y >= -half) & (x <= end_x) & (y <= end_y)
+            column = min(np.int32(x + half if is_inside else half), columns - np.int32(1))
+            row = min(np.int32(y + half if is_inside else half), rows - np.int32(1))
+            source[j] = row * columns + column if is_inside else rows * columns
         for j in range(width):
             ghosts[j] = rims[np.uint64(source[j])] & (not ghosts[j])
 
@@ -221,7 +189,7 @@ def _has_motion_gap(field: F32, at: tuple[int, int]) -> bool:
     return False
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def find_moving_edges(
     depth: F32,  # [H, W]; NaN where unknown, +inf background
     field: F32,  # [H, W, 2] px; NaN where unknown
@@ -292,20 +260,6 @@ def _copy_background(depth: F32, far: F32, rigid: F32) -> None:
         right[j] = away_right[j] if abs(depth[j]) == np.float32(np.inf) else right[j]
     for j in range(depth.size):
         down[j] = away_down[j] if abs(depth[j]) == np.float32(np.inf) else down[j]
-
-
-@device_function
-def _has_background(depth: F32) -> bool:
-    background = False
-    for j in range(depth.size):
-        background |= abs(depth[j]) == np.float32(np.inf)
-    return background
-
-
-@device_function
-def _mark_moving(stencil: I32, moving: B8) -> None:
-    for j in range(stencil.size):
-        moving[j] = stencil[j] > 0
 
 
 @device_function
@@ -398,43 +352,7 @@ def _clean_edges(
         out[2 * j + 1] = rigid[1, j] if static else vectors[y, 2 * x + 1]
 
 
-@device_function
-def _clean_rows(
-    rows: tuple[int, int],
-    vectors: tuple[F32, F32],
-    surfaces: Surfaces,
-    cameras: F64,
-    tolerance: np.float32,
-    out: tuple[F32, F32],
-) -> None:
-    position, depth, stencil, _ = surfaces
-    width = depth.shape[1]
-    points, sky = np.ones((4, width), np.float64), np.ones((4, width), np.float64)
-    for j in range(width):  # np.arange takes 1.4 s to compile
-        points[0, j] = sky[0, j] = np.float64(j)
-    # Times the last column of its camera, 1, this leaves every number as it is, zeros' signs too.
-    sky[3] = -0.0
-    rigid, far = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
-    moving, no_positions = np.zeros(width, np.bool_), np.empty(0, np.float32)
-    for i in range(rows[0], rows[1]):
-        row = np.float64(i)
-        points[1], sky[1] = row, row
-        _place_row(position[i] if position.shape[0] > 0 else no_positions, depth[i], points)
-        if stencil.shape[0] > 0:
-            _mark_moving(stencil[i], moving)
-        background = _has_background(depth[i])
-        for side in range(2):
-            if vectors[side].shape[0] == 0:
-                continue
-            _project_row(points, cameras[side, NEAR], sky[0], row, rigid)
-            if background:
-                _project_row(sky, cameras[side, FAR], sky[0], row, far)
-                _copy_background(depth[i], far, rigid)
-            _clean_row(vectors[side][i], rigid, depth[i], moving, tolerance, out[side][i])
-            _clean_edges(i, vectors[side], rigid, surfaces, cameras[side], tolerance, out[side][i])
-
-
-@kernel(parallel=True)
+@ParallelKernel
 def clean_vectors(
     # vectors: [H, 2 W] each, x and y in px; NaN where unusable, [0, 0] without any
     vectors: tuple[F32, F32],
@@ -456,8 +374,31 @@ def clean_vectors(
     """
     # Both frames at once, with the cameras' motion in rows that stay in the cache: whole frames of
     # it, written and read again, took 2.3 times as long.
-    height, _ = surfaces[1].shape
-    for strip in band_range((height + ROWS_PER_STRIP - 1) // ROWS_PER_STRIP, band):
-        begin = strip * ROWS_PER_STRIP
-        rows = begin, min(begin + ROWS_PER_STRIP, height)
-        _clean_rows(rows, vectors, surfaces, cameras, tolerance, out)
+    position, depth, stencil, _ = surfaces
+    height, width = depth.shape
+    points, sky = np.ones((4, width), np.float64), np.ones((4, width), np.float64)
+    for j in range(width):  # np.arange takes 1.4 s to compile
+        points[0, j] = sky[0, j] = np.float64(j)
+    # Times the last column of its camera, 1, this leaves every number as it is, zeros' signs too.
+    sky[3] = -0.0
+    rigid, far = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
+    moving, no_positions = np.zeros(width, np.bool_), np.empty(0, np.float32)
+    for i in band_range(height, band):
+        row, depths, background = np.float64(i), depth[i], False
+        points[1], sky[1] = row, row
+        _place_row(position[i] if position.shape[0] > 0 else no_positions, depths, points)
+        if stencil.shape[0] > 0:
+            ids = stencil[i]
+            for j in range(width):
+                moving[j] = ids[j] > 0
+        for j in range(width):
+            background |= abs(depths[j]) == np.float32(np.inf)
+        for side in range(2):
+            if vectors[side].shape[0] == 0:
+                continue
+            _project_row(points, cameras[side, NEAR], sky[0], row, rigid)
+            if background:
+                _project_row(sky, cameras[side, FAR], sky[0], row, far)
+                _copy_background(depths, far, rigid)
+            _clean_row(vectors[side][i], rigid, depths, moving, tolerance, out[side][i])
+            _clean_edges(i, vectors[side], rigid, surfaces, cameras[side], tolerance, out[side][i])

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import device_function, inline, kernel
+from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import F32, I32
 
@@ -153,33 +153,27 @@ def row_extents_shape(shape: tuple[int, ...]) -> tuple[int, int, int]:
 
 
 @device_function
-def _span_extents(row: np.float32, line: F32) -> tuple[np.float32, np.float32]:
-    """Return the least and greatest row that the displacements [2 N] of a span lead to."""
-    # Two at a time, as each comparison waits for the one before it.
-    low, high = np.float32(np.inf), np.float32(-np.inf)
-    lower, higher = low, high
-    last = line.size - 2
-    for j in range(0, line.size, 4):
-        y, z = row + line[j + 1], row + line[min(j + 2, last) + 1]
-        low, lower = y if y < low else low, z if z < lower else lower
-        high, higher = y if y > high else high, z if z > higher else higher
-    return min(low, lower), max(high, higher)
-
-
-@device_function
 def _write_row_extents(i: int, line: F32, extents: F32) -> None:
     """Write the extents [S + 1, 2] of source row i, whose displacements are [2 W]."""
-    spans = extents.shape[0] - 1
+    spans, row = extents.shape[0] - 1, np.float32(i)
     low, high = np.float32(np.inf), np.float32(-np.inf)
     for span in range(spans):
-        begin, end = 2 * span * REACH_SPAN, min(2 * (span + 1) * REACH_SPAN, line.size)
-        least, most = _span_extents(np.float32(i), line[begin:end])
+        moves = line[2 * span * REACH_SPAN : min(2 * (span + 1) * REACH_SPAN, line.size)]
+        # Two at a time, as each comparison waits for the one before it.
+        least, most = np.float32(np.inf), np.float32(-np.inf)
+        lesser, greater = least, most
+        last = moves.size - 2
+        for j in range(0, moves.size, 4):
+            y, z = row + moves[j + 1], row + moves[min(j + 2, last) + 1]
+            least, lesser = y if y < least else least, z if z < lesser else lesser
+            most, greater = y if y > most else most, z if z > greater else greater
+        least, most = min(least, lesser), max(most, greater)
         extents[span, 0], extents[span, 1] = least - PATCH_REACH, most + PATCH_REACH
         low, high = min(low, least), max(high, most)
     extents[spans, 0], extents[spans, 1] = low - PATCH_REACH, high + PATCH_REACH
 
 
-@kernel(parallel=True)
+@ParallelKernel
 def splat_row_extents(
     displacement: F32,  # as in `splat`
     # extents: [H, S + 1, 2], written: least and greatest row of each REACH_SPAN pixels, then of the
@@ -198,30 +192,7 @@ def splat_row_extents(
 FREE_ACCELERATION = np.float32(4)
 
 
-@device_function
-def _write_quadratic_row(before: F32, after: F32, time: np.float32, out: F32) -> None:
-    """Write displacements [2 W] of a row; see `quadratic_displacement`."""
-    size = abs(time)
-    inside = size < np.float32(1)
-    # How far a parabola is beside constant velocity, as a share of the acceleration.
-    offset = np.float32(0.5) * (size * size - size)
-    for k in range(0, out.size, 2):
-        # Towards the slot's side, and away from it.
-        x, y = (after[k], after[k + 1]) if time > 0 else (before[k], before[k + 1])
-        u, v = (before[k], before[k + 1]) if time > 0 else (after[k], after[k + 1])
-        bend_x, bend_y = x + u, y + v
-        allowance = np.float32(2 * math.sqrt(x * x + y * y)) + FREE_ACCELERATION
-        bend = np.float32(math.sqrt(bend_x * bend_x + bend_y * bend_y))
-        limit = (allowance / bend) ** 2 if inside and bend > allowance else np.float32(1)
-        factor = limit * offset
-        curved_x, curved_y = size * x + factor * bend_x, size * y + factor * bend_y
-        steady_x = -size * u if math.isnan(x) else size * x
-        steady_y = -size * v if math.isnan(y) else size * y
-        out[k] = steady_x if math.isnan(bend_x) else curved_x
-        out[k + 1] = steady_y if math.isnan(bend_y) else curved_y
-
-
-@kernel(parallel=True)
+@ParallelKernel
 def quadratic_displacement(
     # before: [H, W, 2] px to the previous and (`after`) next key frame; NaN: constant velocity
     before: F32,
@@ -238,9 +209,26 @@ def quadratic_displacement(
     Within a key interval, an acceleration n + p of more than twice the way would turn the motion
     round. It counts as a jerk at the key frame, and is reduced by the square of the allowed share.
     """
+    size = abs(time)
+    inside = size < np.float32(1)
+    # How far a parabola is beside constant velocity, as a share of the acceleration.
+    offset = np.float32(0.5) * (size * size - size)
     for i in band_range(after.shape[0], band):
-        line = out[i].reshape(-1)
-        _write_quadratic_row(before[i].reshape(-1), after[i].reshape(-1), time, line)
+        line, past, future = out[i].reshape(-1), before[i].reshape(-1), after[i].reshape(-1)
+        for k in range(0, line.size, 2):
+            # Towards the slot's side, and away from it.
+            x, y = (future[k], future[k + 1]) if time > 0 else (past[k], past[k + 1])
+            u, v = (past[k], past[k + 1]) if time > 0 else (future[k], future[k + 1])
+            bend_x, bend_y = x + u, y + v
+            allowance = np.float32(2 * math.sqrt(x * x + y * y)) + FREE_ACCELERATION
+            bend = np.float32(math.sqrt(bend_x * bend_x + bend_y * bend_y))
+            limit = (allowance / bend) ** 2 if inside and bend > allowance else np.float32(1)
+            factor = limit * offset
+            curved_x, curved_y = size * x + factor * bend_x, size * y + factor * bend_y
+            steady_x = -size * u if math.isnan(x) else size * x
+            steady_y = -size * v if math.isnan(y) else size * y
+            line[k] = steady_x if math.isnan(bend_x) else curved_x
+            line[k + 1] = steady_y if math.isnan(bend_y) else curved_y
         if extents.shape[0] > 0:
             _write_row_extents(i, line, extents[i])
 
@@ -360,33 +348,7 @@ def _write_motion(
     _write_slopes(above, current, below, down)
 
 
-@device_function
-def _splat_strip(
-    displacement: F32, depth: F32, extents: F32, rows: tuple[int, int], field: F32, near: F32
-) -> None:
-    height, width = depth.shape
-    padded = np.empty(2 * width + 4, np.float32)
-    across, down = np.empty(2 * width, np.float32), np.empty(2 * width, np.float32)
-    place, order = np.empty(2 * width, np.int32), np.empty(2 * width + 1, np.int32)
-    found_x, found_y = np.empty(2 * width, np.float32), np.empty(2 * width, np.float32)
-    size = (rows[0], rows[1], width)
-    for i in range(height):
-        if extents[i, -1, 1] < rows[0] or extents[i, -1, 0] > rows[1] - 1:
-            continue
-        begin, end = _next_run(extents[i], 0, rows)
-        while begin < end:
-            first, last = begin * REACH_SPAN, min(end * REACH_SPAN, width)
-            count = last - first
-            slopes = across[: 2 * count], down[: 2 * count]
-            _write_motion(i, (first, last), displacement, padded, *slopes)
-            motion = (padded[2 : 2 * count + 2], *slopes)
-            landings = place[: 2 * count], found_x[: 2 * count], found_y[: 2 * count]
-            buffers = landings, order
-            _splat_span((i, first), motion, depth[i, first:last], size, buffers, field, near)
-            begin, end = _next_run(extents[i], end, rows)
-
-
-@kernel(parallel=True)
+@ParallelKernel
 def splat(
     displacement: F32,  # [H, W, 2] px, +x right, +y down, from source to target; NaN where unknown
     depth: F32,  # [H, W], smaller is nearer; +inf for background
@@ -400,12 +362,29 @@ def splat(
     # does not depend on the number of threads.
     height, width, _ = displacement.shape
     moves = np.ascontiguousarray(displacement).reshape(height, 2 * width)
+    padded = np.empty(2 * width + 4, np.float32)
+    across, down = np.empty(2 * width, np.float32), np.empty(2 * width, np.float32)
+    place, order = np.empty(2 * width, np.int32), np.empty(2 * width + 1, np.int32)
+    found_x, found_y = np.empty(2 * width, np.float32), np.empty(2 * width, np.float32)
     for strip in band_range((height + ROWS_PER_STRIP - 1) // ROWS_PER_STRIP, band):
-        begin = strip * ROWS_PER_STRIP
-        end = min(begin + ROWS_PER_STRIP, height)
-        places, depths = field[begin:end].reshape(-1), near[begin:end].reshape(-1)
+        top = strip * ROWS_PER_STRIP
+        rows = top, min(top + ROWS_PER_STRIP, height)
+        places, depths = field[top : rows[1]].reshape(-1), near[top : rows[1]].reshape(-1)
         for k in range(places.size):
             places[k] = np.float32(np.nan)
         for k in range(depths.size):
             depths[k] = np.float32(np.nan)
-        _splat_strip(moves, depth, extents, (begin, end), places, depths)
+        for i in range(height):
+            if extents[i, -1, 1] < rows[0] or extents[i, -1, 0] > rows[1] - 1:
+                continue
+            begin, end = _next_run(extents[i], 0, rows)
+            while begin < end:
+                first, last = begin * REACH_SPAN, min(end * REACH_SPAN, width)
+                count = last - first
+                slopes = across[: 2 * count], down[: 2 * count]
+                _write_motion(i, (first, last), moves, padded, *slopes)
+                motion = (padded[2 : 2 * count + 2], *slopes)
+                landings = place[: 2 * count], found_x[: 2 * count], found_y[: 2 * count]
+                size, buffers = (rows[0], rows[1], width), (landings, order)
+                _splat_span((i, first), motion, depth[i, first:last], size, buffers, places, depths)
+                begin, end = _next_run(extents[i], end, rows)

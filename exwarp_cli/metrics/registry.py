@@ -19,16 +19,17 @@ import numpy as np
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.metric import DEFAULT_METRICS
 from exwarp_cli.domain.results import Score
-from exwarp_cli.kernels.flip_error import (
+from exwarp_cli.kernels.picture_errors import (
     OPPONENT_PLANES,
     PERCEIVED_PLANES,
     SATURATED,
+    SSIM_RADIUS,
     decode_opponent,
     expose_opponent,
     raise_flip_error,
+    ssim_map,
     write_perceived,
 )
-from exwarp_cli.kernels.ssim_error import RADIUS, ssim_map
 from exwarp_cli.metrics.display import PEAK, MetricMap, encode_display
 from exwarp_cli.metrics.temporal import measure_pulse
 
@@ -58,8 +59,8 @@ def measure_ssim(reference: Float32, test: Float32) -> MetricMap:
     channels = ssim_map(reference, test)
     # Added by hand: numpy's mean over a last axis of three is slower than the kernel.
     mean = (channels[..., 0] + channels[..., 1] + channels[..., 2]) / 3
-    inside = min(mean.shape) > 2 * RADIUS
-    return MetricMap(mean, margin=RADIUS if inside else 0)
+    inside = min(mean.shape) > 2 * SSIM_RADIUS
+    return MetricMap(mean, margin=SSIM_RADIUS if inside else 0)
 
 
 def _perceive(planes: Float32) -> Float32:

@@ -39,7 +39,12 @@ from exwarp_cli.policy.state import OLDER_KEYS, LearnedPolicy, StateHistory
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval, tile_features
 from exwarp_cli.synthesis.methods import CAUSAL, FRAMEWISE, DecisionSource, Method, predict_path
-from exwarp_cli.synthesis.motion_fields import find_moving, moving_stencil, settle_motion
+from exwarp_cli.synthesis.motion_fields import (
+    find_moving,
+    moving_ids,
+    select_ids,
+    settle_motion,
+)
 
 if TYPE_CHECKING:
     from exwarp_cli.models.policy_files import PolicyFile
@@ -344,7 +349,8 @@ def with_ids(
     if moves is None:
         return gbuffer
     if gbuffer.objects is not None:
-        return replace(gbuffer, stencil=moving_stencil(gbuffer.objects, moves), objects=None)
+        stencil = select_ids(gbuffer.objects, moving_ids(gbuffer.objects, moves))
+        return replace(gbuffer, stencil=stencil, objects=None)
     return replace(gbuffer, stencil=np.where(moves, MOVING, 0).astype(np.int32))
 
 

@@ -391,7 +391,8 @@ class _LayerRetimer:
         for i, ref in enumerate(refs):
             ends = [frame[ref].window for frame in (frames.before, frames.after) if frame]
             if any(not end.covers(window) for end in ends):
-                values[self.retiming.data(*(outside_mask(window, end) for end in ends)), i] = 0
+                outside = (outside_mask(window, end) for end in ends)
+                values[self.retiming.sources.take(*outside), i] = 0
         return values
 
     @cached_property
@@ -410,7 +411,7 @@ class _LayerRetimer:
             plane = self._placed(self.frames.after[ref])
             with np.errstate(invalid="ignore", over="ignore"):  # where the type changed on the way
                 after = plane.astype(before.values.dtype, copy=False)
-        return self.retiming.data(self._placed(before), after)
+        return self.retiming.sources.take(self._placed(before), after)
 
     def _placed(self, plane: Plane) -> np.ndarray:
         return place_on_canvas(plane.values, plane.window, self.view.window, 0.0)

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import MotionError
 from exwarp_cli.kernels._row_bands import threads
@@ -119,7 +118,7 @@ def _too_little_motion(
 ) -> MotionFinding:
     """Return the reading where too little moves to measure: at rest, all readings are the same."""
     reason = f"frames {frames} hold too little motion to measure"
-    if any(_usable_movers(frame).any() for pair in pairs for frame in pair):
+    if any((frame.moving & frame.usable).any() for pair in pairs for frame in pair):
         return _untested(guess, reason)
     if guess is not None:
         return replace(_untested(guess, reason), resting=True)
@@ -132,14 +131,10 @@ def _too_little_motion(
     return MotionFinding(convention, "untested", evidence, resting=True)
 
 
-def _usable_movers(frame: FrameSamples) -> Bool:
-    return np.asarray(frame.moving & frame.usable)
-
-
 def _without_vanishing(guess: MotionConvention, pairs: Pairs) -> MotionConvention:
     """Return the named convention without a length or alpha that makes every vector vanish."""
     moving = np.concatenate(
-        [frame.motion[_usable_movers(frame)] for pair in pairs for frame in pair]
+        [frame.motion[frame.moving & frame.usable] for pair in pairs for frame in pair]
     )
 
     def usable(axes: AxisMap | None) -> AxisMap | None:
@@ -215,7 +210,13 @@ def _judge(
 ) -> _Verdict:
     """Choose among ranked candidates of every key."""
     option = _assign_directions(ranked, measured, guess)
-    chosen = {key: _named_or_best(ranked[key], measured[key], guess) for key in option}
+    chosen = {key: ranked[key][0] for key in option}
+    for key, (least, _) in chosen.items():
+        named = _named(key, guess)
+        if named is not None:
+            error = measured[key].error(named)
+            if error <= least * TIE_RATIO + TIE_FLOOR:  # no other is clearly better
+                chosen[key] = error, named
     turned = [[ranked[key][0][0] for key in o] for o in _options(ranked) if o != option]
     joint = rank_jointly(ranked, measured, chosen)
     if joint:
@@ -440,7 +441,7 @@ def _is_as_named(
     At an even speed, vectors to one frame are those to the other reversed. So a direction is no
     better for being named when the signs are not as named.
     """
-    named = None if guess is None else _named((evidence.channels, evidence.later), guess)
+    named = _named((evidence.channels, evidence.later), guess)
     if named is None:
         return False
     error, best = ranked[0]
@@ -456,21 +457,11 @@ def _key(axis_map: AxisMap, later: bool) -> Key:
     return (x, y), later
 
 
-def _named(key: Key, guess: MotionConvention) -> AxisMap | None:
+def _named(key: Key, guess: MotionConvention | None) -> AxisMap | None:
     """Return the guessed map of these channels in this direction."""
+    if guess is None:
+        return None
     axes = guess.to_next if key[1] else guess.to_previous
     if axes is None or {axes.x_channel, axes.y_channel} != set(key[0]):
         return None
     return axes
-
-
-def _named_or_best(
-    ranked: list[tuple[float, AxisMap]], evidence: Evidence, guess: MotionConvention | None
-) -> tuple[float, AxisMap]:
-    """Return the guessed map unless another is clearly better."""
-    named = None if guess is None else _named((evidence.channels, evidence.later), guess)
-    if named is not None:
-        error = evidence.error(named)
-        if error <= ranked[0][0] * TIE_RATIO + TIE_FLOOR:
-            return error, named
-    return ranked[0]

@@ -82,47 +82,6 @@ class Form:
         return AxisMap(*axes, *scales, self.still, self.length, self.alpha)
 
 
-def find_forms(
-    raw: F64,  # samples [N, C] of all motion channels, finite
-    channels: tuple[int, int],  # the two that are read
-    # Which further channel may be a length, and which is alpha.
-    length: int | None,
-    alpha: int | None,
-) -> tuple[Form, ...]:
-    """Return the forms that values look like."""
-    values = raw[:, channels]
-    if length is not None:
-        size = raw[:, length]
-        moving = np.abs(size) > 1e-6
-        for form in (Form(length=length), Form(STILL_MIDDLE, length, unit=2.0)):
-            norms = np.linalg.norm(form.unit * (values[moving] - form.still), axis=1)
-            if moving.any() and np.mean(np.abs(norms - 1) < UNIT_TOLERANCE) >= USUAL:
-                return (form,)
-    forms = [Form()]
-    if np.mean((values >= -1e-3) & (values <= 1 + 1e-3)) > 1 - 1e-3:  # perhaps clamped vectors
-        forms.append(Form(STILL_MIDDLE))
-    if alpha is not None and np.mean((raw[:, alpha] > 0) & (raw[:, alpha] < 1)) > 0:
-        forms += [replace(form, alpha=alpha) for form in forms]
-    return tuple(forms)
-
-
-def usual_readings(
-    form: Form, channels: tuple[int, int], width: int, height: int
-) -> Iterator[AxisMap]:
-    """Yield a form's readings of two channels: which is x, signs, and the usual scales.
-
-    Scales are pixels (times the time scales), and vectors normalised to the frame, to half of it
-    and to twice it, by width and height each or by width alone.
-    """
-    # Clamped displacements of at most a pixel do not occur.
-    scales = [(s, s) for s in TIME_SCALES] if not form.still or form.length is not None else []
-    for share in SHARES:
-        scales += [(share * width, share * height), (share * width, share * width)]
-    for (sx, sy), axes in itertools.product(scales, (channels, channels[::-1])):
-        for gx, gy in itertools.product((1.0, -1.0), repeat=2):
-            yield form.map(axes, gx * sx, gy * sy)
-
-
 def free_readings(
     form: Form, channels: tuple[int, int], raw: F64, width: int, height: int
 ) -> Iterator[AxisMap]:
@@ -138,18 +97,6 @@ def free_readings(
         for axes in (channels, channels[::-1]):
             for gx, gy in itertools.product((1.0, -1.0), repeat=2):
                 yield form.map(axes, gx * scale, gy * scale * aspect)
-
-
-def _nearby(reading: AxisMap, ratio: float) -> list[AxisMap]:
-    """Return a reading at scales up to a ratio larger or smaller, rounded to four digits."""
-    return [
-        replace(
-            reading,
-            x_scale=float(f"{reading.x_scale * factor:.4g}"),
-            y_scale=float(f"{reading.y_scale * factor:.4g}"),
-        )
-        for factor in (1 / ratio, ratio ** (-0.5), ratio**0.5, ratio)
-    ]
 
 
 @dataclass
@@ -206,13 +153,39 @@ class Evidence:
 
     @property
     def forms(self) -> tuple[Form, ...]:
-        """What the values may be."""
-        return find_forms(self.raw, self.channels, *self.more)
+        """The forms that the values look like."""
+        raw, (length, alpha) = self.raw, self.more
+        values = raw[:, self.channels]
+        if length is not None:
+            size = raw[:, length]
+            moving = np.abs(size) > 1e-6
+            for form in (Form(length=length), Form(STILL_MIDDLE, length, unit=2.0)):
+                norms = np.linalg.norm(form.unit * (values[moving] - form.still), axis=1)
+                if moving.any() and np.mean(np.abs(norms - 1) < UNIT_TOLERANCE) >= USUAL:
+                    return (form,)
+        forms = [Form()]
+        if np.mean((values >= -1e-3) & (values <= 1 + 1e-3)) > 1 - 1e-3:  # perhaps clamped vectors
+            forms.append(Form(STILL_MIDDLE))
+        if alpha is not None and np.mean((raw[:, alpha] > 0) & (raw[:, alpha] < 1)) > 0:
+            forms += [replace(form, alpha=alpha) for form in forms]
+        return tuple(forms)
 
     def usual(self) -> Iterator[AxisMap]:
-        """Yield the candidates of the usual scales."""
+        """Yield the candidates of the usual scales: which channel is x, and signs.
+
+        Scales are pixels (times the time scales), and vectors normalised to the frame, to half of
+        it and to twice it, by width and height each or by width alone.
+        """
+        width, height = self.size
         for form in self.forms:
-            yield from usual_readings(form, self.channels, *self.size)
+            # Clamped displacements of at most a pixel do not occur.
+            is_scaled = not form.still or form.length is not None
+            scales = [(s, s) for s in TIME_SCALES] if is_scaled else []
+            for share in SHARES:
+                scales += [(share * width, share * height), (share * width, share * width)]
+            for (sx, sy), axes in itertools.product(scales, (self.channels, self.channels[::-1])):
+                for gx, gy in itertools.product((1.0, -1.0), repeat=2):
+                    yield form.map(axes, gx * sx, gy * sy)
 
     def ranked(self) -> list[tuple[float, AxisMap]]:
         """Return candidates of usual scale by error: all roughly, the best on every sample."""
@@ -359,10 +332,21 @@ def _joint_readings(
 
 
 def fit_scales(chosen: Chosen, measured: dict[Key, Evidence], ratio: float) -> Chosen:
-    """Fit one scale of readings within a ratio, by ever smaller steps."""
+    """Fit one scale of readings, to four digits, within a ratio, by ever smaller steps."""
     best = chosen
     while ratio > FITTED:
-        near = {key: _nearby(axes, ratio) for key, (_, axes) in best.items()}
+        factors = (1 / ratio, ratio ** (-0.5), ratio**0.5, ratio)
+        near = {
+            key: [
+                replace(
+                    axes,
+                    x_scale=float(f"{axes.x_scale * factor:.4g}"),
+                    y_scale=float(f"{axes.y_scale * factor:.4g}"),
+                )
+                for factor in factors
+            ]
+            for key, (_, axes) in best.items()
+        }
         tried = {
             key: list(zip(measured[key].errors(maps, COARSE), maps, strict=True))
             for key, maps in near.items()

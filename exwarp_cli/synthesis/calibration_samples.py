@@ -85,7 +85,15 @@ def sample_frame(frame: MotionFrame) -> FrameSamples:
     height, width, _ = frame.motion.shape
     gbuffer = frame.gbuffer
     step = max(1, height * width // (GRID * SAMPLES))
-    grid, moving = _grid_with_movers(frame.motion.reshape(height * width, -1), step)
+    vectors = frame.motion.reshape(height * width, -1)
+    grid = np.arange(0, len(vectors), step)
+    moving = is_moving(vectors[grid])
+    if step > 1 and np.mean(moving) < FEW_MOVE:
+        # A mover of a thousandth of the frame has 30 pixels on the regular grid: too few.
+        every = is_moving(vectors)
+        movers = np.flatnonzero(every)
+        grid = np.union1d(grid, movers[:: max(1, len(movers) // SAMPLES)])
+        moving = every[grid]
     y, x = np.divmod(grid, width)
     motion = frame.motion[y, x]
     usable = (y > 0) & (y < height - 1) & (x > 0) & (x < width - 1)
@@ -117,19 +125,6 @@ def sample_frame(frame: MotionFrame) -> FrameSamples:
         (width, height),
         not np.isfinite(motion).any() and not np.isfinite(frame.motion).any(),
     )
-
-
-def _grid_with_movers(vectors: Float32, step: int) -> tuple[Index, Bool]:
-    """Return the regular grid, with further moving pixels where few move, and which pixels move."""
-    # A mover of a thousandth of the frame has 30 pixels on the regular grid: too few.
-    regular = np.arange(0, len(vectors), step)
-    moving = is_moving(vectors[regular])
-    if step == 1 or np.mean(moving) >= FEW_MOVE:
-        return regular, moving
-    every = is_moving(vectors)
-    movers = np.flatnonzero(every)
-    grid = np.union1d(regular, movers[:: max(1, len(movers) // SAMPLES)])
-    return grid, every[grid]
 
 
 def is_moving(vectors: Float32) -> Bool:
@@ -183,7 +178,20 @@ def _perceived(colour: Float32) -> tuple[Float32, float]:
     noise = _noise(codes)
     # Noise that is as large as the tolerance makes every reading as bad as no motion.
     reach = min(math.ceil((noise / MAX_NOISE - 1) / 2), MAX_SMOOTHING)
-    return (_box_mean(codes, reach), noise / (2 * reach + 1)) if reach > 0 else (codes, noise)
+    if reach <= 0:
+        return codes, noise
+    # The mean over squares; the rim is repeated outward.
+    height, width, _ = codes.shape
+    padded = np.pad(codes, ((reach, reach), (reach, reach), (0, 0)), "edge")
+    size = 2 * reach + 1
+    rows = np.zeros_like(padded[:height])
+    smooth: Float32 = np.zeros_like(codes)
+    for i in range(size):
+        rows += padded[i : i + height]
+    for j in range(size):
+        smooth += rows[:, j : j + width]
+    smooth /= np.float32(size * size)
+    return smooth, noise / size
 
 
 def _noise(image: Float32) -> float:
@@ -203,19 +211,6 @@ def _noise(image: Float32) -> float:
         remainder += mask[i][j] * image[y + i, x + j]
     per_channel = float(np.median(np.abs(remainder))) / 0.6745 / 6
     return per_channel * math.sqrt(2 * channels)
-
-
-def _box_mean(image: Float32, reach: int) -> Float32:
-    """Return the mean over squares of 2 reach + 1 pixels; the rim is repeated outward."""
-    height, width, _ = image.shape
-    padded = np.pad(image, ((reach, reach), (reach, reach), (0, 0)), "edge")
-    size = 2 * reach + 1
-    rows, out = np.zeros_like(padded[:height]), np.zeros_like(image)
-    for i in range(size):
-        rows += padded[i : i + height]
-    for j in range(size):
-        out += rows[:, j : j + width]
-    return out / np.float32(size * size)
 
 
 @dataclass(frozen=True)
@@ -434,9 +429,7 @@ def _observe(
     if frame.position is not None and neighbour.position is not None:
         values = frame.position[y, x].astype(np.float64)
         image = np.ascontiguousarray(neighbour.position)
-        return (
-            Observable(values, image, _pixel_size(frame.position, y, x), 1.0, _floor(frame.noise)),
-        )
+        return (Observable(values, image, _pixel_size(frame.position, y, x), 1.0),)
     out = []
     if frame.depth is not None and neighbour.depth is not None:
         depth = frame.depth[y, x].astype(np.float64)
@@ -456,12 +449,8 @@ def _colour_observable(
     tolerance = np.full(len(y), COLOUR_TOLERANCE)
     weight = _distinction(frame, y, x, tolerance)
     values = frame[y, x].astype(np.float64)
-    return Observable(values, np.ascontiguousarray(neighbour), tolerance, weight, _floor(noise))
-
-
-def _floor(noise: float) -> float:
-    """Return the error of colours by noise alone: of three channels, the mean of a distance."""
-    return min(0.92 * noise / COLOUR_TOLERANCE, 1.0)
+    floor = min(0.92 * noise / COLOUR_TOLERANCE, 1.0)  # of three channels, the mean of a distance
+    return Observable(values, np.ascontiguousarray(neighbour), tolerance, weight, floor)
 
 
 def _distinction(image: Float32, y: Index, x: Index, tolerance: F64) -> float:

@@ -137,7 +137,9 @@ def camera_after(
 
 def camera_by(scene: Scene, motion_at: MotionAt, stencil: Int32 | None) -> Camera | None:
     """Recover a camera as `camera_after` does, from the motion of its sampled points alone."""
-    return _fit_cameras(scene, [motion_at], stencil)[0]
+    index = sample_surfaces(scene.depth, stencil)
+    pixels = pixels_at(index, scene.depth.shape[1])
+    return fit(scene.points(index), pixels + motion_at(index), movers=stencil is None)
 
 
 def cameras_around(
@@ -152,27 +154,15 @@ def cameras_around(
     where there is none.
     """
     out = np.full((len(vectors), 2, 3, 4), np.nan)
-    if scene is None:
-        return out
-    motions = [None if each is None else each.reshape(-1, 2).__getitem__ for each in vectors]
-    for matrices, camera in zip(out, _fit_cameras(scene, motions, stencil), strict=True):
+    for matrices, motion in zip(out, vectors, strict=True):
+        if scene is None or motion is None:
+            continue
+        camera = camera_after(scene, motion, stencil)
         if camera is not None:
-            matrices[0], matrices[1, :, :3] = camera.matrix, _homography_at_infinity(scene, camera)
+            matrices[0] = camera.matrix
+            matrices[1, :, :3] = camera.matrix[:, :3] @ scene.to_ray
             matrices[1, :, 3] = 1.0
     return out
-
-
-def _fit_cameras(
-    scene: Scene, motions: Sequence[MotionAt | None], stencil: Int32 | None
-) -> list[Camera | None]:
-    index = sample_surfaces(scene.depth, stencil)
-    points, pixels = scene.points(index), pixels_at(index, scene.depth.shape[1])
-    return [
-        None
-        if motion_at is None
-        else fit(points, pixels + motion_at(index), movers=stencil is None)
-        for motion_at in motions
-    ]
 
 
 def seen_by(scene: Scene, camera: Camera) -> Float32:
@@ -181,16 +171,14 @@ def seen_by(scene: Scene, camera: Camera) -> Float32:
     float32 [H, W, 2] in pixels; NaN for what lies behind the camera.
     """
     out = np.empty((*scene.depth.shape, 2), np.float32)
-    projection.write_rigid_motion(
-        *_kernel_inputs(scene, camera), np.zeros((0, 0), np.bool_), False, out
-    )
+    place_still(scene, camera, np.zeros((0, 0), np.bool_), out)
     return out
 
 
 def place_still(
     scene: Scene, camera: Camera, still: Bool, motion: Float32, kept: bool = False
 ) -> None:
-    """Write what `seen_by` returns into `motion` where `still` is True.
+    """Write what `seen_by` returns into `motion` where `still` is True; everywhere if it is [0, 0].
 
     With `kept`, what lies behind the camera keeps its motion.
     """
@@ -208,11 +196,8 @@ def standing(scene: Scene, camera: Camera, step: Float32, tolerance: float) -> B
 
 
 def _kernel_inputs(scene: Scene, camera: Camera) -> tuple[Float32, Float32, F64, F64]:
-    return scene.position, scene.depth, camera.matrix, _homography_at_infinity(scene, camera)
-
-
-def _homography_at_infinity(scene: Scene, camera: Camera) -> F64:
-    return camera.matrix[:, :3] @ scene.to_ray
+    at_infinity = camera.matrix[:, :3] @ scene.to_ray
+    return scene.position, scene.depth, camera.matrix, at_infinity
 
 
 def fit(
@@ -241,13 +226,13 @@ def fit(
     unit_pixels = (pixels - centre) / spread
     from_unit = np.diag([spread, spread, 1.0])
     from_unit[:2, 2] = centre
-    system = _LinearSystem(unit_points, unit_pixels)
+    buffers = np.empty(4 * len(points)), np.empty(24 * len(points))  # these serve every round
     weights = np.ones(len(points))
     if movers:
         weights = _least_median_weights(unit_points, unit_pixels)
     errors, inliers = np.empty(len(points)), np.ones(len(points), np.bool_)
     for count in range(ROUNDS):
-        unit = system.solve(weights)
+        unit = _least_algebraic_error(unit_points, unit_pixels, weights, buffers)
         if unit is None:
             return None
         matrix = from_unit @ unit @ to_unit
@@ -286,7 +271,11 @@ def _least_median_weights(points: F64, pixels: F64) -> F64:
     """
     rng = np.random.default_rng(0)
     chosen = rng.integers(0, len(points), (SUBSETS, SUBSET_SIZE))
-    rows = _equations(points[chosen], pixels[chosen]).reshape(SUBSETS, -1, 12)
+    sample, (x, y) = points[chosen], np.moveaxis(pixels[chosen], -1, 0)[..., None]
+    system = np.zeros((SUBSETS, 2, SUBSET_SIZE, 12))  # equations of the direct linear transform
+    system[:, 0, :, :4], system[:, 0, :, 8:] = sample, -x * sample
+    system[:, 1, :, 4:8], system[:, 1, :, 8:] = sample, -y * sample
+    rows = system.reshape(SUBSETS, -1, 12)
     _, directions = np.linalg.eigh(rows.transpose(0, 2, 1) @ rows)
     matrices = directions[..., 0].reshape(SUBSETS, 3, 4)
     judges = slice(None, None, max(1, len(points) // JUDGES))
@@ -303,34 +292,21 @@ def _least_median_weights(points: F64, pixels: F64) -> F64:
     return (errors(matrices[best], slice(None)) <= limit).astype(np.float64)
 
 
-def _equations(points: F64, pixels: F64) -> F64:
-    """Return the equations of the direct linear transform: [..., N, 4] to [..., 2, N, 12]."""
-    x, y = pixels[..., :1], pixels[..., 1:]
-    rows = np.zeros((*points.shape[:-2], 2, points.shape[-2], 12))
-    rows[..., 0, :, :4], rows[..., 0, :, 8:] = points, -x * points
-    rows[..., 1, :, 4:8], rows[..., 1, :, 8:] = points, -y * points
-    return rows
-
-
-class _LinearSystem:
-    """The equations of points float64 [N, 4] at pixels [N, 2]; its buffers serve every round."""
-
-    def __init__(self, points: F64, pixels: F64) -> None:
-        self._points, self._pixels = points, pixels
-        self._scaled, self._rows = np.empty(4 * len(points)), np.empty(24 * len(points))
-
-    def solve(self, weights: F64) -> F64 | None:
-        """Return the 3x4 matrix of least algebraic error, None if points do not determine it."""
-        used = projection.write_equations(
-            self._points, self._pixels, weights, self._scaled, self._rows
-        )
-        if used < MIN_SAMPLES:
-            return None
-        scaled = self._scaled[: 4 * used].reshape(used, 4)
-        rows = self._rows[: 24 * used].reshape(2 * used, 12)
-        squares, directions = np.linalg.eigh(rows.T @ rows)
-        if squares[1] < DEGENERATE**2 * squares[-1]:
-            return None
-        matrix = directions[:, 0].reshape(3, 4)
-        oriented: F64 = matrix * (1.0 if np.median(scaled @ matrix[2]) > 0 else -1.0)
-        return oriented
+def _least_algebraic_error(
+    points: F64,  # [N, 4]
+    pixels: F64,  # [N, 2]
+    weights: F64,
+    buffers: tuple[F64, F64],  # [4 N] and [24 N], overwritten
+) -> F64 | None:
+    """Return the 3x4 matrix that fits best, None if points do not determine it."""
+    used = projection.write_equations(points, pixels, weights, *buffers)
+    if used < MIN_SAMPLES:
+        return None
+    scaled = buffers[0][: 4 * used].reshape(used, 4)
+    rows = buffers[1][: 24 * used].reshape(2 * used, 12)
+    squares, directions = np.linalg.eigh(rows.T @ rows)
+    if squares[1] < DEGENERATE**2 * squares[-1]:
+        return None
+    matrix = directions[:, 0].reshape(3, 4)
+    oriented: F64 = matrix * (1.0 if np.median(scaled @ matrix[2]) > 0 else -1.0)
+    return oriented

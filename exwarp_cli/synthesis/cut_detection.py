@@ -122,10 +122,10 @@ def make_thumbnail(frame: KeyFrame) -> Thumbnail:
         picked[is_outside] = fill
         return picked
 
-    def pick_vectors(array: Float32 | None) -> Float32 | None:
-        picked = pick(array, np.nan)
-        return None if picked is None else np.asarray(picked / np.float32(size), np.float32)
-
+    to_previous, to_next = (
+        None if picked is None else np.asarray(picked / np.float32(size), np.float32)
+        for picked in (pick(gbuffer.to_previous, np.nan), pick(gbuffer.to_next, np.nan))
+    )
     depth = pick(gbuffer.depth, np.inf)
     normal, position = pick(gbuffer.normal), pick(gbuffer.position)
     surface = np.ones(light.shape, np.bool_)
@@ -141,8 +141,8 @@ def make_thumbnail(frame: KeyFrame) -> Thumbnail:
         normal,
         position,
         pick(gbuffer.stencil),
-        pick_vectors(gbuffer.to_previous),
-        pick_vectors(gbuffer.to_next),
+        to_previous,
+        to_next,
     )
 
 
@@ -272,8 +272,8 @@ def _compare_geometry(ways: list[Alignment]) -> tuple[float | None, str]:
         "normal": Alignment.normals,
         "depth": Alignment.depths,
     }
-    for name in GEOMETRY_LIMITS:
-        agreement = _highest(measures[name](way) for way in ways)
+    for name, measure in measures.items():
+        agreement = _highest(measure(way) for way in ways)
         if agreement is not None:
             return agreement, name
     return None, ""

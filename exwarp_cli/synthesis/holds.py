@@ -253,7 +253,12 @@ def has_geometry_moved(before: FrameSamples, after: FrameSamples) -> bool | None
         footprint = np.maximum(*(_footprint(depth[..., None]) for depth in (first, second)))
         limit = OTHER_SURFACE * np.minimum(first, second) + footprint
         moved = _verdict(~(change <= limit), ~(change <= 0.1 * limit))
-    return None if moved is False and not _has_steps(first) else moved
+    if moved is not False:
+        return moved
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = first[:, 1:] / first[:, :-1]
+        steps = ~(np.abs(np.log(ratio)) < STEP) & ~np.isnan(ratio)
+    return False if np.mean(steps) >= STEPS_SHARE else None
 
 
 def _verdict(changed: Bool, differs: Bool) -> bool | None:
@@ -275,14 +280,6 @@ def _footprint(values: Float32) -> Float32:
     steps = [np.fmin(side, np.roll(side, 1, axis)) for axis, side in enumerate((down, across))]
     footprint: Float32 = np.nan_to_num(np.fmax(*steps), nan=0.0, posinf=0.0)
     return footprint
-
-
-def _has_steps(depth: Float32) -> bool:
-    """Return True if depth has edges, which a moving camera moves over the frame."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = depth[:, 1:] / depth[:, :-1]
-        steps = ~(np.abs(np.log(ratio)) < STEP) & ~np.isnan(ratio)
-    return bool(np.mean(steps) >= STEPS_SHARE)
 
 
 def has_colour_moved(

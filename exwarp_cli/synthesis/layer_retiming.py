@@ -250,10 +250,6 @@ class LayerRetimer:
             return self.mixer.make(before, after)
         return cross_fade(before, after, self.time)
 
-    def data(self, before: np.ndarray, after: np.ndarray | None = None) -> np.ndarray:
-        """Make a layer of values [H, W, ...] of any type that must not be mixed."""
-        return self.sources.take(before, after)
-
     def moved(
         self,
         course: LayerMotion | None,  # of the interval; None where no motion is known

@@ -87,7 +87,15 @@ class LookAhead:
         leads = self._shifted is None
         if self._shifted is None:
             apart = disagreement(*plain)
-            self._shifted = self._follow_light(plain, apart)
+            flow, time = search_flow(*plain, self._linear), np.float32(self._time)
+            # Each side is moved its share of the way, so that both meet at the slot's time.
+            first, second = (
+                Mover(add_flow(side, mover.source, share * flow, apart), self._linear)
+                for side, mover, share in zip(
+                    plain, self._sides, (-time, np.float32(1) - time), strict=True
+                )
+            )
+            self._shifted = first, second
             shifted = _warp_along(self._shifted, codes, plain)
             self._flow_weight = flow_weight(apart, *shifted)
             if self._tiles is not None:
@@ -119,16 +127,6 @@ class LookAhead:
             else:
                 out = layer.mix(self._weights)
         return self._sides[0].light(out)
-
-    def _follow_light(self, plain: tuple[Warped, Warped], apart: Float32) -> tuple[Mover, Mover]:
-        """Move each side its share of the way, so that both meet at the slot's time."""
-        flow = search_flow(*plain, self._linear)
-        time = np.float32(self._time)
-        before, after = (side.source for side in self._sides)
-        return (
-            Mover(add_flow(plain[0], before, -time * flow, apart), self._linear),
-            Mover(add_flow(plain[1], after, (np.float32(1) - time) * flow, apart), self._linear),
-        )
 
 
 def _warp_along(

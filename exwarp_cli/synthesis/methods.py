@@ -22,6 +22,7 @@ from exwarp_cli.domain.frame import Float32, KeyFrame
 from exwarp_cli.domain.network_api import HISTORY_FRAMES, LookAheadNetwork
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.tiles import REWARP, Risk, TilePlan
+from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.camera import F64
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.mosaic import lay_over
@@ -34,7 +35,7 @@ from exwarp_cli.synthesis.predicted_error import (
     terms_of,
 )
 from exwarp_cli.synthesis.source_bounds import hold_in_range, hold_within, sources_between
-from exwarp_cli.synthesis.warp import Mover, cross_fade, fill_nonfinite, interpolate
+from exwarp_cli.synthesis.warp import Mover, cross_fade, fill_nonfinite
 
 # The default, which looks ahead, and the paper's way, which uses past key frames alone.
 EXWARP, CAUSAL = "exwarp", "causal"
@@ -259,7 +260,7 @@ def _onnx(interval: Interval, slot: int) -> Predicted:
     assert not isinstance(interval.interpolator, LookAheadNetwork)
     (before, after), sources = _both_frames(interval, interval.following)
     frames = fill_nonfinite(before), fill_nonfinite(after)
-    pixels = interpolate(*frames, interval.time(slot), interval.interpolator)
+    pixels = pool.copy(interval.interpolator(*frames, interval.time(slot)))
     if interval.leads_both_ways:
         fields = interval.back(slot), interval.forward(slot)
         hold_within(pixels, sources_between(frames, fields))

@@ -110,7 +110,7 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
         return gbuffer
     scene, vectors = scene_of(gbuffer), (gbuffer.to_previous, gbuffer.to_next)
     position = _NO_PLANE if scene is None else _as_rows(scene.position)
-    surfaces = position, depth_of(gbuffer), stencil_of(gbuffer), _find_edges(gbuffer)
+    surfaces = position, depth_of(gbuffer), stencil_of(gbuffer), edges_of(gbuffer)
     rendered = tuple(_NO_PLANE if each is None else _as_rows(each) for each in vectors)
     settled = tuple(pool.empty(each.shape, np.float32) for each in rendered)
     cameras = cameras_around(scene, vectors, gbuffer.stencil)
@@ -128,7 +128,8 @@ def _as_rows(array: Float32) -> Float32:
     return np.ascontiguousarray(array).reshape(height, width * channels)
 
 
-def _find_edges(gbuffer: GBuffer) -> Bool:
+def edges_of(gbuffer: GBuffer) -> Bool:
+    """Mark pixels with another surface among their eight neighbours, bool [H, W]."""
     out: Bool = pool.empty(gbuffer.window.shape, np.bool_)
     silhouettes.find_edges(depth_of(gbuffer), stencil_of(gbuffer), out)
     return out
@@ -263,26 +264,18 @@ def find_moving(
         still = find_still(now, scene)
         return None if still is None else np.asarray(~still & ~now.background)
     rigid = seen_by(scene, previous.camera)
-    moves = _differs(now.to_previous, rigid, STATIC_TOLERANCE)
-    if raw is not None and raw.to_previous is not None:
-        # At edges a vector is a mixture, or the nearest inside's; one of them may be wrong.
-        moves = _differs(raw.to_previous, rigid, SLOW_TOLERANCE) & (moves | ~_find_edges(raw))
-    return np.asarray(moves & ~now.background)
-
-
-def _differs(vectors: Float32, rigid: Float32, tolerance: float) -> Bool:
     with np.errstate(invalid="ignore"):  # unknown vectors differ
-        return np.asarray(~(np.abs(vectors - rigid).max(axis=-1) <= tolerance))
-
-
-def moving_stencil(objects: Int32, moves: Bool) -> Int32:
-    """Return a stencil of the objects that move: of `moving_ids`, by `select_ids`."""
-    return select_ids(objects, moving_ids(objects, moves))
+        moves = ~(np.abs(now.to_previous - rigid).max(axis=-1) <= STATIC_TOLERANCE)
+        if raw is not None and raw.to_previous is not None:
+            # At edges a vector is a mixture, or the nearest inside's; one of them may be wrong.
+            differs = ~(np.abs(raw.to_previous - rigid).max(axis=-1) <= SLOW_TOLERANCE)
+            moves = differs & (moves | ~edges_of(raw))
+    return np.asarray(moves & ~now.background)
 
 
 def moving_ids(
     objects: Int32,  # [H, W], id of whatever is visible; 0 background, negative where ids mix
-    moves: Bool,  # [H, W], from :func:`find_moving`
+    moves: Bool,  # [H, W], from `find_moving`
 ) -> frozenset[int]:
     """Return the ids of the objects at least MOVING_SHARE of whose pixels move."""
     values, sizes, starts = _runs(objects)

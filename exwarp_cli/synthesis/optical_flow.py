@@ -116,14 +116,9 @@ def flow_between(first: UInt8, second: UInt8) -> Float32:
     Takes uint8 [H, W] from `grey_of`, returns float32 [H, W, 2] in pixels.
     """
     height, width = first.shape
-    greys = _padded(first), _padded(second)
-    finest = finest_level(*greys[0].shape)
-    with ThreadPoolExecutor(min(2, threads())) as executor:  # OpenCV does not need the GIL
-        ways = [
-            executor.submit(_search, start, end, None, finest, None, BETWEEN_STRIDE)
-            for start, end in (greys, greys[::-1])
-        ]
-        there, back = (way.result()[:height, :width] for way in ways)
+    there, back = (
+        flow[:height, :width] for flow in _search((_padded(first), _padded(second)), BETWEEN_STRIDE)
+    )
     # The exchange and the median of `estimate_flow` gained 0.01 dB here, for twice the time.
     return (there - back) / np.float32(2)
 
@@ -216,22 +211,12 @@ def _padded(shown: np.ndarray) -> np.ndarray:
 def _search_both_ways(before: Float32, after: Float32) -> tuple[Float32, Float32]:
     """Return the flows between two pictures as shown, each searched, exchanged and refined."""
     grey = grey_of(before), grey_of(after)
-    finest = finest_level(*grey[0].shape)
-    with ThreadPoolExecutor(min(2, threads())) as executor:  # OpenCV does not need the GIL
-
-        def both(
-            starts: tuple[Float32 | None, Float32 | None], coarsest: int | None
-        ) -> tuple[Float32, Float32]:
-            first = executor.submit(_search, grey[0], grey[1], starts[0], finest, coarsest)
-            second = executor.submit(_search, grey[1], grey[0], starts[1], finest, coarsest)
-            return first.result(), second.result()
-
-        there, back = both((None, None), None)
-        better = (
-            _better(before, after, there, invert_flow(back)),
-            _better(after, before, back, invert_flow(there)),
-        )
-        there, back = both(better, finest + LEVELS_AGAIN)
+    there, back = _search(grey, PATCH_STRIDE)
+    better = (
+        _better(before, after, there, invert_flow(back)),
+        _better(after, before, back, invert_flow(there)),
+    )
+    there, back = _search(grey, PATCH_STRIDE, better)
     return _median_filter(there), _median_filter(back)
 
 
@@ -263,22 +248,26 @@ def _mismatch(start: Float32, end: Float32, flow: Float32) -> Float32:
 
 
 def _search(
-    start: UInt8,
-    end: UInt8,
-    guess: Float32 | None,
-    finest: int,
-    coarsest: int | None,
-    stride: int = PATCH_STRIDE,
-) -> Float32:
-    """Search the flow from one picture to another, from a first guess, which is overwritten."""
-    cv2 = _cv2()
-    search = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    search.setFinestScale(finest)
-    search.setPatchStride(stride)
-    if coarsest is not None:
-        search.setCoarsestScale(coarsest)
-    flow: Float32 = search.calc(start, end, guess)
-    return flow
+    pictures: tuple[UInt8, UInt8],
+    stride: int,  # pixels between patches
+    # Flows from which the search begins on finer levels; they are overwritten.
+    guesses: tuple[Float32, Float32] | None = None,
+) -> tuple[Float32, Float32]:
+    """Search the flows between two pictures, there and back."""
+    cv2, finest = _cv2(), finest_level(*pictures[0].shape)
+
+    def search(start: UInt8, end: UInt8, guess: Float32 | None) -> Float32:
+        dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        dis.setFinestScale(finest)
+        dis.setPatchStride(stride)
+        if guess is not None:
+            dis.setCoarsestScale(finest + LEVELS_AGAIN)
+        flow: Float32 = dis.calc(start, end, guess)
+        return flow
+
+    with ThreadPoolExecutor(min(2, threads())) as executor:  # OpenCV does not need the GIL
+        there, back = executor.map(search, pictures, pictures[::-1], guesses or (None, None))
+    return there, back
 
 
 @cache

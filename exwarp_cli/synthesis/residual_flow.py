@@ -16,17 +16,16 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, nonfinite_pixels
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.kernels.silhouettes import find_edges
 from exwarp_cli.synthesis.history import OlderKeyFrame, is_lit_alike
 from exwarp_cli.synthesis.motion_fields import (
     SlotField,
     depth_of,
+    edges_of,
     find_holes,
     reproject,
     splat_motion,
 )
 from exwarp_cli.synthesis.optical_flow import box_mean, flow_between, grey_of, mean_difference
-from exwarp_cli.synthesis.trajectory import stencil_of
 from exwarp_cli.synthesis.warp import (
     Coverage,
     Mover,
@@ -154,8 +153,13 @@ def find_light_flow(key: KeyFrame, older: OlderKeyFrame) -> LightFlow | None:
     if before is None or surface is None:
         return None
     surface = surface.bare().without("normal")
-    source = _field_to_older(surface, before.bare().without("normal"), older)
-    if source is None:
+    before = before.bare().without("normal")
+    if not older.guessed:
+        hole = find_holes(surface, before, older.motion, FACTOR)
+        source = SlotField(older.motion, depth_of(surface), hole)
+    elif before.to_next is not None:
+        source = reproject(before, 1)
+    else:
         return None
     pixels = key.image.pixels
     broken = nonfinite_pixels(pixels)
@@ -174,17 +178,8 @@ def find_light_flow(key: KeyFrame, older: OlderKeyFrame) -> LightFlow | None:
     weight = flow_weight(apart, moved, now)
     weight[np.abs(flow).max(axis=-1) < MIN_MOTION] = 0
     # At silhouettes colour is mixed: what was found at a lamp post's edge went into its hole.
-    silhouettes = np.empty(surface.window.shape, np.bool_)
-    find_edges(depth_of(surface), stencil_of(surface), silhouettes)
-    weight[silhouettes] = 0
+    weight[edges_of(surface)] = 0
     return LightFlow(flow, weight, surface) if weight.any() else None
-
-
-def _field_to_older(surface: GBuffer, before: GBuffer, older: OlderKeyFrame) -> SlotField | None:
-    if not older.guessed:
-        hole = find_holes(surface, before, older.motion, FACTOR)
-        return SlotField(older.motion, depth_of(surface), hole)
-    return None if before.to_next is None else reproject(before, 1)
 
 
 class CarriedLight:

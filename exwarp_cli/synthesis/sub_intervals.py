@@ -68,27 +68,25 @@ def vector_spans(
 
     By slot, 1 for a key interval or `step`. Frames whose vectors fit neither are left out.
     """
-    spans = {slot: _vector_span(interval, slot, step) for slot in interval.rendered}
-    return {slot: span for slot, span in spans.items() if span is not None}
-
-
-def _vector_span(interval: Interval, slot: int, step: float) -> float | None:
-    gbuffer = interval.rendered[slot].gbuffer
-    assert gbuffer is not None
-    back = interval.back(slot)
-    own = displacement(gbuffer, -1)
-    squares = (back.field * back.field).sum(axis=-1)
-    with np.errstate(invalid="ignore"):
-        moves = ~back.hole & (squares > MOVES**2) & np.isfinite(own).all(axis=-1)
-    if np.count_nonzero(moves) <= MAX_STILL_POINTS:
-        return 1.0
-    shares = (own[moves] * back.field[moves]).sum(axis=-1) / squares[moves]
-    measured = float(np.median(shares)) * interval.time(slot)
-    if measured <= 0:
-        return None
-    distances = {span: abs(math.log(measured / span)) for span in (1.0, step)}
-    nearest = min(distances, key=distances.__getitem__)
-    return nearest if distances[nearest] < NEAR else None
+    spans = {}
+    for slot, frame in interval.rendered.items():
+        assert frame.gbuffer is not None
+        back, own = interval.back(slot), displacement(frame.gbuffer, -1)
+        squares = (back.field * back.field).sum(axis=-1)
+        with np.errstate(invalid="ignore"):
+            moves = ~back.hole & (squares > MOVES**2) & np.isfinite(own).all(axis=-1)
+        if np.count_nonzero(moves) <= MAX_STILL_POINTS:
+            spans[slot] = 1.0
+            continue
+        shares = (own[moves] * back.field[moves]).sum(axis=-1) / squares[moves]
+        measured = float(np.median(shares)) * interval.time(slot)
+        if measured <= 0:
+            continue
+        distances = {span: abs(math.log(measured / span)) for span in (1.0, step)}
+        nearest = min(distances, key=distances.__getitem__)
+        if distances[nearest] < NEAR:
+            spans[slot] = nearest
+    return spans
 
 
 def sub_slots(

@@ -13,14 +13,13 @@ to 0.2 pixels, of spokes one pixel wide the motion is not always recovered.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32, combine_3x3
 from exwarp_cli.kernels import splat
-from exwarp_cli.kernels import splat as rows
 from exwarp_cli.kernels.point_motion import CLOSE_DEPTH, follow_points
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.camera import (
@@ -96,20 +95,20 @@ def displacement(
     if len(gbuffer.turning) and 0 < abs(time) < 1:
         out.reshape(-1, 2)[gbuffer.turning] = _on_arc(gbuffer, gbuffer.turning, time)
     if reach is not None:
-        rows.splat_row_extents(out, reach)
+        splat.splat_row_extents(out, reach)
     return out
 
 
 def displacement_and_reach(gbuffer: GBuffer, time: float) -> tuple[Float32, Float32]:
     """Return a `displacement`, and its `reach_of`."""
-    reach = np.empty(rows.row_extents_shape(gbuffer.window.shape), np.float32)
+    reach = np.empty(splat.row_extents_shape(gbuffer.window.shape), np.float32)
     return displacement(gbuffer, time, reach), reach
 
 
 def reach_of(motion: Float32) -> Float32:
     """Return the target rows of displacements [H, W, 2], as the splatting kernel takes them."""
-    reach = np.empty(rows.row_extents_shape(motion.shape), np.float32)
-    rows.splat_row_extents(motion, reach)
+    reach = np.empty(splat.row_extents_shape(motion.shape), np.float32)
+    splat.splat_row_extents(motion, reach)
     return reach
 
 
@@ -233,7 +232,13 @@ def move_rigidly(
     if scene is None or scene.camera is None or gbuffer.stencil is None:
         return None
     turning: list[tuple[Index, Poses]] = []
-    for index in _moving_objects(gbuffer.stencil):
+    stencil = gbuffer.stencil.ravel()
+    moving = np.flatnonzero(stencil > 0)
+    order = moving[np.argsort(stencil[moving], kind="stable")]
+    ids = stencil[order]
+    for index in np.split(order, np.flatnonzero(ids[1:] != ids[:-1]) + 1):
+        if len(index) < MIN_OBJECT_PIXELS:
+            continue
         rigid, poses = _settle_object(gbuffer, scene, cameras, index, settled)
         if any(pose is not None and np.linalg.norm(pose.turn) > MIN_TURN for pose in poses):
             turning.append((rigid, poses))
@@ -242,17 +247,6 @@ def move_rigidly(
     shape = *gbuffer.window.shape, 2
     before, after = (each.reshape(shape) if each.size else None for each in settled)
     return _bend(replace(gbuffer, to_previous=before, to_next=after), scene, turning)
-
-
-def _moving_objects(stencil: Int32) -> Iterator[Index]:
-    """Yield the flat indices of the pixels of each object that moves and is large enough."""
-    flat = stencil.ravel()
-    moving = np.flatnonzero(flat > 0)
-    order = moving[np.argsort(flat[moving], kind="stable")]
-    ids = flat[order]
-    for index in np.split(order, np.flatnonzero(ids[1:] != ids[:-1]) + 1):
-        if len(index) >= MIN_OBJECT_PIXELS:
-            yield index
 
 
 def _settle_object(
@@ -369,31 +363,22 @@ def fit_pose(
             distance = np.linalg.norm(errors, axis=1)
             scale = 1.5 * max(float(np.median(distance)), MIN_ERROR)
             weights = (1 + (distance / scale) ** 2) ** -2
-        slopes = _slopes(camera, turned, image, depth)
-        step = _solve(slopes, errors, weights)
+        # How the pixels [N, 2] change with a turn and with a shift: [6, 2 N].
+        by_shift = (camera[:2, :3].T[:, None] - image * camera[2, :3, None, None]) / depth[:, None]
+        (x, y, z), (u, v, w) = turned.T[..., None], by_shift
+        by_turn = (y * w - z * v, z * u - x * w, x * v - y * u)
+        slopes = np.stack([*by_turn, *by_shift]).reshape(6, -1)
+        weighted = slopes * np.repeat(weights, 2)
+        matrix = np.einsum("jn,kn->jk", weighted, slopes)  # no BLAS, whose threads change sums
+        # A flat or distant object hardly determines some directions: there it is not moved.
+        matrix += 1e-6 * np.diag(np.diag(matrix)) + 1e-12 * np.trace(matrix) * np.eye(6)
+        step: F64 = np.linalg.solve(matrix, np.einsum("jn,n->j", weighted, errors.reshape(-1)))
+        angle = float(np.linalg.norm(step[:3]))
+        step = step * (min(1.0, MAX_TURN / angle) if angle > 0 else 1.0)
         rotation, shift = _rotation(step[:3]) @ rotation, shift + step[3:]
         if count >= PLAIN_ROUNDS and np.abs(step @ slopes).max() < SETTLED:
             break
     return Pose(centre, _turn_vector(rotation), shift)
-
-
-def _slopes(camera: F64, turned: F64, image: F64, depth: F64) -> F64:
-    """Return how the pixels [N, 2] of points change with a turn and with a shift: [6, 2 N]."""
-    by_shift = (camera[:2, :3].T[:, None] - image * camera[2, :3, None, None]) / depth[:, None]
-    (x, y, z), (u, v, w) = turned.T[..., None], by_shift
-    by_turn = (y * w - z * v, z * u - x * w, x * v - y * u)
-    return np.stack([*by_turn, *by_shift]).reshape(6, -1)
-
-
-def _solve(slopes: F64, errors: F64, weights: F64) -> F64:
-    """Return the turn, radians about the axes, and the shift [6] that reduce errors most."""
-    weighted = slopes * np.repeat(weights, 2)
-    matrix = np.einsum("jn,kn->jk", weighted, slopes)  # no BLAS, whose threads change sums
-    # A flat or distant object hardly determines some directions: there it is not moved.
-    matrix += 1e-6 * np.diag(np.diag(matrix)) + 1e-12 * np.trace(matrix) * np.eye(6)
-    step: F64 = np.linalg.solve(matrix, np.einsum("jn,n->j", weighted, errors.reshape(-1)))
-    angle = float(np.linalg.norm(step[:3]))
-    return step * (min(1.0, MAX_TURN / angle) if angle > 0 else 1.0)
 
 
 def _rotation(turn: F64) -> F64:

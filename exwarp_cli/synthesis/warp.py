@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32, nonfinite_pixels
-from exwarp_cli.domain.network_api import Interpolator
 from exwarp_cli.kernels import blend, gather, holes, resample
 from exwarp_cli.kernels.silhouettes import MOTION_GAP, find_moving_edges
 from exwarp_cli.runtime.frame_pool import pool
@@ -252,20 +251,6 @@ def cross_fade(before: Float32, after: Float32, time: float) -> Float32:
         return (first + np.float32(time) * (second - first)).astype(np.float32)
 
 
-def interpolate(
-    # [H, W, 3 or 4], scene-linear; non-finite pixels are filled from around.
-    before: Float32,
-    after: Float32,
-    time: float,  # of the slot in the key interval, 0 < time < 1
-    network: Interpolator,
-) -> Float32:
-    """Have a network make the frame of a slot from the colour of both key frames.
-
-    Returns float32 [H, W, 3 or 4]: scene-linear, premultiplied alpha; a new array.
-    """
-    return pool.copy(network(fill_nonfinite(before), fill_nonfinite(after), time))
-
-
 @dataclass(frozen=True)
 class CoverageSide:
     """A key frame whose surfaces are moved to a slot."""
@@ -357,7 +342,9 @@ class Coverage:
         crossed = np.zeros(len(index), np.bool_)
         for place in places:
             for vectors, centre in zip(place.vectors, centres, strict=True):
-                crossed |= _moves_apart(vectors, centre)
+                unknown = np.isnan(vectors) & np.isnan(centre)
+                same = (np.abs(vectors - centre) <= MOTION_GAP) | unknown
+                crossed |= ~(same[:, 0] & same[:, 1])
         movers = [self._make_movers(place, crossed, index[crossed]) for place in places]
         return index[crossed], movers
 
@@ -392,12 +379,6 @@ class Coverage:
             movers.append(Mover(source, self._linear))
         share = None if place.share is None else _in_rows(place.share[crossed])
         return _PlaceMovers(movers, share, ~_in_rows(place.hole[crossed], fill=True))
-
-
-def _moves_apart(vectors: Float32, centre: Float32) -> Bool:
-    """Return which pixels, bool [N], move otherwise at a place than at their centre."""
-    same = (np.abs(vectors - centre) <= MOTION_GAP) | (np.isnan(vectors) & np.isnan(centre))
-    return np.asarray(~(same[:, 0] & same[:, 1]))
 
 
 def _in_rows(values: np.ndarray, fill: float = 0) -> np.ndarray:

@@ -13,7 +13,7 @@ from skimage.metrics import structural_similarity
 
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.kernels.ssim_error import SIGMA, ssim_map
+from exwarp_cli.kernels.picture_errors import SSIM_SIGMA, ssim_map
 from exwarp_cli.metrics import registry, temporal
 from exwarp_cli.metrics.display import PEAK, encode_display
 from exwarp_cli.metrics.registry import score_frame
@@ -49,7 +49,7 @@ def _ssim(reference: Float32, test: Float32) -> dict[str, tuple[Work, Work]]:
             *doubles,
             channel_axis=-1,
             gaussian_weights=True,
-            sigma=SIGMA,
+            sigma=SSIM_SIGMA,
             use_sample_covariance=False,
             data_range=PEAK,
             full=True,

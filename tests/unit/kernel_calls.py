@@ -10,10 +10,10 @@ import numpy as np
 from exwarp_cli.kernels import (
     blend,
     connected_components,
-    flip_error,
     frame_statistics,
     gather,
     holes,
+    picture_errors,
     point_motion,
     projection,
     raw_channels,
@@ -360,26 +360,26 @@ def missed_along(
 
 
 def decoded(image: np.ndarray, serial: bool = False) -> Arrays:
-    planes = np.full((flip_error.OPPONENT_PLANES, *image.shape[:2]), np.nan, np.float32)
-    build(flip_error, "decode_opponent", serial)(image, planes)
+    planes = np.full((picture_errors.OPPONENT_PLANES, *image.shape[:2]), np.nan, np.float32)
+    build(picture_errors, "decode_opponent", serial)(image, planes)
     return (planes,)
 
 
 def exposed(image: np.ndarray, gain: float, serial: bool = False) -> Arrays:
-    planes = np.full((flip_error.OPPONENT_PLANES, *image.shape[:2]), np.nan, np.float32)
-    build(flip_error, "expose_opponent", serial)(image, np.float32(gain), planes)
+    planes = np.full((picture_errors.OPPONENT_PLANES, *image.shape[:2]), np.nan, np.float32)
+    build(picture_errors, "expose_opponent", serial)(image, np.float32(gain), planes)
     return (planes,)
 
 
 def perceived(planes: np.ndarray, serial: bool = False) -> Arrays:
-    seen = np.full((flip_error.PERCEIVED_PLANES, *planes.shape[1:]), np.nan, np.float32)
-    build(flip_error, "write_perceived", serial)(planes, seen)
+    seen = np.full((picture_errors.PERCEIVED_PLANES, *planes.shape[1:]), np.nan, np.float32)
+    build(picture_errors, "write_perceived", serial)(planes, seen)
     return (seen,)
 
 
 def differing(reference: np.ndarray, test: np.ndarray, serial: bool = False) -> Arrays:
     error = np.full(reference.shape[1:], 0.25, np.float32)
-    build(flip_error, "raise_flip_error", serial)(reference, test, error)
+    build(picture_errors, "raise_flip_error", serial)(reference, test, error)
     return (error,)
 
 

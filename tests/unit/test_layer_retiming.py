@@ -150,7 +150,7 @@ class TestManner:
     def test_a_cross_fade_takes_ids_from_the_nearer_key_frame(self, slot, later):
         made, _ = retimed("blend", slot)
         ids = [geometry(frame).stencil for frame in (key(0), key(1))]
-        np.testing.assert_array_equal(made.data(*ids), ids[later])
+        np.testing.assert_array_equal(made.sources.take(*ids), ids[later])
         assert made.rule is TransferRule.FADE
 
     def test_a_network_that_interpolates_goes_with_blended_layers(self):
@@ -172,7 +172,7 @@ class TestData:
     @pytest.mark.parametrize(("name", "slot"), combinations(["s6", "softsplat"], SLOTS))
     def test_ids_are_those_of_the_surfaces(self, name, slot):
         made, _ = retimed(name, slot)
-        found, true = made.data(*pair(name, "stencil")), view(slot / 4).gbuffer().stencil
+        found, true = made.sources.take(*pair(name, "stencil")), view(slot / 4).gbuffer().stencil
         assert set(np.unique(found)) <= {0, BOX}
         assert (found != true).mean() < 0.01
         assert (found[inner(slot)] == true[inner(slot)]).mean() > 0.999
@@ -180,7 +180,7 @@ class TestData:
     def test_ids_above_float32_keep_every_bit(self):
         made, _ = retimed("softsplat", 2)
         ids = np.arange(80 * 128, dtype=np.uint32).reshape(80, 128) + np.uint32(2**31 + 1)
-        found = made.data(ids, ids + np.uint32(20000))
+        found = made.sources.take(ids, ids + np.uint32(20000))
         assert found.dtype == np.uint32
         expected = made.sources.pixel + np.uint32(2**31 + 1) + 20000 * made.sources.later
         np.testing.assert_array_equal(found, expected)
@@ -190,7 +190,7 @@ class TestData:
         made, _ = retimed(name, 3)
         rng = np.random.default_rng(5)
         rank = [rng.random((80, 128, 4)).astype(np.float32) for _ in range(2)]
-        found = made.data(*rank)
+        found = made.sources.take(*rank)
         pixels = {tuple(p): k for k in range(2) for p in rank[k].reshape(-1, 4)}
         sides = np.array([pixels[tuple(p)] for p in found.reshape(-1, 4)]).reshape(80, 128)
         np.testing.assert_array_equal(sides, made.sources.later)
@@ -198,20 +198,20 @@ class TestData:
     @pytest.mark.parametrize(("name", "slot"), combinations(["s6", "softsplat"], SLOTS))
     def test_normals_keep_their_length(self, name, slot):
         made, _ = retimed(name, slot)
-        normals = made.data(*pair(name, "normal"))
+        normals = made.sources.take(*pair(name, "normal"))
         lengths = np.linalg.norm(normals, axis=-1)
         assert np.isclose(lengths, 1, atol=1e-5).sum() + (lengths == 0).sum() == lengths.size
 
     def test_holes_of_a_causal_slot_show_what_lies_behind(self):
         made, _ = retimed("s6", 3)
-        ids = made.data(*pair("s6", "stencil"))
+        ids = made.sources.take(*pair("s6", "stencil"))
         assert made.sources.hole.sum() > 20
         assert (ids[made.sources.hole] == BOX).mean() < 0.1
 
     def test_values_that_are_no_numbers_are_copied_too(self):
         made, _ = retimed("s6", 1)
         layer = np.full((80, 128, 1), np.nan, np.float32)
-        assert np.isnan(made.data(layer)).all()
+        assert np.isnan(made.sources.take(layer)).all()
 
 
 class TestMoved:
@@ -219,19 +219,22 @@ class TestMoved:
     @pytest.mark.parametrize("slot", SLOTS)
     def test_static_points_stay_exactly_where_they_are(self, name, slot):
         made, _ = retimed(name, slot)
-        found, source = moved(name, slot, "position", True), made.data(*pair(name, "position"))
-        static = made.data(*pair(name, "stencil")) == 0
+        found, source = (
+            moved(name, slot, "position", True),
+            made.sources.take(*pair(name, "position")),
+        )
+        static = made.sources.take(*pair(name, "stencil")) == 0
         np.testing.assert_array_equal(found[static], source[static])
 
     @pytest.mark.parametrize("name", ["s6", "softsplat"])
     @pytest.mark.parametrize("slot", SLOTS)
     def test_moving_points_are_where_they_are_at_the_slot(self, name, slot):
         made, _ = retimed(name, slot)
-        box = inner(slot, 3) & (made.data(*pair(name, "stencil")) == BOX)
+        box = inner(slot, 3) & (made.sources.take(*pair(name, "stencil")) == BOX)
         box &= view(slot / 4).gbuffer().stencil == BOX
         true = view(slot / 4).world(slot / 4)
         away = np.linalg.norm(moved(name, slot, "position", True) - true, axis=-1)[box]
-        left = np.linalg.norm(made.data(*pair(name, "position")) - true, axis=-1)[box]
+        left = np.linalg.norm(made.sources.take(*pair(name, "position")) - true, axis=-1)[box]
         assert box.sum() > 100
         assert np.median(away) < 0.03 < 0.06 < np.median(left)
 
@@ -241,7 +244,7 @@ class TestMoved:
         true, where = view(0.5).depth, inner(2, 3) & np.isfinite(view(0.5).depth)
         found = moved(name, 2, "depth", False)[..., 0]
         keys = [at_least_3d(geometry(k).depth)[..., 0] for k in (key(0), key(1))]
-        source = made.data(*keys)
+        source = made.sources.take(*keys)
         error, still = (np.abs(d / true - 1)[where] for d in (found, source))
         assert np.median(error) < 0.5 * np.median(still)
 
@@ -254,7 +257,7 @@ class TestMoved:
         made, _ = retimed("s6", 3)
         position = geometry(key(0)).position
         found = made.moved(LayerMotion(geometry(key(0))), (position, None, None), True)
-        np.testing.assert_array_equal(found, made.data(position))
+        np.testing.assert_array_equal(found, made.sources.take(position))
 
     def test_a_repeat_changes_nothing(self):
         made, _ = retimed("hold", 2)
@@ -308,7 +311,7 @@ class TestVectors:
         for axes, wanted in zip((BLENDER.to_previous, BLENDER.to_next), true, strict=True):
             error, left = (
                 np.abs(axes.apply(raw) - wanted).max(axis=-1)[where]
-                for raw in (found, made.data(*layers))
+                for raw in (found, made.sources.take(*layers))
             )
             assert np.median(error) < 0.05
             assert error.mean() < 0.6 * left.mean()
@@ -323,7 +326,7 @@ class TestVectors:
         made, _ = retimed("softsplat", 2)
         raw = [raw_vectors(k) for k in (0, 1)]
         found = made.vectors(MotionConvention(to_next=BLENDER.to_next), *raw)
-        np.testing.assert_array_equal(found, made.data(*raw))
+        np.testing.assert_array_equal(found, made.sources.take(*raw))
 
     def test_vectors_at_constant_velocity_keep_every_bit(self):
         made, _ = retimed("softsplat", 2)
@@ -332,14 +335,14 @@ class TestVectors:
         found = made.vectors(
             MotionConvention(AxisMap(0, 1, 3.7, -3.7, 0.1), AxisMap(0, 1, -3.7, 3.7, 0.1)), *raw
         )
-        np.testing.assert_array_equal(found, made.data(*raw))
+        np.testing.assert_array_equal(found, made.sources.take(*raw))
 
     def test_unusable_vectors_stay(self):
         made, _ = retimed("s6", 2)
         raw = raw_vectors(0)
         raw[::2] = np.nan
         found = made.vectors(BLENDER, raw)
-        np.testing.assert_array_equal(np.isnan(found), np.isnan(made.data(raw)))
+        np.testing.assert_array_equal(np.isnan(found), np.isnan(made.sources.take(raw)))
 
     @pytest.mark.parametrize(
         "convention",
@@ -369,5 +372,5 @@ def test_sources_do_not_depend_on_depth_being_known():
     shown = METHODS["s6"].predict(given, 2)
     made = make_retimer(given, 2, shown)
     assert (depth_of(geometry(frame)) > 0).all()
-    ids = made.data(geometry(frame).stencil)
+    ids = made.sources.take(geometry(frame).stencil)
     assert (ids == view(0.5).gbuffer().stencil)[inner(2)].mean() > 0.98

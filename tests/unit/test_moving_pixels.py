@@ -13,7 +13,6 @@ from exwarp_cli.synthesis.motion_fields import (
     SLOW_TOLERANCE,
     find_moving,
     moving_ids,
-    moving_stencil,
     select_ids,
     settle_motion,
 )
@@ -21,6 +20,10 @@ from tests.unit.scenes import town
 
 BOX = 3
 SIZE = (96, 60)
+
+
+def moving_stencil(ids: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    return select_ids(ids, moving_ids(ids, moves))
 
 
 def bare(time: float, step: float = 1.0) -> GBuffer:

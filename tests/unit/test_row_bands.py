@@ -115,7 +115,7 @@ class TestThreads:
         assert ended.is_set()
 
     def test_kernels_of_several_threads_at_once(self):
-        kernel = _compile.kernel(parallel=True)(count)
+        kernel = _compile.ParallelKernel(count)
 
         def work(_: int) -> bool:
             _row_bands.set_threads(None)

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exwarp_cli.kernels._row_bands import set_threads
-from exwarp_cli.kernels.ssim_error import ssim_map
+from exwarp_cli.kernels.picture_errors import ssim_map
 from tests.reference import quality, scikit
 
 ROOT = Path(__file__).parents[2]
@@ -71,7 +71,7 @@ def test_interpreted_and_compiled_agree(tmp_path: Path) -> None:
     np.save(source, np.stack([reference, test]))
     code = (
         "import sys, numpy as np\n"
-        "from exwarp_cli.kernels.ssim_error import ssim_map\n"
+        "from exwarp_cli.kernels.picture_errors import ssim_map\n"
         "pair = np.load(sys.argv[1])\n"
         "np.save(sys.argv[2], ssim_map(pair[0], pair[1]))\n"
     )
