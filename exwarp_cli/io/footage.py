@@ -19,10 +19,10 @@ from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
 from exwarp_cli.io.display_colour import parse_pixel_aspect, primaries_of
 from exwarp_cli.io.exr.reader import display_window
-from exwarp_cli.io.exr.template import PartTemplate, PlaneTemplate, Template
-from exwarp_cli.io.exr.writer import COMPRESSIONS
+from exwarp_cli.io.exr.writer import COMPRESSIONS, PartTemplate, PlaneTemplate, Template
 from exwarp_cli.io.frame_names import file_type, split_names
-from exwarp_cli.io.generated_frames import FrameTemplate, file_digest, read_picture
+from exwarp_cli.io.generated_frames import FrameTemplate, read_picture
+from exwarp_cli.io.key_file import file_digest
 from exwarp_cli.io.sequences import EXR, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.io.shot_files import count_nonfinite, first_usable

@@ -13,7 +13,7 @@ from exwarp_cli.domain.frame import Float32, Window, outside_mask, place_on_canv
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.io.channels import ChannelRef, Role
 from exwarp_cli.io.cryptomatte import find_cryptomattes
-from exwarp_cli.io.exr.template import Plane, PlaneKey, Template, ViewLayers, read_template
+from exwarp_cli.io.exr.writer import Plane, PlaneKey, Template, ViewLayers, read_template
 from exwarp_cli.io.footage import is_plain, make_frame_template
 from exwarp_cli.io.frames import read_planes
 from exwarp_cli.io.generated_frames import FrameTemplate

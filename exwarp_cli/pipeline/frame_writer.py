@@ -13,8 +13,7 @@ import numpy as np
 from exwarp_cli.domain.frame import Bool, Float32, Image, Window
 from exwarp_cli.domain.timeline import OutputRate
 from exwarp_cli.io.display_colour import to_display, to_display_16
-from exwarp_cli.io.exr.template import PREFIX, Plane, PlaneKey
-from exwarp_cli.io.exr.writer import Buffer
+from exwarp_cli.io.exr.writer import PREFIX, Buffer, Plane, PlaneKey
 from exwarp_cli.io.files import ResourceOwner, path_exists
 from exwarp_cli.io.generated_frames import (
     FrameTemplate,

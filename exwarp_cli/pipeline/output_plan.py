@@ -31,11 +31,10 @@ from exwarp_cli.io.generated_frames import (
     REQUESTED_METHOD,
     Authorship,
     FileState,
-    file_digest,
     find_authorship,
     read_fingerprint,
 )
-from exwarp_cli.io.key_file import KeyFile, possible_key_files
+from exwarp_cli.io.key_file import KeyFile, file_digest, possible_key_files
 from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.io.video_reader import is_clip

@@ -38,10 +38,10 @@ from exwarp_cli.io.exr.header import (
     RawHeader,
     channels_in,
     file_format,
+    name_channels,
     part_from_header,
     part_from_spec,
     window_of,
-    with_distinct_names,
 )
 from exwarp_cli.io.exr.scanlines import (
     ChannelRequest,
@@ -118,10 +118,9 @@ def parse_header(path: Path, file: BinaryIO) -> FileHeader:
         status = os.fstat(file.fileno())
         raw = RawHeader.read(file, status.st_size)
         header = replace(header, raw=raw, stamp=_stamp(status))
-        layouts = parse_layouts(raw, FileBytes(file).read, status.st_size)
+        layouts = parse_layouts(raw, file, status.st_size)
         header = replace(header, layouts=tuple(layouts))
-        for index, values in enumerate(raw.by_part()):
-            layout = layouts[index]
+        for index, (values, layout) in enumerate(zip(raw.by_part(), layouts, strict=True)):
             if layout is None:
                 return header
             part = part_from_header(index, values, layout.channels, len(layouts) > 1)
@@ -134,7 +133,7 @@ def parse_header(path: Path, file: BinaryIO) -> FileHeader:
         # OpenImageIO opens what OpenEXR opens: so both readers accept the same files.
         with report_reading(path):
             if len(raw.typed) == len(parts):
-                return replace(header, parts=with_distinct_names(parts))
+                return replace(header, parts=name_channels(parts))
     except (OSError, RuntimeError, ValueError, ArithmeticError, DamagedFileError):
         pass
     return header
@@ -160,7 +159,6 @@ class ExrFile:
         self.path = path
         self._by_openimageio = by_openimageio
         self._file: BinaryIO | None = None
-        self._bytes: FileBytes | None = None
         self._image: oiio.ImageInput | None = None
         self._has_failed = False
         self.header: FileHeader = with_retries(path, self._open)
@@ -181,7 +179,7 @@ class ExrFile:
             self._image.close()
         if self._file is not None:
             self._file.close()
-        self._image = self._file = self._bytes = None
+        self._image = self._file = None
 
     def _open(self) -> FileHeader:
         path = self.path
@@ -219,7 +217,6 @@ class ExrFile:
             head = self._file.read(SIGNATURE_BYTES)
             if not head.startswith(MAGIC):
                 raise damaged_error(self.path, f"its content is {file_format(head)}")
-            self._bytes = FileBytes(self._file)
             header = parse_header(self.path, self._file)
         if not header.parts:
             with report_reading(self.path):
@@ -247,7 +244,7 @@ class ExrFile:
             with suppress(ValueError, KeyError):
                 windows = [window_of(values, b"displayWindow") for values in raw.by_part()]
                 parts = [replace(p, display_window=w) for p, w in zip(parts, windows, strict=True)]
-        return with_distinct_names(parts)
+        return name_channels(parts)
 
     def read(self, *groups: Iterable[Channel]) -> dict[Channel, np.ndarray]:
         """Decode groups of channels: [H, W] arrays on their part's data window.
@@ -303,57 +300,46 @@ class ExrFile:
             if layout.window == self.parts[index].data_window:
                 names = tuple(channel.raw_name for channel in channels)
                 requests[number, index, is_integer] = ChannelRequest(layout, names, is_integer)
-        if self._bytes is None or not requests:
+        if self._file is None or not requests:
             return [None] * len(groups)
-        decoded = dict(zip(requests, read_blocks(self._bytes, [*requests.values()]), strict=True))
+        arrays = read_blocks(FileBytes(self._file), [*requests.values()])
+        decoded = dict(zip(requests, arrays, strict=True))
         return [decoded.get(key) for key in groups]
 
     def _decode_by_openimageio(self, channels: Iterable[Channel]) -> dict[Channel, np.ndarray]:
-        """Decode channels of any kind; raises DamagedFileError."""
+        """Decode channels of any kind, float32 or uint32 [H, W]; raises DamagedFileError."""
         by_part: dict[tuple[int, bool], list[Channel]] = {}
         for channel in channels:
             by_part.setdefault((channel.part, channel.pixel_type == "uint"), []).append(channel)
         out: dict[Channel, np.ndarray] = {}
-        if not by_part:
-            return out
-        image = self._image = self._image or open_image(self.path)
         for (index, is_integer), members in sorted(by_part.items(), key=lambda item: item[0]):
-            part = self.parts[index]
-            spec = image.spec(index, 0)
+            image = self._image = self._image or open_image(self.path)
+            spec, window = image.spec(index, 0), self.parts[index].data_window
             places = {name: i for i, name in enumerate(spec.channelnames)}
-            window = Window(spec.x, spec.y, spec.width, spec.height)
-            if window != part.data_window or any(c.raw_name not in places for c in members):
+            is_same = window == Window(spec.x, spec.y, spec.width, spec.height)
+            if not is_same or any(channel.raw_name not in places for channel in members):
                 raise damaged_error(self.path, "it changes while it is read")
             columns = [places[channel.raw_name] for channel in members]
             begin, end = min(columns), max(columns) + 1
-            pixels = self._read_channels(image, part, (begin, end), is_integer)
+            kind, dtype = ("uint", np.uint32) if is_integer else ("float", np.float32)
+            pixels = pool.empty((*window.shape, end - begin), dtype)
+            # A chunk for each core at a time, into memory that later frames get: complete images of
+            # OpenImageIO's lay in pieces of the allocator's heap, 100 to 160 MB at 1920x1080.
+            is_dwab = spec.getattribute("compression") == "dwab"
+            step = (LINES_OF_DWAB if is_dwab else LINES) * cores.count()
+            tile_height = int(spec.tile_height) or 1
+            step = -(-step // tile_height) * tile_height
+            for top in range(0, window.height, step):
+                lines = (window.y + top, window.y + min(top + step, window.height))
+                if self.parts[index].tiled:
+                    box = (window.x, window.x + window.width, *lines, 0, 1)
+                    chunk = image.read_tiles(index, 0, *box, begin, end, kind)
+                else:
+                    chunk = image.read_scanlines(index, 0, *lines, 0, begin, end, kind)
+                if chunk is None:
+                    raise damaged_error(self.path, _first_line(image.geterror))
+                pixels[top : top + step] = chunk.reshape(-1, *pixels.shape[1:])
             out |= {c: pixels[..., i - begin] for c, i in zip(members, columns, strict=True)}
-        return out
-
-    def _read_channels(
-        self, image: oiio.ImageInput, part: Part, columns: tuple[int, int], is_integer: bool
-    ) -> np.ndarray:
-        """Read the channels [begin, end) of a part by OpenImageIO, float32 or uint32 [H, W, C]."""
-        window, kind = part.data_window, "uint" if is_integer else "float"
-        begin, end = columns
-        spec = image.spec(part.index, 0)
-        out = pool.empty((*window.shape, end - begin), np.uint32 if is_integer else np.float32)
-        # A chunk for each core at a time, into memory that later frames get: complete images of
-        # OpenImageIO's lay in pieces of the allocator's heap, 100 to 160 MB at 1920x1080.
-        is_dwab = spec.getattribute("compression") == "dwab"
-        step = (LINES_OF_DWAB if is_dwab else LINES) * cores.count()
-        if part.tiled:
-            step = -(-step // spec.tile_height) * int(spec.tile_height)
-        for top in range(0, window.height, step):
-            lines = (window.y + top, window.y + min(top + step, window.height))
-            if part.tiled:
-                box = (window.x, window.x + window.width, *lines, 0, 1)
-                pixels = image.read_tiles(part.index, 0, *box, begin, end, kind)
-            else:
-                pixels = image.read_scanlines(part.index, 0, *lines, 0, begin, end, kind)
-            if pixels is None:
-                raise damaged_error(self.path, _first_line(image.geterror))
-            out[top : top + step] = pixels.reshape(-1, *out.shape[1:])
         return out
 
 
@@ -448,7 +434,7 @@ def _subsampled_error(path: Path) -> LayoutError:
             raw = RawHeader.read(file, path.stat().st_size)
         for attribute in raw.attributes:
             if attribute.kind == b"chlist":
-                for name, _, pixel_steps in channels_in(raw.value(attribute)):
+                for name, _, pixel_steps in channels_in(attribute.value):
                     if pixel_steps != (1, 1):
                         steps[name.decode("utf-8", "replace")] = pixel_steps
     if {name.rpartition(".")[2] for name in steps} == {"RY", "BY"}:
