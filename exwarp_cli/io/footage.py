@@ -24,8 +24,7 @@ from exwarp_cli.io.frame_names import file_type, split_names
 from exwarp_cli.io.generated_frames import FrameTemplate, read_picture
 from exwarp_cli.io.key_file import file_digest
 from exwarp_cli.io.sequences import EXR, Sequence, find_sequence
-from exwarp_cli.io.shot import Shot
-from exwarp_cli.io.shot_files import count_nonfinite, first_usable
+from exwarp_cli.io.shot import Shot, count_nonfinite, first_usable
 from exwarp_cli.io.stills import (
     STILLS,
     StillTemplate,
@@ -91,7 +90,7 @@ class ClipSequence(Sequence):
     @property
     def pattern(self) -> str:
         """Path of the video."""
-        return str(self.directory)
+        return str(self.folder)
 
 
 def find_frames(spec: str, gaps: bool = False, scan: str = SourceSettings.scan) -> Sequence:

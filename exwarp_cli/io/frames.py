@@ -24,8 +24,7 @@ from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect_layout, require_role
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr.reader import ExrFile
-from exwarp_cli.io.shot import Shot, without_cryptomattes
-from exwarp_cli.io.shot_files import count_nonfinite, rename_channels
+from exwarp_cli.io.shot import Shot, count_nonfinite, rename_channels, without_cryptomattes
 from exwarp_cli.io.views import choose_view, list_views, view_channels
 from exwarp_cli.runtime.frame_pool import pool
 

@@ -50,7 +50,7 @@ from exwarp_cli.io.files import (
 )
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.sequences import EXR
-from exwarp_cli.io.shot_files import require_sound
+from exwarp_cli.io.shot import require_sound
 from exwarp_cli.io.stills import (
     SEALED,
     StillTemplate,

@@ -9,8 +9,7 @@ from collections.abc import Iterable
 from exwarp_cli.io.channels import ChannelRef, Role, split_words
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.sequences import neighbouring_sequences
-from exwarp_cli.io.shot import Shot, channel_label, without_cryptomattes
-from exwarp_cli.io.shot_files import rename_channels
+from exwarp_cli.io.shot import Shot, channel_label, rename_channels, without_cryptomattes
 
 # Layers that a message names.
 MAX_LISTED = 12

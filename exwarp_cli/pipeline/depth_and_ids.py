@@ -30,8 +30,7 @@ from exwarp_cli.io.depth import (
     measure_depth_reading,
 )
 from exwarp_cli.io.frames import read_planes, read_raw
-from exwarp_cli.io.shot import Shot
-from exwarp_cli.io.shot_files import first_usable, rename_channels
+from exwarp_cli.io.shot import Shot, first_usable, rename_channels
 from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
 from exwarp_cli.synthesis.gbuffer_values import OrderVotes, camera_end, occlusion_votes
 

@@ -18,8 +18,7 @@ from exwarp_cli.io.footage import is_plain, make_frame_template
 from exwarp_cli.io.frames import read_planes
 from exwarp_cli.io.generated_frames import FrameTemplate
 from exwarp_cli.io.layers import ALL, BEAUTY, Layer, LayerKind, group_layers, select_layers
-from exwarp_cli.io.shot import Shot
-from exwarp_cli.io.shot_files import count_nonfinite, rename_channels
+from exwarp_cli.io.shot import Shot, count_nonfinite, rename_channels
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.layer_retiming import LayerMotion, LayerRetimer, make_retimer

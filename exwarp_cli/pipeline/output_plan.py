@@ -35,7 +35,7 @@ from exwarp_cli.io.generated_frames import (
     read_fingerprint,
 )
 from exwarp_cli.io.key_file import KeyFile, file_digest, possible_key_files
-from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, output_pattern
+from exwarp_cli.io.sequences import EXR, FramePattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.video_writer import (
@@ -79,8 +79,8 @@ HEADER_GROWTH = 4096
 class OutputPlan:
     """Where and how a run writes."""
 
-    frames: OutputPattern | None  # None where only a video is written
-    holes: OutputPattern | None  # of the hole masks
+    frames: FramePattern | None  # None where only a video is written
+    holes: FramePattern | None  # of the hole masks
     video: Path | None
     compression: Any = None  # of generated frames, as OpenEXR takes it; None: the key frame's
     exposure: float = 0.0  # of the video, in stops
@@ -191,7 +191,7 @@ def frame_suffix(output: str, source: Sequence) -> str:
     return suffix if named else source.suffix
 
 
-def _frame_pattern(settings: UpsampleSettings, source: Sequence) -> OutputPattern:
+def _frame_pattern(settings: UpsampleSettings, source: Sequence) -> FramePattern:
     """Read where frames go: those of EXR as EXR, others as EXR or stills of any kind."""
     pattern = output_pattern(settings.output, source, (*STILLS, *EXR) if is_plain(source) else EXR)
     if pattern.type in STILLS:

@@ -32,7 +32,7 @@ from exwarp_cli.metrics.temporal import (
 from exwarp_cli.synthesis.interval import Interval
 
 if TYPE_CHECKING:
-    from exwarp_cli.io.shot_files import NonFinite
+    from exwarp_cli.io.shot import NonFinite
     from exwarp_cli.pipeline.job import Job
     from exwarp_cli.pipeline.rendered_frames import RenderedReader
     from exwarp_cli.pipeline.source import Source
