@@ -276,8 +276,10 @@ def select_scenes(
     """
     scenes = []
     for scene in find_scenes(data):
-        is_wanted = _matches(scene.name, wanted) if wanted else scene.manifest.role == TRAINING
-        if not is_wanted or _matches(scene.name, unwanted):
+        is_wanted = scene.manifest.role == TRAINING
+        if wanted:
+            is_wanted = any(fnmatchcase(scene.name, pattern) for pattern in wanted)
+        if not is_wanted or any(fnmatchcase(scene.name, pattern) for pattern in unwanted):
             continue
         try:
             scene.require_complete()
@@ -291,10 +293,6 @@ def select_scenes(
             "choose others with --scenes"
         )
     return scenes
-
-
-def _matches(name: str, patterns: Sequence[str]) -> bool:
-    return any(fnmatchcase(name, pattern) for pattern in patterns)
 
 
 def split_scenes(

@@ -262,12 +262,18 @@ def remove_leftovers(folder: Path) -> int:
     """
     removed = 0
     try:
-        entries = [entry for entry in folder.iterdir() if entry.name.endswith(TEMPORARY_SUFFIX)]
+        entries = [(entry, _LEFTOVER.fullmatch(entry.name)) for entry in folder.iterdir()]
     except OSError:  # no folder, no leftovers; a real problem shows when frames are written
         return 0
-    for entry in entries:
+    for entry, match in entries:
+        if match is None:
+            continue
         with suppress(OSError):  # another run may be cleaning up too
-            if _is_leftover(entry):
+            if match["host"] == host_name() and sys.platform != "win32":
+                is_leftover = not _is_alive(int(match["pid"]))
+            else:
+                is_leftover = time.time() - entry.stat().st_mtime > FOREIGN_AGE_S
+            if is_leftover:
                 entry.unlink()
                 removed += 1
     return removed
@@ -308,15 +314,6 @@ def _flush(path: Path) -> None:
             raise
     finally:
         os.close(handle)
-
-
-def _is_leftover(path: Path) -> bool:
-    match = _LEFTOVER.fullmatch(path.name)
-    if match is None:
-        return False
-    if match["host"] == host_name() and sys.platform != "win32":
-        return not _is_alive(int(match["pid"]))
-    return time.time() - path.stat().st_mtime > FOREIGN_AGE_S
 
 
 def _is_alive(pid: int) -> bool:

@@ -18,7 +18,7 @@ from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
 from exwarp_cli.io.display_colour import parse_pixel_aspect, primaries_of
-from exwarp_cli.io.exr.reader import display_window
+from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.exr.writer import COMPRESSIONS, PartTemplate, PlaneTemplate, Template
 from exwarp_cli.io.frame_names import file_type, split_names
 from exwarp_cli.io.generated_frames import FrameTemplate, read_picture
@@ -42,12 +42,12 @@ CLIP_PADDING = 4
 SOUNDS = (".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg", ".opus", ".wma", ".aif", ".aiff", ".ac3")
 
 
+@dataclass(eq=False)
 class ClipFrames:
     """Frames of a video by number, from 1; each thread decodes for itself."""
 
-    def __init__(self, clip: Clip) -> None:
-        self.clip = clip
-        self._readers: dict[int, ClipReader] = {}
+    clip: Clip
+    _readers: dict[int, ClipReader] = field(default_factory=dict)
 
     @property
     def display(self) -> Window:
@@ -81,12 +81,6 @@ class ClipSequence(Sequence):
 
     frames: ClipFrames = field(compare=False, repr=False)
 
-    @classmethod
-    def from_clip(cls, clip: Clip) -> ClipSequence:
-        """Number the frames of a video."""
-        files = dict.fromkeys(range(1, clip.count + 1), clip.path)
-        return cls(clip.path, f"{clip.path.stem}.", CLIP_PADDING, ".png", files, ClipFrames(clip))
-
     @property
     def pattern(self) -> str:
         """Path of the video."""
@@ -110,9 +104,12 @@ def find_footage(spec: str, gaps: bool = False, scan: str = SourceSettings.scan)
 
     Raises InputError when there are several, or a video cannot be read.
     """
-    if is_clip(spec):
-        return ClipSequence.from_clip(open_clip(Path(spec), scan))
     path = Path(spec)
+    if is_clip(spec):
+        clip = open_clip(path, scan)
+        files = dict.fromkeys(range(1, clip.count + 1), clip.path)
+        base, frames = f"{clip.path.stem}.", ClipFrames(clip)
+        return ClipSequence(clip.path, base, CLIP_PADDING, ".png", files, frames)
     suffix = path.suffix.lower()
     is_plain_path = suffix in STILLS
     if spec and path.is_dir():
@@ -200,7 +197,10 @@ def read_display_window(sequence: Sequence, number: int) -> Window:
     if isinstance(sequence, ClipSequence):
         return sequence.frames.display
     path = sequence.files[number]
-    return Window(0, 0, *still_size(path)) if is_plain(sequence) else display_window(path)
+    if is_plain(sequence):
+        return Window(0, 0, *still_size(path))
+    with ExrFile(path) as file:
+        return file.parts[0].display_window
 
 
 def digest_frame(sequence: Sequence, number: int) -> str:

@@ -165,13 +165,6 @@ class _Planes:
         windows = {self.windows[ref] for ref in refs}
         return windows.pop() if len(windows) == 1 else None
 
-    def surface(self, role: Role, canvas: Window) -> Float32 | None:
-        """Return surface colour with 0 where the renderer's value is unusable."""
-        planes = self.stack(role, canvas)
-        if planes is None or np.isfinite(planes).all():
-            return planes
-        return np.where(np.isfinite(planes), planes, np.float32(0))
-
 
 def _geometry(planes: _Planes, shot: Shot, canvas: Window) -> GBuffer:
     """Return everything that was read but colour and motion."""
@@ -189,8 +182,19 @@ def _geometry(planes: _Planes, shot: Shot, canvas: Window) -> GBuffer:
     if normal is not None and Role.NORMAL.value not in planes.broken:
         broken = 0 if is_normal_finite else count_nonfinite((normal,), Role.NORMAL)
         planes.broken[Role.NORMAL.value] = broken
-    position = _position(planes, canvas, depth)
-    albedo, specular, roughness, metallic = (planes.surface(role, canvas) for role in SURFACE)
+    position = planes.stack(Role.POSITION, canvas)
+    if position is not None and depth is not None:
+        window = planes.windows[planes.refs[Role.POSITION][0]]
+        if not window.covers(canvas):
+            # A surface seen beyond the end of their window: as zeros those pixels would be points
+            # at the world's origin, and be moved to where that is seen.
+            unknown = outside_mask(canvas, window) & np.isfinite(depth)
+            position = np.where(unknown[..., None], np.float32(np.nan), position)
+    surfaces = [planes.stack(role, canvas) for role in SURFACE]
+    for i, values in enumerate(surfaces):
+        if values is not None and not np.isfinite(values).all():
+            surfaces[i] = np.where(np.isfinite(values), values, np.float32(0))
+    albedo, specular, roughness, metallic = surfaces
     return GBuffer(
         canvas,
         depth,
@@ -202,21 +206,6 @@ def _geometry(planes: _Planes, shot: Shot, canvas: Window) -> GBuffer:
         roughness=None if roughness is None else roughness[..., 0],
         metallic=None if metallic is None else metallic[..., 0],
     )
-
-
-def _position(planes: _Planes, canvas: Window, depth: Float32 | None) -> Float32 | None:
-    """Return world positions, NaN where a surface is seen beyond the end of their window.
-
-    As zeros those pixels would be points at the world's origin, and be moved to where that is seen.
-    """
-    position = planes.stack(Role.POSITION, canvas)
-    if position is None or depth is None:
-        return position
-    window = planes.windows[planes.refs[Role.POSITION][0]]
-    if window.covers(canvas):
-        return position
-    unknown = outside_mask(canvas, window) & np.isfinite(depth)
-    return np.where(unknown[..., None], np.float32(np.nan), position)
 
 
 def _motion(planes: _Planes, shot: Shot, canvas: Window) -> Float32 | None:

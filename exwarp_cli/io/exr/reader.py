@@ -11,8 +11,8 @@ from __future__ import annotations
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from threading import Lock
@@ -143,7 +143,7 @@ def _stamp(status: os.stat_result) -> tuple[int, ...]:
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
-class ExrFile:
+class ExrFile(AbstractContextManager["ExrFile"]):
     """An open OpenEXR file; a context manager.
 
     With `by_openimageio` OpenImageIO opens the file at once, as it is probably not decoded here.
@@ -167,9 +167,6 @@ class ExrFile:
     def parts(self) -> tuple[Part, ...]:
         """The parts of the file."""
         return self.header.parts
-
-    def __enter__(self) -> ExrFile:
-        return self
 
     def __exit__(self, *exc: object) -> None:
         self._close()
@@ -343,16 +340,16 @@ class ExrFile:
         return out
 
 
+@dataclass(eq=False)
 class HeaderCache:
     """Keeps headers that were read last, and which AOVs' files OpenImageIO decodes.
 
     So a shot's files are opened less often.
     """
 
-    def __init__(self) -> None:
-        self._headers: OrderedDict[Path, FileHeader] = OrderedDict()
-        self._decoded_here: dict[str, bool] = {}
-        self._lock = Lock()
+    _headers: OrderedDict[Path, FileHeader] = field(default_factory=OrderedDict)
+    _decoded_here: dict[str, bool] = field(default_factory=dict)
+    _lock: Lock = field(default_factory=Lock)
 
     def open(self, path: Path, aov: str) -> ExrFile:
         """Open a file of an AOV, the way that was right for the one before; see `ExrFile`."""
@@ -408,12 +405,6 @@ def read_headers(path: Path) -> tuple[dict[str, Any], ...]:
     """
     with ExrFile(path) as file:
         return file.header.attributes
-
-
-def display_window(path: Path) -> Window:
-    """Return a file's display window; raises InputError when it is missing or damaged."""
-    with ExrFile(path) as file:
-        return file.parts[0].display_window
 
 
 def deep_image_error(path: Path) -> LayoutError:

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from threading import Lock, local
 from typing import BinaryIO
@@ -200,12 +200,13 @@ def _parse_channels(values: Values) -> tuple[tuple[bytes, int], ...] | None:
     return tuple((name, kind) for name, kind, _ in channels)
 
 
+@dataclass(eq=False)
 class FileBytes:
     """Reads pieces of an open, unbuffered file at any position, from any thread."""
 
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self._lock, self._thread = Lock(), local()
+    _file: BinaryIO
+    _lock: Lock = field(default_factory=Lock)
+    _thread: local = field(default_factory=local)
 
     def read_padded(self, start: int, size: int) -> U8:
         """Read bytes, fewer where the file ends, and append `INPUT_PADDING` bytes of any value.

@@ -317,12 +317,12 @@ def parse_duration(value: object) -> float | None:
 
 def scanline_attributes(data: Window, display: Window) -> dict[str, Any]:
     """Return the attributes of a scan-line part with these windows."""
-
-    def box(window: Window) -> tuple[np.ndarray, np.ndarray]:
-        x0, y0, x1, y1 = window.corners
-        return np.array([x0, y0], np.int32), np.array([x1, y1], np.int32)
-
-    return {"type": OpenEXR.scanlineimage, "dataWindow": box(data), "displayWindow": box(display)}
+    boxes = np.array([data.corners, display.corners], np.int32).reshape(2, 2, 2)
+    return {
+        "type": OpenEXR.scanlineimage,
+        "dataWindow": tuple(boxes[0]),
+        "displayWindow": tuple(boxes[1]),
+    }
 
 
 def encode(parts: Sequence[OutputPart]) -> list[Buffer]:
