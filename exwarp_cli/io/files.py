@@ -158,7 +158,18 @@ def atomic_path(path: Path) -> Iterator[Path]:
     with clean_up_after(partial(_remove, temporary)):
         try:
             yield temporary
-            _flush(temporary)
+            # Renaming alone would be faster, but after a power cut some file systems then show an
+            # empty file under the final name, and network shares report a full disk only here. The
+            # folder is not flushed: losing the rename leaves the file absent, which is allowed.
+            handle = os.open(temporary, os.O_RDWR)
+            try:
+                with release_cores():
+                    os.fsync(handle)
+            except OSError as error:
+                if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some shares cannot
+                    raise
+            finally:
+                os.close(handle)
             temporary.replace(path)
         except OSError as error:
             raise output_error(path, error) from error
@@ -298,22 +309,6 @@ def host_name() -> str:
     except OSError:
         namespace = ""
     return re.sub(r"[^A-Za-z0-9_]+", "_", socket.gethostname())[:64] + namespace
-
-
-def _flush(path: Path) -> None:
-    """Push a written file to the disk."""
-    # Renaming without it would be faster, but after a power cut some file systems then show an
-    # empty file under the final name, and network shares report a full disk only here. The folder
-    # itself is not flushed: losing the rename leaves the file absent, which is allowed.
-    handle = os.open(path, os.O_RDWR)
-    try:
-        with release_cores():
-            os.fsync(handle)
-    except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some shares cannot, and say so
-            raise
-    finally:
-        os.close(handle)
 
 
 def _is_alive(pid: int) -> bool:

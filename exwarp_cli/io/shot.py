@@ -18,7 +18,7 @@ from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.channel_map import AovFile, ChannelMap, detect_aov, find_channel
 from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect_layout
-from exwarp_cli.io.cryptomatte import Cryptomatte, Headers, IdReading, find_cryptomattes
+from exwarp_cli.io.cryptomatte import Cryptomatte, IdReading, find_cryptomattes
 from exwarp_cli.io.depth import DepthReading, depth_reading_by_name
 from exwarp_cli.io.exr.header import Channel, Part
 from exwarp_cli.io.exr.reader import ExrFile, FileHeader, HeaderCache, deep_image_error
@@ -54,16 +54,6 @@ class NonFinite:
         yield from sorted(self._counts.get(number, {}).items())
 
 
-@dataclass(frozen=True)
-class FrameHeaders:
-    """What is in the headers of one frame's files by AOV, the leader's first, and their cache."""
-
-    number: int
-    parts: Mapping[str, tuple[Part, ...]]
-    texts: Headers  # the attributes that are text
-    cache: HeaderCache
-
-
 @dataclass
 class ShotFiles:
     """The sequences of a shot: the leader, which stands for all, and the others by AOV.
@@ -76,19 +66,18 @@ class ShotFiles:
     aovs: Mapping[str, Sequence]
     view: str = ""
     views: tuple[str, ...] = ()
-    _last: FrameHeaders | None = None
+    cache: HeaderCache = field(default_factory=HeaderCache)
+    _last: dict[int, dict[str, FileHeader]] = field(default_factory=dict)
 
-    def read_headers(self, number: int) -> FrameHeaders:
-        """Read the headers of one frame; those of the last frame are kept."""
-        if self._last is None or self._last.number != number:
+    def read_headers(self, number: int) -> dict[str, FileHeader]:
+        """Read one frame's headers by AOV, the leader's first; those of the last one are kept."""
+        if number not in self._last:
             members = {} if self.leader in self.aovs.values() else {"": self.leader}
             members |= self.aovs
-            cache, parts, texts = HeaderCache(), {}, {}
-            for aov, member in members.items():
-                header = read_flat_header(member.files[number], cache)
-                parts[aov], texts[aov] = header.parts, header.texts
-            self._last = FrameHeaders(number, parts, texts, cache)
-        return self._last
+            paths = {aov: member.files[number] for aov, member in members.items()}
+            headers = {aov: read_flat_header(path, self.cache) for aov, path in paths.items()}
+            self._last = {number: headers}
+        return self._last[number]
 
 
 @dataclass(frozen=True)
@@ -196,8 +185,8 @@ def open_views(
     names = hero.views[1:]
     if files.view:
         return (hero, *(open_shot(spec, name, aovs, channel_map, keep_going) for name in names))
-    headers = files.read_headers(hero.first)
-    return (hero, *(_open_view(files, headers, replace(request, view=name)) for name in names))
+    requests = (replace(request, view=name) for name in names)
+    return (hero, *(_open_view(files, hero.first, request) for request in requests))
 
 
 @dataclass(frozen=True)
@@ -208,12 +197,7 @@ class _Request:
     aovs: tuple[AovFile, ...]
     channel_map: ChannelMap | None
     keep_going: bool
-
-    @property
-    def decided(self) -> frozenset[Role]:
-        """Roles whose channels the user names."""
-        mapped = () if self.channel_map is None else self.channel_map.channels
-        return frozenset([*(aov.role for aov in self.aovs), *mapped])
+    decided: frozenset[Role]  # roles whose channels the user names
 
     @classmethod
     def of(
@@ -223,18 +207,19 @@ class _Request:
         channel_map: ChannelMap | None,
         keep_going: bool,
     ) -> _Request:
-        if channel_map is None:
-            return cls(view, aovs, None, keep_going)
         roles = {aov.role for aov in aovs}
-        more = tuple(aov for aov in channel_map.aovs if aov.role not in roles)
-        return cls(view or channel_map.view, aovs + more, channel_map, keep_going)
+        if channel_map is not None:
+            view = view or channel_map.view
+            aovs += tuple(aov for aov in channel_map.aovs if aov.role not in roles)
+            roles.update((aov.role for aov in aovs), channel_map.channels)
+        return cls(view, aovs, channel_map, keep_going, frozenset(roles))
 
 
 def _open_files(files: ShotFiles, request: _Request) -> Shot:
     """Open a shot by its first frame, or by the first that is sound with `keep_going`."""
 
     def open_by_frame(number: int) -> Shot:
-        shot = _open_view(files, files.read_headers(number), request)
+        shot = _open_view(files, number, request)
         if request.keep_going:
             require_sound(shot.files(number).values())
         return shot
@@ -243,23 +228,23 @@ def _open_files(files: ShotFiles, request: _Request) -> Shot:
     return first_usable(numbers if request.keep_going else numbers[:1], open_by_frame)
 
 
-def _open_view(files: ShotFiles, frame: FrameHeaders, request: _Request) -> Shot:
+def _open_view(files: ShotFiles, number: int, request: _Request) -> Shot:
     """Recognise the channels of one view in one frame."""
-    main = next(iter(frame.parts.values()))
-    pattern = files.leader.pattern
+    headers = files.read_headers(number)
+    parts = {aov: header.parts for aov, header in headers.items()}
+    texts = {aov: header.texts for aov, header in headers.items()}
+    main, pattern = next(iter(parts.values())), files.leader.pattern
     views = files.views if files.view else list_views(main)
     view = files.view or choose_view(views, request.view, pattern)
-    within = {
-        aov: _view_in_file(parts, view, files.view, pattern) for aov, parts in frame.parts.items()
-    }
-    channels = {aov: view_channels(parts, within[aov]) for aov, parts in frame.parts.items()}
+    within = {aov: _view_in_file(own, view, files.view, pattern) for aov, own in parts.items()}
+    channels = {aov: view_channels(own, within[aov]) for aov, own in parts.items()}
     renamed = {aov: rename_channels(members) for aov, members in channels.items()}
-    mattes = find_cryptomattes(renamed, frame.texts)
+    mattes = find_cryptomattes(renamed, texts)
     own = detect_layout(
         {aov: without_cryptomattes(members, mattes, aov) for aov, members in channels.items()}
     )
     if Role.COLOUR in own:
-        mattes = find_cryptomattes(renamed, frame.texts, own.roles[Role.COLOUR][0].name)
+        mattes = find_cryptomattes(renamed, texts, own.roles[Role.COLOUR][0].name)
     names = {name.upper() for members in channels.values() for name in members}
     if not own.roles and "Y" in names:
         raise LayoutError(
@@ -279,9 +264,9 @@ def _open_view(files: ShotFiles, frame: FrameHeaders, request: _Request) -> Shot
         aov_files=request.aovs,
         cryptomattes=mattes,
         every=tuple(ChannelRef(aov, name) for aov, names in channels.items() for name in names),
-        first=frame.number,
+        first=number,
         keep_going=request.keep_going,
-        headers=frame.cache,
+        headers=files.cache,
     )
     for aov in request.aovs:
         shot = _with_aov(shot, aov)

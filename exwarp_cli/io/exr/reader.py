@@ -271,37 +271,30 @@ class ExrFile(AbstractContextManager["ExrFile"]):
             if header.parts != self.parts:
                 raise damaged_error(self.path, "it changes while it is read")
             self.header, self._has_failed = header, False
-        out: dict[Channel, np.ndarray] = {}
-        remaining: list[Channel] = []
-        try:
-            with report_reading(self.path):
-                for channels, pixels in zip(groups.values(), self._decode(groups), strict=True):
-                    if pixels is None:
-                        remaining += channels
-                    else:
-                        out |= {channel: pixels[..., i] for i, channel in enumerate(channels)}
-                return out | self._decode_by_openimageio(remaining)
-        except (OSError, DamagedFileError):
-            self._has_failed = True
-            raise
-
-    def _decode(self, groups: ChannelGroups) -> list[np.ndarray | None]:
-        """Decode float32 or uint32 [H, W, C] of each group; None where OpenImageIO has to."""
         # Interpreted, kernels would take minutes for a frame.
         is_interpreted = os.environ.get("NUMBA_DISABLE_JIT", "0") != "0"
         requests = {}
-        for (number, index, is_integer), channels in groups.items():
+        for key, channels in groups.items():
+            _, index, is_integer = key
             layout = self.header.layouts[index] if index < len(self.header.layouts) else None
             if layout is None or not layout.is_decoded_here or is_interpreted:
                 continue
             if layout.window == self.parts[index].data_window:
                 names = tuple(channel.raw_name for channel in channels)
-                requests[number, index, is_integer] = ChannelRequest(layout, names, is_integer)
-        if self._file is None or not requests:
-            return [None] * len(groups)
-        arrays = read_blocks(FileBytes(self._file), [*requests.values()])
-        decoded = dict(zip(requests, arrays, strict=True))
-        return [decoded.get(key) for key in groups]
+                requests[key] = ChannelRequest(layout, names, is_integer)
+        out: dict[Channel, np.ndarray] = {}
+        try:
+            with report_reading(self.path):
+                if self._file is not None:
+                    arrays = read_blocks(FileBytes(self._file), [*requests.values()])
+                    for key, pixels in zip(requests, arrays, strict=True):
+                        if pixels is not None:
+                            out |= {c: pixels[..., i] for i, c in enumerate(groups[key])}
+                remaining = [c for channels in groups.values() for c in channels if c not in out]
+                return out | self._decode_by_openimageio(remaining)
+        except (OSError, DamagedFileError):
+            self._has_failed = True
+            raise
 
     def _decode_by_openimageio(self, channels: Iterable[Channel]) -> dict[Channel, np.ndarray]:
         """Decode channels of any kind, float32 or uint32 [H, W]; raises DamagedFileError."""

@@ -256,12 +256,20 @@ def read_blocks(file: FileBytes, requests: Sequence[ChannelRequest]) -> list[np.
 
     Returns float32 or uint32 [H, W, C] for each request; None where OpenImageIO is to decide.
     """
-    destinations = [_make_destination(request) for request in requests]
+    arrays: list[np.ndarray | None] = []
     by_part: dict[int | None, tuple[ChunkLayout, list[_Destination]]] = {}
-    for request, destination in zip(requests, destinations, strict=True):
-        if destination is not None:
-            layout = request.layout
-            by_part.setdefault(layout.number, (layout, []))[1].append(destination)
+    for request in requests:
+        layout, out = request.layout, None
+        kinds = dict(layout.channels)
+        names = [name.encode("utf-8", "surrogateescape") for name in request.names]
+        if all(n in kinds and (kinds[n] == UINT) == request.integer for n in names):
+            with suppress(MemoryError):
+                out = pool.empty((*layout.window.shape, len(names)), np.uint32)
+                places = [names.index(n) if n in names else -1 for n, _ in layout.channels]
+                columns = np.array([layout.sizes, places], np.int64).T.copy()
+                members = by_part.setdefault(layout.number, (layout, []))[1]
+                members.append(_Destination(columns, out))
+        arrays.append(out)
     runs: list[_BlockRun] = []
     for layout, members in by_part.values():
         order = np.argsort(layout.starts, kind="stable")  # as they follow each other on disk
@@ -271,25 +279,10 @@ def read_blocks(file: FileBytes, requests: Sequence[ChannelRequest]) -> list[np.
     broken = _decode(runs)
     return [
         None
-        if destination is None or request.layout.number in broken
-        else destination.out.view(np.uint32 if request.integer else np.float32)
-        for request, destination in zip(requests, destinations, strict=True)
+        if out is None or request.layout.number in broken
+        else out.view(np.uint32 if request.integer else np.float32)
+        for request, out in zip(requests, arrays, strict=True)
     ]
-
-
-def _make_destination(request: ChannelRequest) -> _Destination | None:
-    """Allocate an array for channels; None where they are not as expected, or too many."""
-    layout = request.layout
-    kinds = dict(layout.channels)
-    names = [name.encode("utf-8", "surrogateescape") for name in request.names]
-    if not all(n in kinds and (kinds[n] == UINT) == request.integer for n in names):
-        return None
-    places = [names.index(name) if name in names else -1 for name, _ in layout.channels]
-    try:
-        out = pool.empty((*layout.window.shape, len(names)), np.uint32)
-    except MemoryError:
-        return None
-    return _Destination(np.array([layout.sizes, places], np.int64).T.copy(), out)
 
 
 def _decode(runs: Sequence[_BlockRun]) -> set[int | None]:

@@ -415,7 +415,16 @@ def _encode_blocks(
     blocks: list[Buffer] = []
     for y in range(0, height, _BAND_ROWS):
         band = lines[: height - y]
-        _fill_lines(channels, y, halfs, band)
+        # In each row channel after channel, as a file has them uncompressed.
+        column, rows = 0, slice(y, y + len(band))
+        for channel in channels:
+            if isinstance(channel, PendingHalf):
+                pairs = halfs[: len(band)]
+                round_to_half(_float_bits(channel.values[rows]), channel.bounded, pairs)
+            else:
+                pairs = np.ascontiguousarray(channel[rows]).view(np.uint16)
+            band[:, column : column + pairs.shape[1]] = pairs
+            column += pairs.shape[1]
         predict(band.reshape(-1), block_size // 2, filtered)
         for start in range(0, band.nbytes, block_size):
             data = filtered.data[start : min(start + block_size, band.nbytes)]
@@ -431,22 +440,6 @@ def _encode_blocks(
             leader = struct.pack("<ii", top + y + row, size)
             blocks.append(b"".join([part_number, leader, *deflated]))
     return blocks
-
-
-def _fill_lines(channels: Iterable[OutputChannel], top: int, halfs: U16, lines: U16) -> None:
-    """Write rows from `top` on as a file has them uncompressed: in each, channel after channel.
-
-    `lines` are pairs of bytes [rows, N], `halfs` is scratch memory [rows or more, W].
-    """
-    column, rows = 0, slice(top, top + len(lines))
-    for channel in channels:
-        if isinstance(channel, PendingHalf):
-            pairs = halfs[: len(lines)]
-            round_to_half(_float_bits(channel.values[rows]), channel.bounded, pairs)
-        else:
-            pairs = np.ascontiguousarray(channel[rows]).view(np.uint16)
-        lines[:, column : column + pairs.shape[1]] = pairs
-        column += pairs.shape[1]
 
 
 def deflate_stream(*pieces: memoryview) -> list[bytes]:
