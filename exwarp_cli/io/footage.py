@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
@@ -113,7 +114,10 @@ def find_footage(spec: str, gaps: bool = False, scan: str = SourceSettings.scan)
     suffix = path.suffix.lower()
     is_plain_path = suffix in STILLS
     if spec and path.is_dir():
-        is_plain_path = not _has_frames(path, EXR) and _has_frames(path, STILLS)
+        names: list[str] = []
+        with suppress(OSError), os.scandir(path) as entries:  # the search for the sequence fails
+            names = [entry.name for entry in entries if not entry.name.startswith(".")]
+        is_plain_path = not split_names(names, EXR) and bool(split_names(names, STILLS))
     elif suffix not in (*EXR, *STILLS) and not suffix[1:].isdigit() and path.is_file():
         # A number behind the last point is a frame's, which has messages of its own.
         if suffix in SOUNDS:
@@ -123,15 +127,6 @@ def find_footage(spec: str, gaps: bool = False, scan: str = SourceSettings.scan)
             f"{path} is of a kind that is not read; convert it to one of these: {types}"
         )
     return find_sequence(spec, STILLS, gaps) if is_plain_path else None
-
-
-def _has_frames(folder: Path, suffixes: tuple[str, ...]) -> bool:
-    try:
-        with os.scandir(folder) as entries:
-            names = [entry.name for entry in entries if not entry.name.startswith(".")]
-    except OSError:
-        return False  # the search for the sequence reports why
-    return bool(split_names(names, suffixes))
 
 
 def is_plain(sequence: Sequence) -> bool:

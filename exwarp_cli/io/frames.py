@@ -102,7 +102,7 @@ def read_raw(
                 f"{path} has NaN or infinite colour in {share:.0%} of its pixels; render it again"
             )
         # Channels of several windows are filled up to the canvas: other pixels than were counted.
-        if planes.window(refs[Role.COLOUR]) is not None:
+        if len({planes.windows[ref] for ref in refs[Role.COLOUR]}) == 1:
             broken_colour = broken
     gbuffer = _geometry(planes, shot, canvas)
     if ids is not None:
@@ -147,23 +147,15 @@ class _Planes:
         just the canvas.
         """
         members = [self.planes[ref].astype(np.float32, copy=False) for ref in refs]
-        if (window := self.window(refs)) is not None:
+        windows = [self.windows[ref] for ref in refs]
+        if len(set(windows)) == 1:
             pixels = join_planes(members)
-            if count or window != canvas:
+            if count or windows[0] != canvas:
                 self.broken[role.value] = count_nonfinite((pixels,), role)
-            return place_on_canvas(pixels, window, canvas, fill)
+            return place_on_canvas(pixels, windows[0], canvas, fill)
         self.broken[role.value] = count_nonfinite(members, role)
-        return join_planes(
-            [
-                place_on_canvas(plane, self.windows[ref], canvas, fill)
-                for ref, plane in zip(refs, members, strict=True)
-            ]
-        )
-
-    def window(self, refs: tuple[ChannelRef, ...]) -> Window | None:
-        """Return the data window that all these channels have; None if they differ."""
-        windows = {self.windows[ref] for ref in refs}
-        return windows.pop() if len(windows) == 1 else None
+        placed = zip(members, windows, strict=True)
+        return join_planes([place_on_canvas(m, window, canvas, fill) for m, window in placed])
 
 
 def _geometry(planes: _Planes, shot: Shot, canvas: Window) -> GBuffer:
@@ -275,16 +267,12 @@ def read_image(path: Path, view: str = "") -> Image:
         colour = [channels[ref.name] for ref in refs]
         planes = file.read(colour)
         part = file.parts[colour[0].part]
-        windows = [file.parts[channel.part].data_window for channel in colour]
-    pixels = join_planes(
-        [
-            place_on_canvas(
-                planes[channel].astype(np.float32, copy=False), window, part.data_window
-            )
-            for channel, window in zip(colour, windows, strict=True)
-        ]
-    )
-    return Image(pixels, part.data_window, part.display_window)
+        placed = []
+        for channel in colour:
+            plane = planes[channel].astype(np.float32, copy=False)
+            window = file.parts[channel.part].data_window
+            placed.append(place_on_canvas(plane, window, part.data_window))
+    return Image(join_planes(placed), part.data_window, part.display_window)
 
 
 def read_plane(path: Path, name: str) -> tuple[Float32, Window, Window]:

@@ -143,15 +143,28 @@ def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False
 
     Raises InputError if there is no such sequence, or several.
     """
+    folder = Path(spec)
     try:
-        if spec and Path(spec).is_dir():
-            sequence = _find_in_folder(Path(spec), suffixes)
+        if not spec or not folder.is_dir():
+            leaders = [_find_by_name(spec, suffixes)]
         else:
-            sequence = _find_by_name(spec, suffixes)
+            candidates = _list_candidates(folder, suffixes)
+            leaders = [c.leader if isinstance(c, AovSet) else c for c in candidates]
+        if not leaders:
+            names = (n for n in sorted(_file_names(folder)) if n.lower().endswith(suffixes))
+            single = next(names, None)
+            why = f"{single} has no frame number before its suffix" if single else "check the path"
+            raise InputError(f"{folder} holds no sequence of {' or '.join(suffixes)} files; {why}")
     except OSError as error:
         raise InputError(
             f"cannot look into {spec}: {error.strerror or error}; check the path and its rights"
         ) from error
+    if len(leaders) > 1:
+        raise InputError(
+            f"{folder} holds {len(leaders)} sequences, {_listing(leaders)}; "
+            f"name one of them, for example {leaders[0].pattern}"
+        )
+    (sequence,) = leaders
     return sequence.over(fill_gaps(sequence.files)) if gaps else sequence
 
 
@@ -285,22 +298,6 @@ def _list_candidates(folder: Path, suffixes: tuple[str, ...]) -> list[AovSet | S
         sets.append(AovSet(colour, aovs, pass_set.motion))
         members += [member.pattern for member in sets[-1].members]
     return [*sets, *(s for s in remaining if s.pattern not in members)]
-
-
-def _find_in_folder(folder: Path, suffixes: tuple[str, ...]) -> Sequence:
-    """Return the only sequence of a folder."""
-    candidates = _list_candidates(folder, suffixes)
-    leaders = [c.leader if isinstance(c, AovSet) else c for c in candidates]
-    if len(leaders) == 1:
-        return leaders[0]
-    if leaders:
-        raise InputError(
-            f"{folder} holds {len(leaders)} sequences, {_listing(leaders)}; "
-            f"name one of them, for example {leaders[0].pattern}"
-        )
-    single = next((n for n in sorted(_file_names(folder)) if n.lower().endswith(suffixes)), None)
-    why = f"{single} has no frame number before its suffix" if single else "check the path"
-    raise InputError(f"{folder} holds no sequence of {' or '.join(suffixes)} files; {why}")
 
 
 def _find_by_name(spec: str, suffixes: tuple[str, ...]) -> Sequence:

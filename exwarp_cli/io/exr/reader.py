@@ -84,11 +84,6 @@ class FileHeader:
     stamp: tuple[int, ...] = ()
 
     @property
-    def is_decoded_here(self) -> bool:
-        """Whether a part's pixels are decoded without OpenImageIO."""
-        return any(layout is not None and layout.is_decoded_here for layout in self.layouts)
-
-    @property
     def texts(self) -> tuple[dict[str, str], ...]:
         """Attributes of each part that are text, and its compression's name."""
         return tuple({} for _ in self.parts) if self.raw is None else self.raw.texts
@@ -201,11 +196,8 @@ class ExrFile(AbstractContextManager["ExrFile"]):
 
     def _read_header(self) -> FileHeader:
         if self._by_openimageio:
-            with suppress(InputError), report_reading(self.path):
-                self._image = open_image(self.path)
-                if self._image.format_name() == "openexr":
-                    parts = self._parts_by_openimageio(self._image, None)
-                    return FileHeader(self.path, parts, None, ())
+            with suppress(InputError):
+                return FileHeader(self.path, self._parts_by_openimageio(None), None, ())
             self._close()
             self._by_openimageio = False  # the usual way reports what is wrong
         header = FileHeader(self.path, (), None, ())
@@ -216,21 +208,16 @@ class ExrFile(AbstractContextManager["ExrFile"]):
                 raise damaged_error(self.path, f"its content is {file_format(head)}")
             header = parse_header(self.path, self._file)
         if not header.parts:
-            with report_reading(self.path):
-                self._image = open_image(self.path)
-                parts = self._parts_by_openimageio(self._image, header.raw)
-            header = replace(header, parts=parts)
+            header = replace(header, parts=self._parts_by_openimageio(header.raw))
         return header
 
-    def _parts_by_openimageio(
-        self, image: oiio.ImageInput, raw: RawHeader | None
-    ) -> tuple[Part, ...]:
+    def _parts_by_openimageio(self, raw: RawHeader | None) -> tuple[Part, ...]:
         specs: list[oiio.ImageSpec] = []
-        while True:
-            spec = image.spec(len(specs), 0)
-            if spec.width == 0 or spec.nchannels == 0:
-                break
-            specs.append(spec)
+        with report_reading(self.path):
+            image = self._image = open_image(self.path)
+            is_exr = image.format_name() == "openexr"
+            while is_exr and (spec := image.spec(len(specs), 0)).width and spec.nchannels:
+                specs.append(spec)
         if not specs:
             raise damaged_error(self.path, "it holds no image")
         parts = [part_from_spec(i, spec, len(specs) > 1) for i, spec in enumerate(specs)]
@@ -347,7 +334,8 @@ class HeaderCache:
     def open(self, path: Path, aov: str) -> ExrFile:
         """Open a file of an AOV, the way that was right for the one before; see `ExrFile`."""
         file = ExrFile(path, not self._decoded_here.get(aov, True))
-        self._decoded_here.setdefault(aov, file.header.is_decoded_here)
+        is_decoded_here = any(layout and layout.is_decoded_here for layout in file.header.layouts)
+        self._decoded_here.setdefault(aov, is_decoded_here)
         return file
 
     def read(self, path: Path) -> FileHeader:

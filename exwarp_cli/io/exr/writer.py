@@ -50,7 +50,6 @@ from exwarp_cli.kernels.exr_filters import predict, round_to_half
 from exwarp_cli.runtime.frame_pool import pool
 
 U16 = npt.NDArray[np.uint16]
-U32 = npt.NDArray[np.uint32]
 
 # OpenEXR's constants, as headers have them, by name.
 COMPRESSIONS: dict[str, Any] = {
@@ -118,7 +117,8 @@ class PendingHalf:
     def rounded(self) -> np.ndarray:
         """Return the halfs [H, W]."""
         out = pool.empty(self.shape, np.uint16)
-        round_to_half(_float_bits(self.values), self.bounded, out)
+        bits = np.ascontiguousarray(self.values).view(np.uint32)
+        round_to_half(bits, self.bounded, out)
         return out.view(np.float16)
 
 
@@ -420,7 +420,8 @@ def _encode_blocks(
         for channel in channels:
             if isinstance(channel, PendingHalf):
                 pairs = halfs[: len(band)]
-                round_to_half(_float_bits(channel.values[rows]), channel.bounded, pairs)
+                bits = np.ascontiguousarray(channel.values[rows]).view(np.uint32)
+                round_to_half(bits, channel.bounded, pairs)
             else:
                 pairs = np.ascontiguousarray(channel[rows]).view(np.uint16)
             band[:, column : column + pairs.shape[1]] = pairs
@@ -453,7 +454,3 @@ def deflate_stream(*pieces: memoryview) -> list[bytes]:
     for piece in (pieces[0][FLUSHED_ALONE:], *pieces[1:]):
         out += [stream.flush(isal_zlib.Z_SYNC_FLUSH), stream.compress(piece)]
     return [*out, stream.flush()]
-
-
-def _float_bits(values: Float32) -> U32:
-    return np.ascontiguousarray(values).view(np.uint32)
