@@ -231,7 +231,7 @@ def _parse_manifest(content: dict[str, Any]) -> SceneManifest:
     values: dict[str, Any] = {name: _typed(content, name, str) for name in texts}
     if values["role"] not in ROLES:
         raise ValueError(f"role {values['role']!r}")
-    values |= {name: _positive(content, name) for name in counts}
+    values |= {name: _typed(content, name, int, least=1) for name in counts}
     values["seed"] = _typed(content, "seed", int)
     values |= {name: _parse_frames(content, name) for name in ("instants", "keys")}
     dynamic = _typed(content, "dynamic", dict)
@@ -246,20 +246,15 @@ def _parse_frames(content: dict[str, Any], name: str) -> FrameSet:
     is_inside = not Path(pattern).is_absolute() and ".." not in Path(pattern).parts
     if not (digits and "#" * digits in pattern and is_inside):
         raise ValueError(f"pattern {pattern!r}")
-    step = _positive(frames, "step") if "step" in frames else 1
-    return FrameSet(pattern, _typed(frames, "first", int), _positive(frames, "count"), step)
+    step = _typed(frames, "step", int, least=1) if "step" in frames else 1
+    first, count = _typed(frames, "first", int), _typed(frames, "count", int, least=1)
+    return FrameSet(pattern, first, count, step)
 
 
-def _positive(content: dict[str, Any], name: str) -> int:
-    value: int = _typed(content, name, int)
-    if value < 1:
-        raise ValueError(f"{name} {value}")
-    return value
-
-
-def _typed(content: dict[str, Any], name: str, kind: type) -> Any:
+def _typed(content: dict[str, Any], name: str, kind: type, least: int | None = None) -> Any:
     value = content[name]
-    if not isinstance(value, kind) or isinstance(value, bool):
+    is_typed = isinstance(value, kind) and not isinstance(value, bool)
+    if not is_typed or (least is not None and value < least):
         raise ValueError(f"{name} {value!r}")
     return value
 

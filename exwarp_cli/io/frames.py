@@ -110,9 +110,16 @@ def read_raw(
         pixels = planes.join(Role.STENCIL, ranks, canvas, 0.0)
         stencil, object_ids = ids.read(pixels, gbuffer.depth, file)
         gbuffer = replace(gbuffer, stencil=stencil, objects=object_ids)
-    raw = RawFrame(number, path, image, gbuffer, _motion(planes, shot, canvas), broken_colour)
+    motion = planes.stack(Role.MOTION, canvas)
+    if motion is not None and not shot.display.covers(canvas):
+        # Inside the display window a channel is 0 beyond its data window, as OpenEXR defines it:
+        # programs cut a pass to the pixels that are not 0. Outside it is not known.
+        overscan = outside_mask(canvas, shot.display)
+        for i, ref in enumerate(refs[Role.MOTION]):
+            if not planes.windows[ref].covers(canvas):
+                motion[overscan & outside_mask(canvas, planes.windows[ref]), i] = np.nan
     shot.nonfinite.note(number, planes.broken)
-    return raw
+    return RawFrame(number, path, image, gbuffer, motion, broken_colour)
 
 
 @dataclass(frozen=True)
@@ -198,22 +205,6 @@ def _geometry(planes: _Planes, shot: Shot, canvas: Window) -> GBuffer:
         roughness=None if roughness is None else roughness[..., 0],
         metallic=None if metallic is None else metallic[..., 0],
     )
-
-
-def _motion(planes: _Planes, shot: Shot, canvas: Window) -> Float32 | None:
-    """Return the motion channels, NaN outside the display window where a channel ends before it.
-
-    Inside the display window a channel is 0 beyond its data window, as OpenEXR defines it: programs
-    cut a pass to the pixels that are not 0.
-    """
-    motion = planes.stack(Role.MOTION, canvas)
-    if motion is None or shot.display.covers(canvas):
-        return motion
-    overscan = outside_mask(canvas, shot.display)
-    for i, ref in enumerate(planes.refs[Role.MOTION]):
-        if not planes.windows[ref].covers(canvas):
-            motion[overscan & outside_mask(canvas, planes.windows[ref]), i] = np.nan
-    return motion
 
 
 def read_planes(

@@ -46,7 +46,6 @@ from exwarp_cli.io.exr.header import (
 from exwarp_cli.io.exr.scanlines import (
     ChannelRequest,
     ChunkLayout,
-    FileBytes,
     parse_layouts,
     read_blocks,
 )
@@ -273,7 +272,7 @@ class ExrFile(AbstractContextManager["ExrFile"]):
         try:
             with report_reading(self.path):
                 if self._file is not None:
-                    arrays = read_blocks(FileBytes(self._file), [*requests.values()])
+                    arrays = read_blocks(self._file, [*requests.values()])
                     for key, pixels in zip(requests, arrays, strict=True):
                         if pixels is not None:
                             out |= {c: pixels[..., i] for i, c in enumerate(groups[key])}

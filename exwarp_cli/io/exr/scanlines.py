@@ -251,8 +251,8 @@ class _Destination:
     out: np.ndarray  # Bits, uint32 [H, W, C]
 
 
-def read_blocks(file: FileBytes, requests: Sequence[ChannelRequest]) -> list[np.ndarray | None]:
-    """Decode channels of parts whose layout `is_decoded_here`.
+def read_blocks(file: BinaryIO, requests: Sequence[ChannelRequest]) -> list[np.ndarray | None]:
+    """Decode channels of parts of an unbuffered file whose layout `is_decoded_here`.
 
     Returns float32 or uint32 [H, W, C] for each request; None where OpenImageIO is to decide.
     """
@@ -270,12 +270,13 @@ def read_blocks(file: FileBytes, requests: Sequence[ChannelRequest]) -> list[np.
                 members = by_part.setdefault(layout.number, (layout, []))[1]
                 members.append(_Destination(columns, out))
         arrays.append(out)
+    file_bytes = FileBytes(file)
     runs: list[_BlockRun] = []
     for layout, members in by_part.values():
         order = np.argsort(layout.starts, kind="stable")  # as they follow each other on disk
         step = max(1, RUN_BYTES // (layout.lines * layout.window.width * sum(layout.sizes)))
         for first in range(0, len(order), step):
-            runs.append(_BlockRun(file, layout, members, order[first : first + step]))
+            runs.append(_BlockRun(file_bytes, layout, members, order[first : first + step]))
     broken = _decode(runs)
     return [
         None
