@@ -217,26 +217,22 @@ def open_scene(folder: str | Path) -> RenderedScene:
         ) from error
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise LayoutError(f"{path} is not of schema {SCHEMA}; render the scene again")
+    texts = ("scene", "role", "about", "renderer", "denoiser", "motion")
+    counts = ("width", "height", "fps", "key_fps", "samples")
     try:
-        return RenderedScene(Path(folder), _parse_manifest(content))
+        values: dict[str, Any] = {name: _typed(content, name, str) for name in texts}
+        if values["role"] not in ROLES:
+            raise ValueError(f"role {values['role']!r}")
+        values |= {name: _typed(content, name, int, least=1) for name in counts}
+        values["seed"] = _typed(content, "seed", int)
+        values |= {name: _parse_frames(content, name) for name in ("instants", "keys")}
+        dynamic = _typed(content, "dynamic", dict)
+        values["dynamic"] = {int(index): str(name) for index, name in dynamic.items()}
+        return RenderedScene(Path(folder), SceneManifest(**values))
     except (KeyError, TypeError, ValueError) as error:
         raise DamagedFileError(
             f"{path} lacks or misstates {error}; render the scene again"
         ) from error
-
-
-def _parse_manifest(content: dict[str, Any]) -> SceneManifest:
-    texts = ("scene", "role", "about", "renderer", "denoiser", "motion")
-    counts = ("width", "height", "fps", "key_fps", "samples")
-    values: dict[str, Any] = {name: _typed(content, name, str) for name in texts}
-    if values["role"] not in ROLES:
-        raise ValueError(f"role {values['role']!r}")
-    values |= {name: _typed(content, name, int, least=1) for name in counts}
-    values["seed"] = _typed(content, "seed", int)
-    values |= {name: _parse_frames(content, name) for name in ("instants", "keys")}
-    dynamic = _typed(content, "dynamic", dict)
-    values["dynamic"] = {int(index): str(name) for index, name in dynamic.items()}
-    return SceneManifest(**values)
 
 
 def _parse_frames(content: dict[str, Any], name: str) -> FrameSet:

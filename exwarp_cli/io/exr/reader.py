@@ -182,8 +182,22 @@ class ExrFile(AbstractContextManager["ExrFile"]):
             raise InputError(
                 f"cannot read {path}: its name or a folder's is not valid UTF-8; rename that"
             ) from error
+        header = FileHeader(path, (), None, ())
         try:
-            header = self._read_header()
+            if self._by_openimageio:
+                with suppress(InputError):
+                    header = replace(header, parts=self._parts_by_openimageio(None))
+            if not header.parts:
+                self._close()
+                self._by_openimageio = False  # the usual way reports what is wrong
+                with suppress(OSError):  # OpenImageIO fails, too, and the cause is looked up then
+                    self._file = path.open("rb", buffering=0)
+                    head = self._file.read(SIGNATURE_BYTES)
+                    if not head.startswith(MAGIC):
+                        raise damaged_error(path, f"its content is {file_format(head)}")
+                    header = parse_header(path, self._file)
+            if not header.parts:
+                header = replace(header, parts=self._parts_by_openimageio(header.raw))
             for part in header.parts:
                 require_size(path, *part.data_window.shape)
                 require_size(path, *part.display_window.shape)
@@ -192,23 +206,6 @@ class ExrFile(AbstractContextManager["ExrFile"]):
         except BaseException:
             self._close()
             raise
-
-    def _read_header(self) -> FileHeader:
-        if self._by_openimageio:
-            with suppress(InputError):
-                return FileHeader(self.path, self._parts_by_openimageio(None), None, ())
-            self._close()
-            self._by_openimageio = False  # the usual way reports what is wrong
-        header = FileHeader(self.path, (), None, ())
-        with suppress(OSError):  # OpenImageIO fails, too, and the cause is looked up then
-            self._file = self.path.open("rb", buffering=0)
-            head = self._file.read(SIGNATURE_BYTES)
-            if not head.startswith(MAGIC):
-                raise damaged_error(self.path, f"its content is {file_format(head)}")
-            header = parse_header(self.path, self._file)
-        if not header.parts:
-            header = replace(header, parts=self._parts_by_openimageio(header.raw))
-        return header
 
     def _parts_by_openimageio(self, raw: RawHeader | None) -> tuple[Part, ...]:
         specs: list[oiio.ImageSpec] = []

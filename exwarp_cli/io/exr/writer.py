@@ -339,7 +339,21 @@ def encode(parts: Sequence[OutputPart]) -> list[Buffer]:
         _encode_blocks(header, planes, struct.pack("<i", number) if is_multipart else b"")
         for number, (header, planes) in enumerate(parts)
     ]
-    head = _encode_headers(parts, [len(blocks) for blocks in bodies])
+    # OpenEXR encodes a file of one pixel, and the window and number of chunks are put into it.
+    one_pixel_parts = []
+    for header, planes in parts:
+        corner = np.asarray(header["dataWindow"][0], np.int32)
+        pixels = {name: np.zeros((1, 1), plane.dtype) for name, plane in planes.items()}
+        one_pixel_parts.append(({**header, "dataWindow": (corner, corner.copy())}, pixels))
+    data = encode_by_openexr(one_pixel_parts)
+    head, attributes = bytearray(data), list(attributes_in(data))
+    for attribute in attributes:
+        if attribute.name == b"dataWindow":
+            window = np.asarray(parts[attribute.part][0]["dataWindow"], "<i4")
+            head[attribute.begin : attribute.end] = window.tobytes()
+        elif attribute.name == b"chunkCount":
+            head[attribute.begin : attribute.end] = struct.pack("<i", len(bodies[attribute.part]))
+    del head[attributes[-1].end + min(len(parts), 2) :]
     blocks = [block for body in bodies for block in body]
     starts = accumulate(map(len, blocks[:-1]), initial=len(head) + 8 * len(blocks))
     head += struct.pack(f"<{len(blocks)}Q", *starts)
@@ -376,25 +390,6 @@ def encode_by_openexr(parts: Sequence[OutputPart]) -> memoryview:
     buffer = io.BytesIO()
     file.write(buffer)
     return buffer.getbuffer()
-
-
-def _encode_headers(parts: Sequence[OutputPart], counts: Sequence[int]) -> bytearray:
-    """Return everything before the chunk offset tables, of which each part has so many entries."""
-    # OpenEXR encodes a file of one pixel, and the window and number of chunks are put into it.
-    one_pixel_parts = []
-    for header, planes in parts:
-        corner = np.asarray(header["dataWindow"][0], np.int32)
-        pixels = {name: np.zeros((1, 1), plane.dtype) for name, plane in planes.items()}
-        one_pixel_parts.append(({**header, "dataWindow": (corner, corner.copy())}, pixels))
-    data = encode_by_openexr(one_pixel_parts)
-    out, attributes = bytearray(data), list(attributes_in(data))
-    for attribute in attributes:
-        if attribute.name == b"dataWindow":
-            window = np.asarray(parts[attribute.part][0]["dataWindow"], "<i4")
-            out[attribute.begin : attribute.end] = window.tobytes()
-        elif attribute.name == b"chunkCount":
-            out[attribute.begin : attribute.end] = struct.pack("<i", counts[attribute.part])
-    return out[: attributes[-1].end + min(len(parts), 2)]
 
 
 def _encode_blocks(
