@@ -409,9 +409,10 @@ def _with_aov(shot: Shot, aov: AovFile) -> Shot:
         every += tuple(ChannelRef(name, channel) for channel in channels)
         cryptomattes += mattes
     has_guess = Role.MOTION in layout and layout.guess is not None
+    roles = {**shot.layout.roles, **layout.roles}
     merged = replace(
         shot.layout,
-        roles=_ordered({**shot.layout.roles, **layout.roles}),
+        roles={role: roles[role] for role in Role if role in roles},
         guess=layout.guess if Role.MOTION in layout else shot.layout.guess,
         producer=(layout if has_guess else shot.layout).producer,
         alphas=layout.alphas if Role.COLOUR in layout else shot.layout.alphas,
@@ -459,7 +460,7 @@ def _corrected(
     is_same_motion = roles.get(Role.MOTION) == layout.roles.get(Role.MOTION)
     return replace(
         layout,
-        roles=_ordered(roles),
+        roles={role: roles[role] for role in Role if role in roles},
         guess=layout.guess if is_same_motion else None,
         producer=channel_map.producer or layout.producer,
         alphas=() if Role.COLOUR in channel_map.channels else layout.alphas,
@@ -475,10 +476,6 @@ def _refs_with_aov_names(
     refs: Iterable[ChannelRef], names: Mapping[str, str]
 ) -> tuple[ChannelRef, ...]:
     return tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in refs)
-
-
-def _ordered(roles: Mapping[Role, tuple[ChannelRef, ...]]) -> dict[Role, tuple[ChannelRef, ...]]:
-    return {role: roles[role] for role in Role if role in roles}
 
 
 def alpha_note(layout: Layout) -> str | None:

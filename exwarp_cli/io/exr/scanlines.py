@@ -318,21 +318,16 @@ class _BlockRun:
     destinations: Sequence[_Destination]
     chunks: I64
 
-    @property
-    def _leader(self) -> struct.Struct:
-        """What stands before each block: the part's number, the first line, the bytes."""
-        return struct.Struct("<2i" if self.layout.number is None else "<3i")
-
-    def _read_blocks(self) -> Iterator[tuple[int, U8]]:
+    def _read_blocks(self, leader_size: int) -> Iterator[tuple[int, U8]]:
         """Yield each block's index, and its bytes with padding.
 
         Blocks that follow each other are read at once.
         """
-        layout, leader = self.layout, self._leader.size
-        size = sum(layout.sizes) * layout.window.width
+        layout = self.layout
+        size = leader_size + sum(layout.sizes) * layout.window.width * layout.lines
         starts = layout.starts[self.chunks]
         # In front of something else there may be a gap of any length.
-        ends = np.minimum(layout.ends[self.chunks], starts + leader + layout.lines * size)
+        ends = np.minimum(layout.ends[self.chunks], starts + size)
         breaks = np.flatnonzero(starts[1:] != ends[:-1]) + 1
         for blocks in np.split(np.arange(len(starts)), breaks):
             begin = int(starts[blocks[0]])
@@ -346,9 +341,11 @@ class _BlockRun:
         """Decode all blocks; False when one of them is not what it should be."""
         from exwarp_cli.kernels import exr_filters  # numba: not for what reads no pixels
 
-        layout, leader = self.layout, self._leader
+        layout = self.layout
+        # Before each block: the part's number, the first line, the bytes.
+        leader = struct.Struct("<2i" if layout.number is None else "<3i")
         try:
-            for index, data in self._read_blocks():
+            for index, data in self._read_blocks(leader.size):
                 if len(data) < leader.size + INPUT_PADDING:
                     return False
                 first = index * layout.lines
