@@ -24,7 +24,7 @@ from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect_layout, require_role
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr.reader import ExrFile
-from exwarp_cli.io.shot import Shot, count_nonfinite, rename_channels, without_cryptomattes
+from exwarp_cli.io.shot import Shot, count_nonfinite, without_cryptomattes
 from exwarp_cli.io.views import choose_view, list_views, view_channels
 from exwarp_cli.runtime.frame_pool import pool
 
@@ -252,7 +252,7 @@ def read_image(path: Path, view: str = "") -> Image:
         channels = view_channels(
             file.parts, choose_view(views, view or None, path) if views else ""
         )
-        mattes = find_cryptomattes({"": rename_channels(channels)}, {"": file.header.texts})
+        mattes = find_cryptomattes({"": channels.values()}, {"": file.header.texts})
         layout = detect_layout({"": without_cryptomattes(channels, mattes)})
         refs = require_role(layout, Role.COLOUR, str(path), channels)
         colour = [channels[ref.name] for ref in refs]

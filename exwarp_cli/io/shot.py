@@ -238,13 +238,13 @@ def _open_view(files: ShotFiles, number: int, request: _Request) -> Shot:
     view = files.view or choose_view(views, request.view, pattern)
     within = {aov: _view_in_file(own, view, files.view, pattern) for aov, own in parts.items()}
     channels = {aov: view_channels(own, within[aov]) for aov, own in parts.items()}
-    renamed = {aov: rename_channels(members) for aov, members in channels.items()}
-    mattes = find_cryptomattes(renamed, texts)
+    members_by_aov = {aov: members.values() for aov, members in channels.items()}
+    mattes = find_cryptomattes(members_by_aov, texts)
     own = detect_layout(
         {aov: without_cryptomattes(members, mattes, aov) for aov, members in channels.items()}
     )
     if Role.COLOUR in own:
-        mattes = find_cryptomattes(renamed, texts, own.roles[Role.COLOUR][0].name)
+        mattes = find_cryptomattes(members_by_aov, texts, own.roles[Role.COLOUR][0].name)
     names = {name.upper() for members in channels.values() for name in members}
     if not own.roles and "Y" in names:
         raise LayoutError(
@@ -324,7 +324,7 @@ def _needed_aovs(aov_set: AovSet, decided: Collection[Role]) -> list[str]:
             continue
         views = list_views(parts)
         channels = view_channels(parts, views[0] if views else "")
-        own = set(detect_layout({"": rename_channels(channels)}).roles)
+        own = set(detect_layout({"": channels.values()}).roles)
         break
     roles = {name: split_pass(name).role for name in aov_set.aovs}
     names = [
@@ -353,17 +353,12 @@ def read_flat_header(path: Path, headers: HeaderCache) -> FileHeader:
     return header
 
 
-def rename_channels(channels: Mapping[str, Channel]) -> tuple[Channel, ...]:
-    """Return channels with the names, without view, that they are known by, for detection."""
-    return tuple(replace(channel, name=name) for name, channel in channels.items())
-
-
 def without_cryptomattes(
     channels: Mapping[str, Channel], cryptomattes: Iterable[Cryptomatte], aov: str = ""
 ) -> tuple[Channel, ...]:
-    """Return channels as `rename_channels` does, without those of Cryptomattes."""
+    """Return channels without those of Cryptomattes."""
     refs = {ref for matte in cryptomattes for ref in matte.refs}
-    return tuple(c for c in rename_channels(channels) if ChannelRef(aov, c.name) not in refs)
+    return tuple(c for name, c in channels.items() if ChannelRef(aov, name) not in refs)
 
 
 def _view_in_file(parts: tuple[Part, ...], view: str, view_in_name: str, file: object) -> str:
@@ -398,12 +393,11 @@ def _with_aov(shot: Shot, aov: AovFile) -> Shot:
     # Files that hold several roles are read once.
     same_files = (n for n, member in shot.aovs.items() if member.pattern == sequence.pattern)
     name = next(same_files, aov.role.value)
-    mattes = find_cryptomattes({name: rename_channels(channels)}, {name: header.texts})
+    mattes = find_cryptomattes({name: channels.values()}, {name: header.texts})
     if aov.role is Role.STENCIL and mattes and not aov.channels:
         layout = Layout({aov.role: mattes[0].stencil})
     else:
-        renamed = {channel.name: channel for channel in rename_channels(channels)}
-        layout = _with_aov_names(detect_aov(aov, renamed, path), {aov.role.value: name})
+        layout = _with_aov_names(detect_aov(aov, channels, path), {aov.role.value: name})
     every, cryptomattes = shot.every, shot.cryptomattes
     if name not in shot.aovs:
         every += tuple(ChannelRef(name, channel) for channel in channels)
