@@ -511,7 +511,7 @@ def _command_table(
     file: Path, names_above: Sequence[Collection[str]], path: CommandPath
 ) -> Mapping[str, object]:
     """Return the table of a command; UsageError for unknown names on the way to it."""
-    table: Mapping[str, object] = read_config_file(file).tables
+    table: Mapping[str, object] = read_config_file(file)
     for depth, (valid, name) in enumerate(zip(names_above, path, strict=True)):
         for key, value in table.items():
             title = f"[{'.'.join((*path[:depth], key))}]"

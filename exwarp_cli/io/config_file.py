@@ -16,8 +16,8 @@ The commands judge what the tables hold; here files are found and read.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,19 +42,6 @@ class ConfigLocation:
     how: str
 
 
-@dataclass(frozen=True)
-class ConfigFile:
-    """The whole document of a config file, not yet judged; the path is absolute."""
-
-    path: Path
-    tables: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def folder(self) -> Path:
-        """The folder that its relative paths start from."""
-        return self.path.parent
-
-
 def find_config_files(
     named: str | None, how: str, user_folder: Path | None
 ) -> tuple[ConfigLocation, ...]:
@@ -71,8 +58,13 @@ def find_config_files(
     files: list[ConfigLocation] = []
     if named is not None:
         files.append(ConfigLocation(_named_path(named, how), how))
-    elif nearest := _nearest_path():
-        files.append(ConfigLocation(nearest, "nearest folder"))
+    else:
+        folders: tuple[Path, ...] = ()
+        with suppress(OSError):  # of a removed folder; the command reports what it needs of it
+            folders = (Path.cwd(), *Path.cwd().parents)
+        nearest = next((path for folder in folders if _is_file(path := folder / NAME)), None)
+        if nearest is not None:
+            files.append(ConfigLocation(nearest, "nearest folder"))
     if user_folder is not None:
         own = user_folder.absolute() / NAME
         if _is_file(own) and own.resolve() not in [file.path.resolve() for file in files]:
@@ -80,10 +72,10 @@ def find_config_files(
     return tuple(files)
 
 
-def read_config_file(path: Path) -> ConfigFile:
-    """Read a config file; UsageError if it cannot be read, or is not TOML."""
+def read_config_file(path: Path) -> dict[str, Any]:
+    """Read the tables of a config file; UsageError if it cannot be read, or is not TOML."""
     try:
-        return ConfigFile(path, read_toml(path))
+        return read_toml(path)
     except OSError as error:
         raise UsageError(
             f"cannot read the config file {path}: {error.strerror or error}; check its rights, or "
@@ -94,15 +86,6 @@ def read_config_file(path: Path) -> ConfigFile:
             f"the config file {path} is not TOML: {error}; correct it, or go without it "
             "by --config none"
         ) from error
-
-
-def _nearest_path() -> Path | None:
-    try:
-        current = Path.cwd()
-    except OSError:  # the folder was removed; the command itself reports what it needs of it
-        return None
-    paths = (folder / NAME for folder in (current, *current.parents))
-    return next(filter(_is_file, paths), None)
 
 
 def _named_path(named: str, how: str) -> Path:

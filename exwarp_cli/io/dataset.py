@@ -217,26 +217,22 @@ def open_scene(folder: str | Path) -> RenderedScene:
         ) from error
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise LayoutError(f"{path} is not of schema {SCHEMA}; render the scene again")
+    texts = ("scene", "role", "about", "renderer", "denoiser", "motion")
+    counts = ("width", "height", "fps", "key_fps", "samples")
     try:
-        return RenderedScene(Path(folder), _parse_manifest(content))
+        values: dict[str, Any] = {name: _typed(content, name, str) for name in texts}
+        if values["role"] not in ROLES:
+            raise ValueError(f"role {values['role']!r}")
+        values |= {name: _typed(content, name, int, least=1) for name in counts}
+        values["seed"] = _typed(content, "seed", int)
+        values |= {name: _parse_frames(content, name) for name in ("instants", "keys")}
+        dynamic = _typed(content, "dynamic", dict)
+        values["dynamic"] = {int(index): str(name) for index, name in dynamic.items()}
+        return RenderedScene(Path(folder), SceneManifest(**values))
     except (KeyError, TypeError, ValueError) as error:
         raise DamagedFileError(
             f"{path} lacks or misstates {error}; render the scene again"
         ) from error
-
-
-def _parse_manifest(content: dict[str, Any]) -> SceneManifest:
-    texts = ("scene", "role", "about", "renderer", "denoiser", "motion")
-    counts = ("width", "height", "fps", "key_fps", "samples")
-    values: dict[str, Any] = {name: _typed(content, name, str) for name in texts}
-    if values["role"] not in ROLES:
-        raise ValueError(f"role {values['role']!r}")
-    values |= {name: _positive(content, name) for name in counts}
-    values["seed"] = _typed(content, "seed", int)
-    values |= {name: _parse_frames(content, name) for name in ("instants", "keys")}
-    dynamic = _typed(content, "dynamic", dict)
-    values["dynamic"] = {int(index): str(name) for index, name in dynamic.items()}
-    return SceneManifest(**values)
 
 
 def _parse_frames(content: dict[str, Any], name: str) -> FrameSet:
@@ -246,20 +242,15 @@ def _parse_frames(content: dict[str, Any], name: str) -> FrameSet:
     is_inside = not Path(pattern).is_absolute() and ".." not in Path(pattern).parts
     if not (digits and "#" * digits in pattern and is_inside):
         raise ValueError(f"pattern {pattern!r}")
-    step = _positive(frames, "step") if "step" in frames else 1
-    return FrameSet(pattern, _typed(frames, "first", int), _positive(frames, "count"), step)
+    step = _typed(frames, "step", int, least=1) if "step" in frames else 1
+    first, count = _typed(frames, "first", int), _typed(frames, "count", int, least=1)
+    return FrameSet(pattern, first, count, step)
 
 
-def _positive(content: dict[str, Any], name: str) -> int:
-    value: int = _typed(content, name, int)
-    if value < 1:
-        raise ValueError(f"{name} {value}")
-    return value
-
-
-def _typed(content: dict[str, Any], name: str, kind: type) -> Any:
+def _typed(content: dict[str, Any], name: str, kind: type, least: int | None = None) -> Any:
     value = content[name]
-    if not isinstance(value, kind) or isinstance(value, bool):
+    is_typed = isinstance(value, kind) and not isinstance(value, bool)
+    if not is_typed or (least is not None and value < least):
         raise ValueError(f"{name} {value!r}")
     return value
 
@@ -276,8 +267,10 @@ def select_scenes(
     """
     scenes = []
     for scene in find_scenes(data):
-        is_wanted = _matches(scene.name, wanted) if wanted else scene.manifest.role == TRAINING
-        if not is_wanted or _matches(scene.name, unwanted):
+        is_wanted = scene.manifest.role == TRAINING
+        if wanted:
+            is_wanted = any(fnmatchcase(scene.name, pattern) for pattern in wanted)
+        if not is_wanted or any(fnmatchcase(scene.name, pattern) for pattern in unwanted):
             continue
         try:
             scene.require_complete()
@@ -291,10 +284,6 @@ def select_scenes(
             "choose others with --scenes"
         )
     return scenes
-
-
-def _matches(name: str, patterns: Sequence[str]) -> bool:
-    return any(fnmatchcase(name, pattern) for pattern in patterns)
 
 
 def split_scenes(

@@ -158,7 +158,18 @@ def atomic_path(path: Path) -> Iterator[Path]:
     with clean_up_after(partial(_remove, temporary)):
         try:
             yield temporary
-            _flush(temporary)
+            # Renaming alone would be faster, but after a power cut some file systems then show an
+            # empty file under the final name, and network shares report a full disk only here. The
+            # folder is not flushed: losing the rename leaves the file absent, which is allowed.
+            handle = os.open(temporary, os.O_RDWR)
+            try:
+                with release_cores():
+                    os.fsync(handle)
+            except OSError as error:
+                if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some shares cannot
+                    raise
+            finally:
+                os.close(handle)
             temporary.replace(path)
         except OSError as error:
             raise output_error(path, error) from error
@@ -262,12 +273,18 @@ def remove_leftovers(folder: Path) -> int:
     """
     removed = 0
     try:
-        entries = [entry for entry in folder.iterdir() if entry.name.endswith(TEMPORARY_SUFFIX)]
+        entries = [(entry, _LEFTOVER.fullmatch(entry.name)) for entry in folder.iterdir()]
     except OSError:  # no folder, no leftovers; a real problem shows when frames are written
         return 0
-    for entry in entries:
+    for entry, match in entries:
+        if match is None:
+            continue
         with suppress(OSError):  # another run may be cleaning up too
-            if _is_leftover(entry):
+            if match["host"] == host_name() and sys.platform != "win32":
+                is_leftover = not _is_alive(int(match["pid"]))
+            else:
+                is_leftover = time.time() - entry.stat().st_mtime > FOREIGN_AGE_S
+            if is_leftover:
                 entry.unlink()
                 removed += 1
     return removed
@@ -292,31 +309,6 @@ def host_name() -> str:
     except OSError:
         namespace = ""
     return re.sub(r"[^A-Za-z0-9_]+", "_", socket.gethostname())[:64] + namespace
-
-
-def _flush(path: Path) -> None:
-    """Push a written file to the disk."""
-    # Renaming without it would be faster, but after a power cut some file systems then show an
-    # empty file under the final name, and network shares report a full disk only here. The folder
-    # itself is not flushed: losing the rename leaves the file absent, which is allowed.
-    handle = os.open(path, os.O_RDWR)
-    try:
-        with release_cores():
-            os.fsync(handle)
-    except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some shares cannot, and say so
-            raise
-    finally:
-        os.close(handle)
-
-
-def _is_leftover(path: Path) -> bool:
-    match = _LEFTOVER.fullmatch(path.name)
-    if match is None:
-        return False
-    if match["host"] == host_name() and sys.platform != "win32":
-        return not _is_alive(int(match["pid"]))
-    return time.time() - path.stat().st_mtime > FOREIGN_AGE_S
 
 
 def _is_alive(pid: int) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
@@ -18,14 +19,13 @@ from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
 from exwarp_cli.io.display_colour import parse_pixel_aspect, primaries_of
-from exwarp_cli.io.exr.reader import display_window
-from exwarp_cli.io.exr.template import PartTemplate, PlaneTemplate, Template
-from exwarp_cli.io.exr.writer import COMPRESSIONS
+from exwarp_cli.io.exr.reader import ExrFile
+from exwarp_cli.io.exr.writer import COMPRESSIONS, PartTemplate, PlaneTemplate, Template
 from exwarp_cli.io.frame_names import file_type, split_names
-from exwarp_cli.io.generated_frames import FrameTemplate, file_digest, read_picture
+from exwarp_cli.io.generated_frames import FrameTemplate, read_picture
+from exwarp_cli.io.key_file import file_digest
 from exwarp_cli.io.sequences import EXR, Sequence, find_sequence
-from exwarp_cli.io.shot import Shot
-from exwarp_cli.io.shot_files import count_nonfinite, first_usable
+from exwarp_cli.io.shot import Shot, count_nonfinite, first_usable
 from exwarp_cli.io.stills import (
     STILLS,
     StillTemplate,
@@ -43,12 +43,12 @@ CLIP_PADDING = 4
 SOUNDS = (".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg", ".opus", ".wma", ".aif", ".aiff", ".ac3")
 
 
+@dataclass(eq=False)
 class ClipFrames:
     """Frames of a video by number, from 1; each thread decodes for itself."""
 
-    def __init__(self, clip: Clip) -> None:
-        self.clip = clip
-        self._readers: dict[int, ClipReader] = {}
+    clip: Clip
+    _readers: dict[int, ClipReader] = field(default_factory=dict)
 
     @property
     def display(self) -> Window:
@@ -82,16 +82,10 @@ class ClipSequence(Sequence):
 
     frames: ClipFrames = field(compare=False, repr=False)
 
-    @classmethod
-    def from_clip(cls, clip: Clip) -> ClipSequence:
-        """Number the frames of a video."""
-        files = dict.fromkeys(range(1, clip.count + 1), clip.path)
-        return cls(clip.path, f"{clip.path.stem}.", CLIP_PADDING, ".png", files, ClipFrames(clip))
-
     @property
     def pattern(self) -> str:
         """Path of the video."""
-        return str(self.directory)
+        return str(self.folder)
 
 
 def find_frames(spec: str, gaps: bool = False, scan: str = SourceSettings.scan) -> Sequence:
@@ -111,13 +105,19 @@ def find_footage(spec: str, gaps: bool = False, scan: str = SourceSettings.scan)
 
     Raises InputError when there are several, or a video cannot be read.
     """
-    if is_clip(spec):
-        return ClipSequence.from_clip(open_clip(Path(spec), scan))
     path = Path(spec)
+    if is_clip(spec):
+        clip = open_clip(path, scan)
+        files = dict.fromkeys(range(1, clip.count + 1), clip.path)
+        base, frames = f"{clip.path.stem}.", ClipFrames(clip)
+        return ClipSequence(clip.path, base, CLIP_PADDING, ".png", files, frames)
     suffix = path.suffix.lower()
     is_plain_path = suffix in STILLS
     if spec and path.is_dir():
-        is_plain_path = not _has_frames(path, EXR) and _has_frames(path, STILLS)
+        names: list[str] = []
+        with suppress(OSError), os.scandir(path) as entries:  # the search for the sequence fails
+            names = [entry.name for entry in entries if not entry.name.startswith(".")]
+        is_plain_path = not split_names(names, EXR) and bool(split_names(names, STILLS))
     elif suffix not in (*EXR, *STILLS) and not suffix[1:].isdigit() and path.is_file():
         # A number behind the last point is a frame's, which has messages of its own.
         if suffix in SOUNDS:
@@ -127,15 +127,6 @@ def find_footage(spec: str, gaps: bool = False, scan: str = SourceSettings.scan)
             f"{path} is of a kind that is not read; convert it to one of these: {types}"
         )
     return find_sequence(spec, STILLS, gaps) if is_plain_path else None
-
-
-def _has_frames(folder: Path, suffixes: tuple[str, ...]) -> bool:
-    try:
-        with os.scandir(folder) as entries:
-            names = [entry.name for entry in entries if not entry.name.startswith(".")]
-    except OSError:
-        return False  # the search for the sequence reports why
-    return bool(split_names(names, suffixes))
 
 
 def is_plain(sequence: Sequence) -> bool:
@@ -201,7 +192,10 @@ def read_display_window(sequence: Sequence, number: int) -> Window:
     if isinstance(sequence, ClipSequence):
         return sequence.frames.display
     path = sequence.files[number]
-    return Window(0, 0, *still_size(path)) if is_plain(sequence) else display_window(path)
+    if is_plain(sequence):
+        return Window(0, 0, *still_size(path))
+    with ExrFile(path) as file:
+        return file.parts[0].display_window
 
 
 def digest_frame(sequence: Sequence, number: int) -> str:

@@ -94,14 +94,19 @@ def split_name(name: str, suffixes: tuple[str, ...]) -> NamePattern | None:
 
     The padding is the one that this name alone suggests. None without suffix or digits.
     """
-    length = next((len(s) for s in suffixes if name.lower().endswith(s)), 0)
-    match = _TRAILING_NUMBER.fullmatch(name[: len(name) - length]) if length else None
+    length = _suffix_length(name, suffixes)
+    match = _TRAILING_NUMBER.fullmatch(name[:-length]) if length else None
     if match is None:
         return None
     base, number = match["base"], match["number"]
     if not _is_sign(base, number):
         base, number = base + number[0], number[1:]
-    return NamePattern(base, len(number), name[len(name) - length :])
+    return NamePattern(base, len(number), name[-length:])
+
+
+def _suffix_length(name: str, suffixes: tuple[str, ...]) -> int:
+    """Return the length of the suffix, in any case, that a name ends in; 0 if it has none."""
+    return next((len(s) for s in suffixes if name.lower().endswith(s)), 0)
 
 
 def split_names(names: Iterable[str], suffixes: tuple[str, ...]) -> dict[str, NamePattern]:
@@ -113,11 +118,15 @@ def split_names(names: Iterable[str], suffixes: tuple[str, ...]) -> dict[str, Na
     last.
     """
     ends = {name: split_name(name, suffixes) for name in names}
-    inner = {
-        name: _inner_patterns(name, suffixes)
-        for name, end in ends.items()
-        if end is None or end.is_version
-    }
+    inner: dict[str, list[NamePattern]] = defaultdict(list)
+    for name, end in ends.items():
+        length = _suffix_length(name, suffixes)
+        if length and (end is None or end.is_version):
+            for match in _BETWEEN.finditer(name[:-length]):
+                start = match.start()
+                start += not _is_sign(name[:start], match[0])
+                width = match.end() - start
+                inner[name].append(NamePattern(name[:start], width, name[match.end() :]))
     trailing = Counter((end.base, end.suffix) for end in ends.values() if end is not None)
     varying = Counter((p.base, p.suffix) for patterns in inner.values() for p in patterns)
     split: dict[str, NamePattern] = {}
@@ -130,19 +139,6 @@ def split_names(names: Iterable[str], suffixes: tuple[str, ...]) -> dict[str, Na
         if (pattern := best or end) is not None:
             split[name] = pattern
     return split
-
-
-def _inner_patterns(name: str, suffixes: tuple[str, ...]) -> tuple[NamePattern, ...]:
-    """Return the patterns of the numbers between separators, without one at the end."""
-    length = next((len(s) for s in suffixes if name.lower().endswith(s)), 0)
-    if not length:
-        return ()
-    patterns = []
-    for match in _BETWEEN.finditer(name[: len(name) - length]):
-        start = match.start()
-        start += not _is_sign(name[:start], match[0])
-        patterns.append(NamePattern(name[:start], match.end() - start, name[match.end() :]))
-    return tuple(patterns)
 
 
 def file_type(suffix: str) -> str:
@@ -193,19 +189,14 @@ class PassSet:
 
 
 @dataclass(frozen=True)
-class _PassName:
-    """A sequence's name split into its shot's and its pass's; see `_split_pass`."""
+class PassName:
+    """A sequence's name split into its shot's and its pass's; see `split_pass`."""
 
     stem: str  # without separators at its end
     shot: str  # the stem if no pass is known
-    name: str
-    role: Role | None
-    is_matte: bool
-
-    @property
-    def is_data(self) -> bool:
-        """True for a pass that cannot be a beauty."""
-        return self.is_matte or self.role not in (None, Role.COLOUR)
+    name: str = ""
+    role: Role | None = None
+    is_data: bool = False  # True for a pass that cannot be a beauty
 
 
 def find_pass_sets(names: Sequence[tuple[str, str]]) -> list[PassSet]:
@@ -217,7 +208,7 @@ def find_pass_sets(names: Sequence[tuple[str, str]]) -> list[PassSet]:
     """
     sets = []
     for suffix in dict.fromkeys(suffix for _, suffix in names):
-        split = {i: _split_pass(base) for i, (base, end) in enumerate(names) if end == suffix}
+        split = {i: split_pass(base) for i, (base, end) in enumerate(names) if end == suffix}
         beauties = {i: n for i, n in split.items() if not n.is_data}
         passes: dict[int, dict[str, int]] = defaultdict(dict)
         without_beauty: dict[str, list[int]] = defaultdict(list)
@@ -244,12 +235,7 @@ def find_pass_sets(names: Sequence[tuple[str, str]]) -> list[PassSet]:
     return sets
 
 
-def pass_role(name: str) -> Role | None:
-    """Return the role that a pass's name stands for, with or without its program's name."""
-    return _split_pass(name).role
-
-
-def _beauties_of(name: _PassName, beauties: dict[int, _PassName]) -> dict[int, str]:
+def _beauties_of(name: PassName, beauties: dict[int, PassName]) -> dict[int, str]:
     """Return the beauties that a pass belongs to, with its name as a pass of each.
 
     Several only where they share the longest name of a shot.
@@ -273,8 +259,11 @@ def _extends(stem: str, shot: str) -> bool:
     return stem[len(shot)] in SEPARATORS or _BOUNDARY.match(stem, len(shot)) is not None
 
 
-def _split_pass(base: str) -> _PassName:
-    """Split the text before a sequence's number into the shot's name and the pass's."""
+def split_pass(base: str) -> PassName:
+    """Split the text before a sequence's number into the shot's name and the pass's.
+
+    The pass has the role that its name stands for, with or without its program's name.
+    """
     stem = base.rstrip(SEPARATORS)
     # At separators first: shot.VRayVelocity is no pass of shot.VRay.
     for boundary in (_PART, _BOUNDARY):
@@ -283,5 +272,6 @@ def _split_pass(base: str) -> _PassName:
             is_matte = tail.lower().startswith("crypto") and is_cryptomatte_name(tail)
             role = role_named(_PROGRAM.sub("", tail, count=1) if _PROGRAM.match(tail) else tail)
             if role is not None or is_matte:
-                return _PassName(stem, stem[:start].rstrip(SEPARATORS), tail, role, is_matte)
-    return _PassName(stem, stem, "", None, False)
+                is_data = is_matte or role is not Role.COLOUR
+                return PassName(stem, stem[:start].rstrip(SEPARATORS), tail, role, is_data)
+    return PassName(stem, stem)

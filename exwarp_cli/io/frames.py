@@ -24,8 +24,7 @@ from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect_layout, require_role
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr.reader import ExrFile
-from exwarp_cli.io.shot import Shot, without_cryptomattes
-from exwarp_cli.io.shot_files import count_nonfinite, rename_channels
+from exwarp_cli.io.shot import Shot, count_nonfinite, without_cryptomattes
 from exwarp_cli.io.views import choose_view, list_views, view_channels
 from exwarp_cli.runtime.frame_pool import pool
 
@@ -103,7 +102,7 @@ def read_raw(
                 f"{path} has NaN or infinite colour in {share:.0%} of its pixels; render it again"
             )
         # Channels of several windows are filled up to the canvas: other pixels than were counted.
-        if planes.window(refs[Role.COLOUR]) is not None:
+        if len({planes.windows[ref] for ref in refs[Role.COLOUR]}) == 1:
             broken_colour = broken
     gbuffer = _geometry(planes, shot, canvas)
     if ids is not None:
@@ -111,9 +110,16 @@ def read_raw(
         pixels = planes.join(Role.STENCIL, ranks, canvas, 0.0)
         stencil, object_ids = ids.read(pixels, gbuffer.depth, file)
         gbuffer = replace(gbuffer, stencil=stencil, objects=object_ids)
-    raw = RawFrame(number, path, image, gbuffer, _motion(planes, shot, canvas), broken_colour)
+    motion = planes.stack(Role.MOTION, canvas)
+    if motion is not None and not shot.display.covers(canvas):
+        # Inside the display window a channel is 0 beyond its data window, as OpenEXR defines it:
+        # programs cut a pass to the pixels that are not 0. Outside it is not known.
+        overscan = outside_mask(canvas, shot.display)
+        for i, ref in enumerate(refs[Role.MOTION]):
+            if not planes.windows[ref].covers(canvas):
+                motion[overscan & outside_mask(canvas, planes.windows[ref]), i] = np.nan
     shot.nonfinite.note(number, planes.broken)
-    return raw
+    return RawFrame(number, path, image, gbuffer, motion, broken_colour)
 
 
 @dataclass(frozen=True)
@@ -148,30 +154,15 @@ class _Planes:
         just the canvas.
         """
         members = [self.planes[ref].astype(np.float32, copy=False) for ref in refs]
-        if (window := self.window(refs)) is not None:
+        windows = [self.windows[ref] for ref in refs]
+        if len(set(windows)) == 1:
             pixels = join_planes(members)
-            if count or window != canvas:
+            if count or windows[0] != canvas:
                 self.broken[role.value] = count_nonfinite((pixels,), role)
-            return place_on_canvas(pixels, window, canvas, fill)
+            return place_on_canvas(pixels, windows[0], canvas, fill)
         self.broken[role.value] = count_nonfinite(members, role)
-        return join_planes(
-            [
-                place_on_canvas(plane, self.windows[ref], canvas, fill)
-                for ref, plane in zip(refs, members, strict=True)
-            ]
-        )
-
-    def window(self, refs: tuple[ChannelRef, ...]) -> Window | None:
-        """Return the data window that all these channels have; None if they differ."""
-        windows = {self.windows[ref] for ref in refs}
-        return windows.pop() if len(windows) == 1 else None
-
-    def surface(self, role: Role, canvas: Window) -> Float32 | None:
-        """Return surface colour with 0 where the renderer's value is unusable."""
-        planes = self.stack(role, canvas)
-        if planes is None or np.isfinite(planes).all():
-            return planes
-        return np.where(np.isfinite(planes), planes, np.float32(0))
+        placed = zip(members, windows, strict=True)
+        return join_planes([place_on_canvas(m, window, canvas, fill) for m, window in placed])
 
 
 def _geometry(planes: _Planes, shot: Shot, canvas: Window) -> GBuffer:
@@ -190,8 +181,19 @@ def _geometry(planes: _Planes, shot: Shot, canvas: Window) -> GBuffer:
     if normal is not None and Role.NORMAL.value not in planes.broken:
         broken = 0 if is_normal_finite else count_nonfinite((normal,), Role.NORMAL)
         planes.broken[Role.NORMAL.value] = broken
-    position = _position(planes, canvas, depth)
-    albedo, specular, roughness, metallic = (planes.surface(role, canvas) for role in SURFACE)
+    position = planes.stack(Role.POSITION, canvas)
+    if position is not None and depth is not None:
+        window = planes.windows[planes.refs[Role.POSITION][0]]
+        if not window.covers(canvas):
+            # A surface seen beyond the end of their window: as zeros those pixels would be points
+            # at the world's origin, and be moved to where that is seen.
+            unknown = outside_mask(canvas, window) & np.isfinite(depth)
+            position = np.where(unknown[..., None], np.float32(np.nan), position)
+    surfaces = [planes.stack(role, canvas) for role in SURFACE]
+    for i, values in enumerate(surfaces):
+        if values is not None and not np.isfinite(values).all():
+            surfaces[i] = np.where(np.isfinite(values), values, np.float32(0))
+    albedo, specular, roughness, metallic = surfaces
     return GBuffer(
         canvas,
         depth,
@@ -203,37 +205,6 @@ def _geometry(planes: _Planes, shot: Shot, canvas: Window) -> GBuffer:
         roughness=None if roughness is None else roughness[..., 0],
         metallic=None if metallic is None else metallic[..., 0],
     )
-
-
-def _position(planes: _Planes, canvas: Window, depth: Float32 | None) -> Float32 | None:
-    """Return world positions, NaN where a surface is seen beyond the end of their window.
-
-    As zeros those pixels would be points at the world's origin, and be moved to where that is seen.
-    """
-    position = planes.stack(Role.POSITION, canvas)
-    if position is None or depth is None:
-        return position
-    window = planes.windows[planes.refs[Role.POSITION][0]]
-    if window.covers(canvas):
-        return position
-    unknown = outside_mask(canvas, window) & np.isfinite(depth)
-    return np.where(unknown[..., None], np.float32(np.nan), position)
-
-
-def _motion(planes: _Planes, shot: Shot, canvas: Window) -> Float32 | None:
-    """Return the motion channels, NaN outside the display window where a channel ends before it.
-
-    Inside the display window a channel is 0 beyond its data window, as OpenEXR defines it: programs
-    cut a pass to the pixels that are not 0.
-    """
-    motion = planes.stack(Role.MOTION, canvas)
-    if motion is None or shot.display.covers(canvas):
-        return motion
-    overscan = outside_mask(canvas, shot.display)
-    for i, ref in enumerate(planes.refs[Role.MOTION]):
-        if not planes.windows[ref].covers(canvas):
-            motion[overscan & outside_mask(canvas, planes.windows[ref]), i] = np.nan
-    return motion
 
 
 def read_planes(
@@ -281,22 +252,18 @@ def read_image(path: Path, view: str = "") -> Image:
         channels = view_channels(
             file.parts, choose_view(views, view or None, path) if views else ""
         )
-        mattes = find_cryptomattes({"": rename_channels(channels)}, {"": file.header.texts})
+        mattes = find_cryptomattes({"": channels.values()}, {"": file.header.texts})
         layout = detect_layout({"": without_cryptomattes(channels, mattes)})
         refs = require_role(layout, Role.COLOUR, str(path), channels)
         colour = [channels[ref.name] for ref in refs]
         planes = file.read(colour)
         part = file.parts[colour[0].part]
-        windows = [file.parts[channel.part].data_window for channel in colour]
-    pixels = join_planes(
-        [
-            place_on_canvas(
-                planes[channel].astype(np.float32, copy=False), window, part.data_window
-            )
-            for channel, window in zip(colour, windows, strict=True)
-        ]
-    )
-    return Image(pixels, part.data_window, part.display_window)
+        placed = []
+        for channel in colour:
+            plane = planes[channel].astype(np.float32, copy=False)
+            window = file.parts[channel.part].data_window
+            placed.append(place_on_canvas(plane, window, part.data_window))
+    return Image(join_planes(placed), part.data_window, part.display_window)
 
 
 def read_plane(path: Path, name: str) -> tuple[Float32, Window, Window]:

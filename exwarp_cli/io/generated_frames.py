@@ -11,7 +11,6 @@ room for a checksum have the program's name at most, which edits in other progra
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -27,13 +26,17 @@ from exwarp_cli.domain.frame import Bool, Float32, Image, Window, place_on_canva
 from exwarp_cli.domain.timeline import parse_rate
 from exwarp_cli.errors import DamagedFileError, InputError, OutputError, UsageError
 from exwarp_cli.io.exr.header import MAGIC, replace_non_utf8, restore_non_utf8
-from exwarp_cli.io.exr.reader import damaged_error, read_headers
-from exwarp_cli.io.exr.template import PREFIX, Plane, PlaneKey, Template, quantise_colour
+from exwarp_cli.io.exr.reader import read_headers
 from exwarp_cli.io.exr.writer import (
     COMPRESSIONS,
+    PREFIX,
     Buffer,
     OpenExrCompression,
     OutputPart,
+    PendingHalf,
+    Plane,
+    PlaneKey,
+    Template,
     encode,
     scanline_attributes,
 )
@@ -43,12 +46,11 @@ from exwarp_cli.io.files import (
     CHECKSUM_ZEROS,
     atomic_write_bytes,
     compute_checksum,
-    new_checksum,
     with_retries,
 )
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.sequences import EXR
-from exwarp_cli.io.shot_files import require_sound
+from exwarp_cli.io.shot import require_sound
 from exwarp_cli.io.stills import (
     SEALED,
     StillTemplate,
@@ -111,46 +113,31 @@ def write_picture(
 ) -> list[Buffer]:
     """Write a generated frame, whole or not at all; return its bytes, piece by piece.
 
-    The suffix names the format of the template, the colour is scene-linear, and the folder exists.
-    Attributes are as for `write_frame`; stills keep those with `PREFIX` alone, and have no extra
-    planes. Raises OutputError when it cannot be written.
-    """
-    if isinstance(template, StillTemplate):
-        own = {k[len(PREFIX) :]: v for k, v in attributes.items() if k.startswith(PREFIX)}
-        return write_still(path, image, template, own)
-    return write_frame(path, image, template, attributes, extra_planes)
-
-
-def write_frame(
-    path: Path,
-    image: Image,
-    template: Template,
-    attributes: Mapping[str, Any],
-    extra_planes: Mapping[PlaneKey, Plane] | None = None,
-) -> list[Buffer]:
-    """Write a generated EXR, whole or not at all; return its bytes, piece by piece.
-
-    Each part covers what its source's did; see `filled_window`. Raises OutputError when it cannot
-    be written.
+    Each part of an EXR covers what its source's did; see `filled_window`. Raises OutputError when
+    it cannot be written.
 
     Parameters
     ----------
     path
-        Target; its folder exists.
+        Target; its folder exists, and its suffix names the format of the template.
     image
-        Colour [H, W, C] of the leading view, with C the number of the template's colour channels.
+        Scene-linear colour [H, W, C] of the leading view, with C the number of the template's
+        colour channels.
     template
         From the key frame's file.
     attributes
         Header attributes that replace or join the template's. Those with `PREFIX` stand in the
-        first part.
+        first part; stills keep those alone.
     extra_planes
-        Every other channel that the template has.
+        Every other channel that the template has; None for stills.
     """
+    own = {name: value for name, value in attributes.items() if name.startswith(PREFIX)}
+    if isinstance(template, StillTemplate):
+        facts = {name.removeprefix(PREFIX): value for name, value in own.items()}
+        return write_still(path, image, template, facts)
     planes = dict(extra_planes or {})
     for i, plane in enumerate(template.colour):
         planes[plane.key] = Plane(image.pixels[..., i], image.data_window)
-    own = {name: value for name, value in attributes.items() if name.startswith(PREFIX)}
     shared = {name: value for name, value in attributes.items() if name not in own}
     parts: list[OutputPart] = []
     for part in template.parts:
@@ -206,8 +193,9 @@ def seal(head: Buffer, *rest: Buffer) -> list[Buffer]:
     sealed = memoryview(head)
     if sealed.readonly:
         sealed = memoryview(bytearray(head))
-    digits = compute_checksum((sealed, *rest)).encode()
-    sealed[start : start + CHECKSUM_DIGITS] = digits
+    digits = sealed[start : start + CHECKSUM_DIGITS]
+    digits[:] = CHECKSUM_ZEROS.encode()
+    digits[:] = compute_checksum((sealed, *rest)).encode()
     return [sealed, *rest]
 
 
@@ -260,23 +248,6 @@ def read_facts(path: Path) -> dict[str, Any]:
     return {k[len(PREFIX) :]: v for k, v in header.items() if k.startswith(PREFIX)}
 
 
-def file_digest(path: Path) -> str:
-    """Digest a file's bytes, hexadecimal, by the algorithm of generated files' checksums.
-
-    Raises DamagedFileError when there is no such file. Raises UnreadableError when the system does
-    not let it through.
-    """
-
-    def digest() -> str:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, new_checksum).hexdigest()
-
-    try:
-        return with_retries(path, digest)
-    except OSError as error:
-        raise damaged_error(path, str(error.strerror)) from error
-
-
 def filled_window(planes: Iterable[Plane], source: Window) -> Window:
     """Return the window of nonzero pixels, or the whole one if their source filled its own.
 
@@ -307,10 +278,18 @@ def read_picture(path: Path, view: str = "") -> Image:
 
 
 def quantise_picture(pixels: Float32, template: FrameTemplate) -> Float32:
-    """Round pixels to the precision of the file, so that scores hold for the written frame."""
+    """Round pixels to the precision of the file, so that scores hold for the written frame.
+
+    Values beyond the range of an EXR channel's type become its largest, not infinity.
+    """
     if isinstance(template, StillTemplate):
         return quantise_still(pixels, template)
-    return quantise_colour(pixels, template)
+    out = pixels.copy()
+    for i, plane in enumerate(template.colour):
+        if plane.dtype.kind == "f":
+            channel = plane.channel(pixels[..., i])
+            out[..., i] = channel.rounded() if isinstance(channel, PendingHalf) else channel
+    return out
 
 
 def _is_exr(path: Path) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -19,11 +19,18 @@ from typing import BinaryIO
 
 from exwarp_cli.domain.timeline import parse_rate
 from exwarp_cli.errors import InputError
-from exwarp_cli.io import files
-from exwarp_cli.io.exr.header import RawHeader
+from exwarp_cli.io.exr.header import MULTIPART, Attribute, RawHeader
 from exwarp_cli.io.exr.reader import HeaderCache, damaged_error, parse_header
-from exwarp_cli.io.exr.template import PREFIX
-from exwarp_cli.io.files import COPY_BYTES, atomic_copy, atomic_path, with_retries
+from exwarp_cli.io.exr.writer import PREFIX
+from exwarp_cli.io.files import (
+    CHECKSUM_ZEROS,
+    COPY_BYTES,
+    atomic_copy,
+    atomic_path,
+    compute_checksum,
+    new_checksum,
+    with_retries,
+)
 from exwarp_cli.io.generated_frames import CHECKSUM, is_intact, seal
 from exwarp_cli.io.sequences import EXR
 
@@ -72,10 +79,8 @@ class KeyFile:
                     raise
 
             while True:
-                try:
+                with _report_unsound(self.source):
                     piece = with_retries(self.source, read_piece)
-                except OSError as error:
-                    raise _unreadable(self.source, error) from error
                 if not piece:
                     return
                 position += len(piece)
@@ -110,7 +115,7 @@ class KeyFile:
 
     def digest(self) -> str:
         """Return the checksum of the file, hexadecimal; see `exwarp_cli.io.files`."""
-        return files.compute_checksum(self.pieces())
+        return compute_checksum(self.pieces())
 
 
 def possible_key_files(source: Path, target: Path) -> tuple[KeyFile, ...]:
@@ -123,7 +128,7 @@ def possible_key_files(source: Path, target: Path) -> tuple[KeyFile, ...]:
         with target.open("rb", buffering=0) as file:
             header = RawHeader.read(file, target.stat().st_size)
         own = next(attribute for attribute in header.attributes if attribute.name == RATE)
-        return plain, plan_key_file(source, _parse_rate(own.kind, header.value(own)))
+        return plain, plan_key_file(source, _parse_rate(own))
     except (OSError, ValueError, struct.error, StopIteration, InputError):
         return (plain,)  # the target or the source is no sound EXR, or the target has no rate
 
@@ -152,7 +157,9 @@ def open_key_file(source: Path, rate: Fraction | None) -> Iterator[KeyFile]:
             file = stack.enter_context(source.open("rb", buffering=0))
             return KeyFile(source, *_with_rate(file, rate), file)
 
-        yield _read_sound(source, read)
+        with _report_unsound(source):
+            key = with_retries(source, read)
+        yield key
 
 
 def plan_marked_file(
@@ -164,25 +171,47 @@ def plan_marked_file(
     the file's own rate. `marks` are attributes of the first part, by name without prefix; a
     checksum of the file joins them. Errors are those of `open_key_file`.
     """
+    values = {f"{PREFIX}{name}": value for name, value in marks.items()}
+    values[CHECKSUM] = CHECKSUM_ZEROS
+    new = b""
+    for name, value in values.items():
+        if isinstance(value, int):
+            kind, data = b"int", struct.pack("<i", value)
+        else:
+            kind, data = b"string", value.encode("utf-8", "surrogateescape")
+        new += name.encode() + b"\0" + kind + b"\0" + struct.pack("<I", len(data)) + data
 
     def read() -> KeyFile:
         with source.open("rb", buffering=0) as file:
             header = RawHeader.read(file, os.fstat(file.fileno()).st_size)
             changes = [] if rate is None else _rate_changes(header, rate)
-            head, rest = _changed_head(file, header, [*changes, *_mark_changes(header, marks)])
+            own = (a for a in header.attributes if a.name.startswith(PREFIX.encode()))
+            changes += [(attribute.at, attribute.end, b"") for attribute in own]
+            end = next(a.end for a in reversed(header.attributes) if a.part == 0)
+            head, rest = _changed_head(file, header, [*changes, (end, end, new)])
             file.seek(rest)
             return KeyFile(source, bytes(seal(head, file.read())[0]), rest)
 
-    return _read_sound(source, read)
-
-
-def _read_sound(source: Path, read: Callable[[], KeyFile]) -> KeyFile:
-    try:
+    with _report_unsound(source):
         return with_retries(source, read)
+
+
+@contextmanager
+def _report_unsound(source: Path) -> Iterator[None]:
+    """Translate what goes wrong while a key frame's file is read."""
+    try:
+        yield
     except OSError as error:
-        raise _unreadable(source, error) from error
+        raise InputError(
+            f"cannot read {source}: {error.strerror or error}; check the path"
+        ) from error
     except (ValueError, struct.error) as error:
         raise damaged_error(source, str(error)) from error
+
+
+def file_digest(path: Path) -> str:
+    """Digest a file's bytes; hexadecimal and errors as in `digests`."""
+    return digests(path)[0]
 
 
 def digests(
@@ -198,7 +227,7 @@ def digests(
 
     def read() -> tuple[str, str | None]:
         with path.open("rb", buffering=0) as file:
-            digest = hashlib.file_digest(file, files.new_checksum).hexdigest()
+            digest = hashlib.file_digest(file, new_checksum).hexdigest()
             is_exr = path.suffix.lower() in EXR
             if headers is not None and is_exr:
                 headers.keep(path, parse_header(path, file))
@@ -223,16 +252,12 @@ def _with_rate(file: BinaryIO, rate: Fraction) -> tuple[bytes, int]:
     if not changes:
         return b"", 0
     head, rest = _changed_head(file, header, changes)
-    if CHECKSUM.encode() not in head:
-        return head, rest
-    # A frame that ExWarp made, and that is undamaged, gets a new checksum.
-    file.seek(0)
-    data = file.read()
-    if not is_intact(data):
-        return head, rest
-    begin = head.index(CHECKSUM.encode() + b"\0string\0") + len(CHECKSUM) + 12
-    blank = head[:begin] + files.CHECKSUM_ZEROS.encode() + head[begin + files.CHECKSUM_DIGITS :]
-    return bytes(seal(blank, data[rest:])[0]), rest
+    if CHECKSUM.encode() in head:
+        file.seek(0)
+        data = file.read()
+        if is_intact(data):  # a frame that ExWarp made gets a new checksum
+            return bytes(seal(head, data[rest:])[0]), rest
+    return head, rest
 
 
 def _changed_head(file: BinaryIO, header: RawHeader, changes: list[Change]) -> tuple[bytes, int]:
@@ -245,14 +270,26 @@ def _changed_head(file: BinaryIO, header: RawHeader, changes: list[Change]) -> t
     if len(head) == end:
         return head, end
     count = None
-    if header.is_multipart:
-        counts = [attribute for attribute in header.attributes if attribute.name == b"chunkCount"]
+    if header.flags & MULTIPART:
+        counts = [a.value for a in header.attributes if a.name == b"chunkCount"]
         if len(counts) != header.part_count:
             raise ValueError("a part has no chunkCount")
-        count = sum(struct.unpack("<I", header.value(attribute))[0] for attribute in counts)
-    offsets = _read_offsets(file, os.fstat(file.fileno()).st_size, end, count)
-    moved = [offset + len(head) - end if offset else 0 for offset in offsets]
-    return head + struct.pack(f"<{len(moved)}Q", *moved), end + _OFFSET_SIZE * len(offsets)
+        count = sum(struct.unpack("<I", value)[0] for value in counts)
+    size = os.fstat(file.fileno()).st_size
+    first, rest = size, end
+    moved: list[int] = []
+    file.seek(end)
+    # Without a count the chunk offset table ends where the first chunk begins.
+    while rest < first if count is None else len(moved) < count:
+        (offset,) = struct.unpack("<Q", file.read(_OFFSET_SIZE))
+        if offset and not rest < offset < size:
+            raise ValueError("the table of chunks is broken")
+        first = min(first, offset or size)
+        moved.append(offset + len(head) - end if offset else 0)
+        rest += _OFFSET_SIZE
+    if first < rest or first == size:
+        raise ValueError("the table of chunks is broken")
+    return head + struct.pack(f"<{len(moved)}Q", *moved), rest
 
 
 def _rate_changes(header: RawHeader, rate: Fraction) -> list[Change]:
@@ -264,57 +301,16 @@ def _rate_changes(header: RawHeader, rate: Fraction) -> list[Change]:
         own = next((attribute for attribute in attributes if attribute.name == RATE), None)
         if own is None:
             changes.append((attributes[-1].end, attributes[-1].end, text))
-        elif _parse_rate(own.kind, header.value(own)) != rate:
+        elif _parse_rate(own) != rate:
             changes.append((own.at, own.end, text))
     return changes
 
 
-def _mark_changes(header: RawHeader, marks: Mapping[str, str | int]) -> list[Change]:
-    """Return the changes that replace ExWarp's own attributes by new ones of the first part."""
-    values: dict[str, str | int] = {f"{PREFIX}{name}": value for name, value in marks.items()}
-    values[CHECKSUM] = files.CHECKSUM_ZEROS
-    text = b""
-    for name, value in values.items():
-        if isinstance(value, int):
-            kind, data = b"int", struct.pack("<i", value)
-        else:
-            kind, data = b"string", value.encode("utf-8", "surrogateescape")
-        text += name.encode() + b"\0" + kind + b"\0" + struct.pack("<I", len(data)) + data
-    changes = [
-        (attribute.at, attribute.end, b"")
-        for attribute in header.attributes
-        if attribute.name.startswith(PREFIX.encode())
-    ]
-    end = next(attribute.end for attribute in reversed(header.attributes) if attribute.part == 0)
-    return [*changes, (end, end, text)]
-
-
-def _parse_rate(kind: bytes, value: bytes) -> Fraction | None:
-    """Return the rate in an attribute of this type, or None."""
+def _parse_rate(attribute: Attribute) -> Fraction | None:
+    kind, value = attribute.kind, attribute.value
     if kind == b"rational" and len(value) == 8:
         numerator, denominator = struct.unpack("<iI", value)
         return parse_rate(Fraction(numerator, denominator)) if denominator else None
     if kind in _NUMBER_FORMATS and len(value) == struct.calcsize(_NUMBER_FORMATS[kind]):
         return parse_rate(struct.unpack(_NUMBER_FORMATS[kind], value)[0])
     return parse_rate(value.decode("utf-8", "replace")) if kind == b"string" else None
-
-
-def _read_offsets(file: BinaryIO, size: int, begin: int, count: int | None) -> list[int]:
-    """Read the chunk offset table; without a count it ends where the first chunk begins."""
-    offsets: list[int] = []
-    first, position = size, begin
-    file.seek(begin)
-    while position < first if count is None else len(offsets) < count:
-        (offset,) = struct.unpack("<Q", file.read(_OFFSET_SIZE))
-        if offset and not position < offset < size:
-            raise ValueError("the table of chunks is broken")
-        first = min(first, offset or size)
-        offsets.append(offset)
-        position += _OFFSET_SIZE
-    if first < position or first == size:
-        raise ValueError("the table of chunks is broken")
-    return offsets
-
-
-def _unreadable(path: Path, error: OSError) -> InputError:
-    return InputError(f"cannot read {path}: {error.strerror or error}; check the path")

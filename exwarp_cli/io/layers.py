@@ -8,6 +8,7 @@ type, components and the names that renderers use.
 from __future__ import annotations
 
 import re
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -178,26 +179,24 @@ def select_layers(layers: tuple[Layer, ...], text: str, layout: Layout) -> tuple
 
 def _group_names(aov: str, channels: Mapping[str, Channel]) -> list[tuple[str, list[str]]]:
     """Group names of channels by part and layer name, and by what makes one value."""
-    components: dict[tuple[int, str], set[str]] = {}
+    components: dict[tuple[int, str], set[str]] = defaultdict(set)
     for name, channel in channels.items():
         layer, _, component = name.rpartition(".")
-        components.setdefault((channel.part, layer), set()).add(component.upper())
-    groups: dict[tuple[int, str, str], list[str]] = {}
+        components[channel.part, layer].add(component.upper())
+    groups: dict[tuple[int, str, str], list[str]] = defaultdict(list)
     for name, channel in channels.items():
         layer, _, component = name.rpartition(".")
         family = _family(component, components[channel.part, layer])
-        groups.setdefault((channel.part, layer, family), []).append(name)
-    family_counts: dict[tuple[int, str], int] = {}
-    for part, layer, _ in groups:
-        family_counts[part, layer] = family_counts.get((part, layer), 0) + 1
-    named: dict[tuple[int, str], list[str]] = {}
+        groups[channel.part, layer, family].append(name)
+    family_counts = Counter((part, layer) for part, layer, _ in groups)
+    named: dict[tuple[int, str], list[str]] = defaultdict(list)
     for (part, layer, family), members in groups.items():
         name = layer
         # Of several values in one layer the colour keeps the name.
         if not layer or (family_counts[part, layer] > 1 and family != "RGBA"):
             letters = "".join(member.rpartition(".")[2] for member in members)
             name = f"{layer}.{letters}" if layer else aov or letters
-        named.setdefault((part, name), []).extend(members)
+        named[part, name] += members
     return [(name, members) for (_, name), members in named.items()]
 
 

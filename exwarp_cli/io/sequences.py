@@ -49,14 +49,13 @@ MAX_LISTED = 6
 
 
 @dataclass(frozen=True)
-class Sequence:
-    """Files of one folder that differ in their frame number alone; fields as in `NamePattern`."""
+class FramePattern:
+    """Frames in a folder, which need not exist; further fields as in `NamePattern`."""
 
-    directory: Path
+    folder: Path
     base: str
     padding: int
     suffix: str
-    files: dict[int, Path]  # by frame number, ascending
 
     @property
     def type(self) -> str:
@@ -64,9 +63,29 @@ class Sequence:
         return file_type(self.suffix)
 
     @property
+    def name(self) -> str:
+        """File name with one ``#`` per digit of padding."""
+        return str(self._name_pattern)
+
+    def path(self, number: int) -> Path:
+        """Return the path of the frame with this number."""
+        return self.folder / self._name_pattern.name(number)
+
+    @property
+    def _name_pattern(self) -> NamePattern:
+        return NamePattern(self.base, self.padding, self.suffix)
+
+
+@dataclass(frozen=True)
+class Sequence(FramePattern):
+    """Files of one folder that differ in their frame number alone."""
+
+    files: dict[int, Path]  # by frame number, ascending
+
+    @property
     def pattern(self) -> str:
         """Path with one ``#`` per digit of padding."""
-        return str(self.directory / str(self._name_pattern))
+        return str(self.folder / self.name)
 
     @property
     def numbers(self) -> list[int]:
@@ -79,19 +98,13 @@ class Sequence:
         if len(self.files) < 2 or not self._name_pattern.is_version:
             return None
         return (
-            f"the numbers of {self._name_pattern} look like versions and are taken for frames; if "
-            "they are versions of one picture, give the frames of one version instead"
+            f"the numbers of {self.name} look like versions and are taken for frames; if they are "
+            "versions of one picture, give the frames of one version instead"
         )
 
     def over(self, numbers: Iterable[int]) -> Sequence:
         """Return the sequence with just these frames; missing ones get the path they would have."""
-        pattern = self._name_pattern
-        files = {n: self.files.get(n, self.directory / pattern.name(n)) for n in numbers}
-        return replace(self, files=files)
-
-    @property
-    def _name_pattern(self) -> NamePattern:
-        return NamePattern(self.base, self.padding, self.suffix)
+        return replace(self, files={n: self.files.get(n, self.path(n)) for n in numbers})
 
 
 @dataclass(frozen=True)
@@ -121,30 +134,6 @@ class AovSet:
         return (*colour, *self.aovs.values())
 
 
-@dataclass(frozen=True)
-class OutputPattern:
-    """Where output frames are written; the folder need not exist. Fields as in `NamePattern`."""
-
-    folder: Path
-    base: str
-    padding: int
-    suffix: str
-
-    @property
-    def type(self) -> str:
-        """Image suffix in lower case, for example ``.exr``."""
-        return file_type(self.suffix)
-
-    @property
-    def name(self) -> str:
-        """File name with one ``#`` per digit of padding."""
-        return str(NamePattern(self.base, self.padding, self.suffix))
-
-    def path(self, number: int) -> Path:
-        """Return the path of the frame with this number."""
-        return self.folder / NamePattern(self.base, self.padding, self.suffix).name(number)
-
-
 def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False) -> Sequence:
     """Find the sequence that a user names; with `gaps`, list missing frames in between, too.
 
@@ -154,15 +143,28 @@ def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False
 
     Raises InputError if there is no such sequence, or several.
     """
+    folder = Path(spec)
     try:
-        if spec and Path(spec).is_dir():
-            sequence = _find_in_folder(Path(spec), suffixes)
+        if not spec or not folder.is_dir():
+            leaders = [_find_by_name(spec, suffixes)]
         else:
-            sequence = _find_by_name(spec, suffixes)
+            candidates = _list_candidates(folder, suffixes)
+            leaders = [c.leader if isinstance(c, AovSet) else c for c in candidates]
+        if not leaders:
+            names = (n for n in sorted(_file_names(folder)) if n.lower().endswith(suffixes))
+            single = next(names, None)
+            why = f"{single} has no frame number before its suffix" if single else "check the path"
+            raise InputError(f"{folder} holds no sequence of {' or '.join(suffixes)} files; {why}")
     except OSError as error:
         raise InputError(
             f"cannot look into {spec}: {error.strerror or error}; check the path and its rights"
         ) from error
+    if len(leaders) > 1:
+        raise InputError(
+            f"{folder} holds {len(leaders)} sequences, {_listing(leaders)}; "
+            f"name one of them, for example {leaders[0].pattern}"
+        )
+    (sequence,) = leaders
     return sequence.over(fill_gaps(sequence.files)) if gaps else sequence
 
 
@@ -181,7 +183,7 @@ def find_aov_set(
     Raises InputError as `find_sequence`, MissingFrameError if an AOV lacks a frame.
     """
     leader = find_sequence(spec, suffixes)
-    sets = [c for c in _list_candidates(leader.directory, suffixes) if isinstance(c, AovSet)]
+    sets = [c for c in _list_candidates(leader.folder, suffixes) if isinstance(c, AovSet)]
     sets = [c for c in sets if c.leader == leader] or [c for c in sets if leader in c.members]
     if len(sets) > 1:
         raise InputError(
@@ -197,21 +199,18 @@ def find_aov_set(
         return None
     colour = aov_set.colour
     leading = aovs.values() if colour is None else (colour,)
-    numbers = {number for sequence in leading for number in sequence.files}
+    numbers = sorted({number for sequence in leading for number in sequence.files})
     if gaps:
-        every = fill_gaps(numbers)
-        colour = None if colour is None else colour.over(every)
-        return replace(
-            aov_set, colour=colour, aovs={name: member.over(every) for name, member in aovs.items()}
-        )
+        numbers = list(fill_gaps(numbers))
     for name, member in aovs.items():
-        if absent := sorted(numbers - set(member.files)):
+        if not gaps and (absent := sorted(set(numbers).difference(member.files))):
             raise MissingFrameError(
                 f"frame {ranges(absent)} of the AOV {name} is missing from {member.pattern}; "
                 "render it, or move that frame's other files elsewhere"
             )
+    colour = None if colour is None else colour.over(numbers)
     return replace(
-        aov_set, aovs={name: member.over(sorted(numbers)) for name, member in aovs.items()}
+        aov_set, colour=colour, aovs={name: member.over(numbers) for name, member in aovs.items()}
     )
 
 
@@ -219,7 +218,7 @@ def neighbouring_sequences(sequence: Sequence) -> dict[str, Sequence]:
     """Return a folder's sequences whose names begin as one's, by the rest of their names."""
     stem = sequence.base.rstrip(SEPARATORS)
     neighbours = {}
-    for candidate in _list_candidates(sequence.directory, (sequence.suffix.lower(),)):
+    for candidate in _list_candidates(sequence.folder, (sequence.suffix.lower(),)):
         for member in candidate.members if isinstance(candidate, AovSet) else (candidate,):
             name = member.base.rstrip(SEPARATORS)
             if stem and name != stem and name.startswith(stem) and member.suffix == sequence.suffix:
@@ -227,7 +226,7 @@ def neighbouring_sequences(sequence: Sequence) -> dict[str, Sequence]:
     return neighbours
 
 
-def output_pattern(spec: str, source: Sequence, suffixes: tuple[str, ...] = EXR) -> OutputPattern:
+def output_pattern(spec: str, source: Sequence, suffixes: tuple[str, ...] = EXR) -> FramePattern:
     """Read the ``-o`` option: a pattern that ends in one of `suffixes`, or a folder.
 
     A name without frame token and image suffix, one that ends in a slash, and an existing folder
@@ -241,7 +240,7 @@ def output_pattern(spec: str, source: Sequence, suffixes: tuple[str, ...] = EXR)
             "the output path is empty; name a folder or a pattern such as out.####.exr"
         )
     path = Path(spec)
-    target = OutputPattern(path, source.base, source.padding, source.suffix)
+    target = FramePattern(path, source.base, source.padding, source.suffix)
     if not (spec.endswith(("/", os.sep)) or (path_exists(path) and path.is_dir())):
         pattern = NamePattern.parse(path.name)
         suffix = path.suffix.lower()
@@ -252,14 +251,14 @@ def output_pattern(spec: str, source: Sequence, suffixes: tuple[str, ...] = EXR)
                 f"only; name a folder or a pattern such as out.####{suffixes[0]}"
             )
         if pattern is not None:
-            target = OutputPattern(path.parent, pattern.base, pattern.padding, pattern.suffix)
+            target = FramePattern(path.parent, pattern.base, pattern.padding, pattern.suffix)
         elif suffix in suffixes:
             raise UsageError(
                 f"the output {spec} is one file, and many frames are written; "
                 f"put a frame token in it, such as {path.stem}.####{suffix}, or name a folder"
             )
     same_names = (target.base, target.suffix) == (source.base, source.suffix)
-    if same_names and target.folder.resolve() == source.directory.resolve():
+    if same_names and target.folder.resolve() == source.folder.resolve():
         raise OutputError(
             f"the output {target.folder / target.name} would mix new frames with those of the "
             "input and overwrite them; name another folder or another base name"
@@ -276,7 +275,18 @@ def _list_candidates(folder: Path, suffixes: tuple[str, ...]) -> list[AovSet | S
     plain = {pattern for pattern in patterns if pattern.suffix.lower() in suffixes}
     stems = {replace(pattern, padding=1) for pattern in plain or patterns}
     sequences = [s for stem in sorted(stems) for s in _group_files(folder, stem, names)]
-    sets = _unreal_sets(sequences)
+    # Unreal's names of AOVs, by shot; they are a set if there is colour or motion.
+    shots: dict[tuple[str, str, str], dict[str, Sequence]] = defaultdict(dict)
+    for sequence in sequences:
+        if match := _AOV.fullmatch(sequence.base):
+            shot = (match["prefix"], match["end"], sequence.suffix)
+            shots[shot].setdefault(match["aov"], sequence)
+    sets = []
+    for aovs in shots.values():
+        colours = [name for name in COLOUR_AOVS if name in aovs]
+        if len(aovs) > 1 and (colours or MOTION_AOV in aovs):
+            colour = aovs.pop(colours[0]) if colours else None
+            sets.append(AovSet(colour, aovs))
     members = [member.pattern for s in sets for member in s.members]
     remaining = [s for s in sequences if s.pattern not in members]
     for pass_set in find_pass_sets([(s.base, s.suffix) for s in remaining]):
@@ -290,44 +300,24 @@ def _list_candidates(folder: Path, suffixes: tuple[str, ...]) -> list[AovSet | S
     return [*sets, *(s for s in remaining if s.pattern not in members)]
 
 
-def _unreal_sets(sequences: list[Sequence]) -> list[AovSet]:
-    """Group sequences with Unreal's names of AOVs by shot, if they have colour or motion."""
-    shots: dict[tuple[str, str, str], dict[str, Sequence]] = defaultdict(dict)
-    for sequence in sequences:
-        if match := _AOV.fullmatch(sequence.base):
-            shot = (match["prefix"], match["end"], sequence.suffix)
-            shots[shot].setdefault(match["aov"], sequence)
-    sets = []
-    for members in shots.values():
-        colours = [name for name in COLOUR_AOVS if name in members]
-        if len(members) > 1 and (colours or MOTION_AOV in members):
-            colour = members.pop(colours[0]) if colours else None
-            sets.append(AovSet(colour, members))
-    return sets
-
-
-def _find_in_folder(folder: Path, suffixes: tuple[str, ...]) -> Sequence:
-    """Return the only sequence of a folder."""
-    candidates = _list_candidates(folder, suffixes)
-    leaders = [c.leader if isinstance(c, AovSet) else c for c in candidates]
-    if len(leaders) == 1:
-        return leaders[0]
-    if leaders:
-        raise InputError(
-            f"{folder} holds {len(leaders)} sequences, {_listing(leaders)}; "
-            f"name one of them, for example {leaders[0].pattern}"
-        )
-    single = next((n for n in sorted(_file_names(folder)) if n.lower().endswith(suffixes)), None)
-    why = f"{single} has no frame number before its suffix" if single else "check the path"
-    raise InputError(f"{folder} holds no sequence of {' or '.join(suffixes)} files; {why}")
-
-
 def _find_by_name(spec: str, suffixes: tuple[str, ...]) -> Sequence:
     """Find the sequence of a pattern or of one frame."""
     path = _with_suffix_case(Path(spec))
-    if path.is_file():
-        _require_suffix(path, suffixes)
-        names = _file_names(path.parent)
+    pattern, is_frame = NamePattern.parse(path.name), path.is_file()
+    if not is_frame and not path.parent.is_dir():
+        raise InputError(f"the folder {path.parent} does not exist; check the path {spec!r}")
+    if not is_frame and pattern is None:
+        raise InputError(
+            f"there is no file or folder {spec!r}; "
+            "name a folder, a pattern such as shot.####.exr, or any one frame"
+        )
+    if not path.name.lower().endswith(suffixes):
+        raise InputError(
+            f"{path} is not an {' or '.join(suffixes)} file, which is needed here; "
+            "convert the frames, or check the path"
+        )
+    names = _file_names(path.parent)
+    if is_frame or pattern is None:
         stem = split_names(names, suffixes).get(path.name)
         if stem is None:
             raise InputError(
@@ -336,16 +326,7 @@ def _find_by_name(spec: str, suffixes: tuple[str, ...]) -> Sequence:
             )
         sequences = _group_files(path.parent, stem, names)
         return next(s for s in sequences if path.name in {file.name for file in s.files.values()})
-    pattern = NamePattern.parse(path.name)
-    if not path.parent.is_dir():
-        raise InputError(f"the folder {path.parent} does not exist; check the path {spec!r}")
-    if pattern is None:
-        raise InputError(
-            f"there is no file or folder {spec!r}; "
-            "name a folder, a pattern such as shot.####.exr, or any one frame"
-        )
-    _require_suffix(path, suffixes)
-    sequences = _group_files(path.parent, pattern, _file_names(path.parent))
+    sequences = _group_files(path.parent, pattern, names)
     exact = []
     for sequence in sequences:
         texts = (pattern.number_text(file.name) for file in sequence.files.values())
@@ -378,14 +359,6 @@ def _with_suffix_case(path: Path) -> Path:
     if len(endings) != 1:
         return path
     return path.with_name(path.name.removesuffix(ending) + endings.pop())
-
-
-def _require_suffix(path: Path, suffixes: tuple[str, ...]) -> None:
-    if not path.name.lower().endswith(suffixes):
-        raise InputError(
-            f"{path} is not an {' or '.join(suffixes)} file, which is needed here; "
-            "convert the frames, or check the path"
-        )
 
 
 def _group_files(folder: Path, stem: NamePattern, names: Iterable[str]) -> list[Sequence]:

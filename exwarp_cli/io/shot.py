@@ -1,39 +1,83 @@
 """Opening a shot: finding its sequences, and recognising its channels in the first frame.
 
-A channel map corrects what was recognised, and AOVs of several files come together.
+A channel map corrects what was recognised, and AOVs of several files come together. What is damaged
+in a frame, pixels that are no numbers too, shows when it is decoded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from exwarp_cli.domain.frame import Window
+import numpy as np
+
+from exwarp_cli.domain.frame import Bool, Window, is_surely_finite, nonfinite_pixels
 from exwarp_cli.domain.timeline import ranges
-from exwarp_cli.errors import LayoutError, MissingFrameError
+from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.channel_map import AovFile, ChannelMap, detect_aov, find_channel
 from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect_layout
 from exwarp_cli.io.cryptomatte import Cryptomatte, IdReading, find_cryptomattes
 from exwarp_cli.io.depth import DepthReading, depth_reading_by_name
 from exwarp_cli.io.exr.header import Channel, Part
-from exwarp_cli.io.exr.reader import HeaderCache
-from exwarp_cli.io.sequences import Sequence, find_sequence
-from exwarp_cli.io.shot_files import (
-    FrameHeaders,
-    NonFinite,
-    ShotFiles,
-    find_files,
-    first_usable,
-    read_flat_header,
-    rename_channels,
-    require_sound,
-)
+from exwarp_cli.io.exr.reader import ExrFile, FileHeader, HeaderCache, deep_image_error
+from exwarp_cli.io.frame_names import split_pass
+from exwarp_cli.io.producers import vector_direction
+from exwarp_cli.io.sequences import AovSet, Sequence, find_aov_set, find_sequence
 from exwarp_cli.io.views import ALL, choose_view, expand_view, list_views, view_channels
+
+T = TypeVar("T")
 
 # AOV of the sequence that the user names, if colour has a sequence of its own and leads.
 MAIN = "main"
+
+# Channels that are decoded together: a part may have dozens, of 33 MB each at 3840x2160.
+CHANNEL_BATCH = 8
+
+
+@dataclass(eq=False)
+class NonFinite:
+    """Counts of NaN and infinite pixels in a sequence's frames. Several threads may note them."""
+
+    _counts: dict[int, dict[str, int]] = field(default_factory=dict)
+
+    def note(self, number: int, pixels: Mapping[str, int]) -> None:
+        """Note counts by the channels' role or layer; a frame may be read several times."""
+        for channels, count in pixels.items():
+            if count:
+                counts = self._counts.setdefault(number, {})
+                counts[channels] = max(count, counts.get(channels, 0))
+
+    def of(self, number: int) -> Iterator[tuple[str, int]]:
+        """Yield the channels and counts of a frame, sorted."""
+        yield from sorted(self._counts.get(number, {}).items())
+
+
+@dataclass
+class ShotFiles:
+    """The sequences of a shot: the leader, which stands for all, and the others by AOV.
+
+    Without colour the leader is one of `aovs`, and keeps its AOV's name. `view` is the view that
+    the files are of by their names, and `views` are all; empty if each file holds all views.
+    """
+
+    leader: Sequence
+    aovs: Mapping[str, Sequence]
+    view: str = ""
+    views: tuple[str, ...] = ()
+    cache: HeaderCache = field(default_factory=HeaderCache)
+    _last: dict[int, dict[str, FileHeader]] = field(default_factory=dict)
+
+    def read_headers(self, number: int) -> dict[str, FileHeader]:
+        """Read one frame's headers by AOV, the leader's first; those of the last one are kept."""
+        if number not in self._last:
+            members = {} if self.leader in self.aovs.values() else {"": self.leader}
+            members |= self.aovs
+            paths = {aov: member.files[number] for aov, member in members.items()}
+            headers = {aov: read_flat_header(path, self.cache) for aov, path in paths.items()}
+            self._last = {number: headers}
+        return self._last[number]
 
 
 @dataclass(frozen=True)
@@ -116,9 +160,8 @@ def open_shot(
     sequence of its AOVs lacks a frame or is of another size.
     """
     request = _Request.of(view, aovs, channel_map, keep_going)
-    expanded, view_in_name, views = expand_view(spec, request.view)
-    files = find_files(expanded, keep_going, request.decided)
-    return _open_files(files, request, view_in_name, views)
+    files = find_files(spec, keep_going, request.decided, request.view)
+    return _open_files(files, request)
 
 
 def open_views(
@@ -135,19 +178,15 @@ def open_views(
     if view != ALL:
         return (open_shot(spec, view, aovs, channel_map, keep_going),)
     request = replace(_Request.of(None, aovs, channel_map, keep_going), view=None)
-    expanded, view_in_name, views = expand_view(spec, None)
-    files = find_files(expanded, keep_going, request.decided)
-    hero = _open_files(files, request, view_in_name, views)
+    files = find_files(spec, keep_going, request.decided)
+    hero = _open_files(files, request)
     if not hero.views:
         raise LayoutError(f"{hero.sequence.pattern} has no views; leave --view {ALL} out")
-    if view_in_name:
-        others = (open_shot(spec, name, aovs, channel_map, keep_going) for name in views[1:])
-        return (hero, *others)
-    headers = files.read_headers(hero.first)
-    others = (
-        _open_view(files, headers, replace(request, view=name), "", ()) for name in hero.views[1:]
-    )
-    return (hero, *others)
+    names = hero.views[1:]
+    if files.view:
+        return (hero, *(open_shot(spec, name, aovs, channel_map, keep_going) for name in names))
+    requests = (replace(request, view=name) for name in names)
+    return (hero, *(_open_view(files, hero.first, request) for request in requests))
 
 
 @dataclass(frozen=True)
@@ -158,12 +197,7 @@ class _Request:
     aovs: tuple[AovFile, ...]
     channel_map: ChannelMap | None
     keep_going: bool
-
-    @property
-    def decided(self) -> frozenset[Role]:
-        """Roles whose channels the user names."""
-        mapped = () if self.channel_map is None else self.channel_map.channels
-        return frozenset([*(aov.role for aov in self.aovs), *mapped])
+    decided: frozenset[Role]  # roles whose channels the user names
 
     @classmethod
     def of(
@@ -173,20 +207,19 @@ class _Request:
         channel_map: ChannelMap | None,
         keep_going: bool,
     ) -> _Request:
-        if channel_map is None:
-            return cls(view, aovs, None, keep_going)
         roles = {aov.role for aov in aovs}
-        more = tuple(aov for aov in channel_map.aovs if aov.role not in roles)
-        return cls(view or channel_map.view, aovs + more, channel_map, keep_going)
+        if channel_map is not None:
+            view = view or channel_map.view
+            aovs += tuple(aov for aov in channel_map.aovs if aov.role not in roles)
+            roles.update((aov.role for aov in aovs), channel_map.channels)
+        return cls(view, aovs, channel_map, keep_going, frozenset(roles))
 
 
-def _open_files(
-    files: ShotFiles, request: _Request, view_in_name: str, views: tuple[str, ...]
-) -> Shot:
+def _open_files(files: ShotFiles, request: _Request) -> Shot:
     """Open a shot by its first frame, or by the first that is sound with `keep_going`."""
 
     def open_by_frame(number: int) -> Shot:
-        shot = _open_view(files, files.read_headers(number), request, view_in_name, views)
+        shot = _open_view(files, number, request)
         if request.keep_going:
             require_sound(shot.files(number).values())
         return shot
@@ -195,33 +228,23 @@ def _open_files(
     return first_usable(numbers if request.keep_going else numbers[:1], open_by_frame)
 
 
-def _open_view(
-    files: ShotFiles,
-    frame: FrameHeaders,
-    request: _Request,
-    view_in_name: str,
-    views: tuple[str, ...],
-) -> Shot:
-    """Recognise the channels of one view in one frame.
-
-    `view_in_name` is the view that the files are of by their names, and `views` are all; empty if
-    each file holds all views.
-    """
-    main = next(iter(frame.parts.values()))
-    pattern = files.leader.pattern
-    views = views if view_in_name else list_views(main)
-    view = view_in_name or choose_view(views, request.view, pattern)
-    within = {
-        aov: _view_in_file(parts, view, view_in_name, pattern) for aov, parts in frame.parts.items()
-    }
-    channels = {aov: view_channels(parts, within[aov]) for aov, parts in frame.parts.items()}
-    renamed = {aov: rename_channels(members) for aov, members in channels.items()}
-    mattes = find_cryptomattes(renamed, frame.texts)
+def _open_view(files: ShotFiles, number: int, request: _Request) -> Shot:
+    """Recognise the channels of one view in one frame."""
+    headers = files.read_headers(number)
+    parts = {aov: header.parts for aov, header in headers.items()}
+    texts = {aov: header.texts for aov, header in headers.items()}
+    main, pattern = next(iter(parts.values())), files.leader.pattern
+    views = files.views if files.view else list_views(main)
+    view = files.view or choose_view(views, request.view, pattern)
+    within = {aov: _view_in_file(own, view, files.view, pattern) for aov, own in parts.items()}
+    channels = {aov: view_channels(own, within[aov]) for aov, own in parts.items()}
+    members_by_aov = {aov: members.values() for aov, members in channels.items()}
+    mattes = find_cryptomattes(members_by_aov, texts)
     own = detect_layout(
         {aov: without_cryptomattes(members, mattes, aov) for aov, members in channels.items()}
     )
     if Role.COLOUR in own:
-        mattes = find_cryptomattes(renamed, frame.texts, own.roles[Role.COLOUR][0].name)
+        mattes = find_cryptomattes(members_by_aov, texts, own.roles[Role.COLOUR][0].name)
     names = {name.upper() for members in channels.values() for name in members}
     if not own.roles and "Y" in names:
         raise LayoutError(
@@ -241,39 +264,101 @@ def _open_view(
         aov_files=request.aovs,
         cryptomattes=mattes,
         every=tuple(ChannelRef(aov, name) for aov, names in channels.items() for name in names),
-        first=frame.number,
+        first=number,
         keep_going=request.keep_going,
-        headers=frame.cache,
+        headers=files.cache,
     )
     for aov in request.aovs:
         shot = _with_aov(shot, aov)
-    return _with_depth_and_by_hand(_with_named_cryptomatte(shot), own)
+    return _with_readings(shot, own)
 
 
-def _with_depth_and_by_hand(shot: Shot, own: Layout) -> Shot:
-    """Set how depth is read, and how the layout differs from the files' `own`."""
-    by_name = depth_reading_by_name(ref.name for ref in shot.layout.roles.get(Role.DEPTH, ()))
+def _with_readings(shot: Shot, own: Layout) -> Shot:
+    """Set how depth and ids are read, and how the layout differs from the files' `own`."""
+    roles, mattes = dict(shot.layout.roles), shot.cryptomattes
+    # A Cryptomatte whose channels were named for ids comes first: they are no numbers.
+    named = [matte for matte in mattes if matte.refs.intersection(roles.get(Role.STENCIL, ()))][:1]
+    if named:
+        del roles[Role.STENCIL]
+        mattes = (*named, *(matte for matte in mattes if matte is not named[0]))
+    by_name = depth_reading_by_name(ref.name for ref in roles.get(Role.DEPTH, ()))
     depth = by_name
     if shot.channel_map is not None and shot.channel_map.depth_kind is not None:
         depth = DepthReading.of(shot.channel_map.depth_kind)
     by_hand: dict[str, Any] = {
-        role.value: [channel_label(ref) for ref in shot.layout.roles.get(role, ())]
+        role.value: [channel_label(ref) for ref in roles.get(role, ())]
         for role in Role
-        if shot.layout.roles.get(role) != own.roles.get(role)
+        if roles.get(role) != own.roles.get(role)
     }
     if shot.views and shot.view != shot.views[0]:
         by_hand["view"] = shot.view
     if depth != by_name:
         by_hand["depth_kind"] = depth.kind.value
-    return replace(shot, depth=depth, by_hand=by_hand)
+    layout = replace(shot.layout, roles=roles)
+    return replace(shot, layout=layout, cryptomattes=mattes, depth=depth, by_hand=by_hand)
+
+
+def find_files(
+    spec: str, gaps: bool, decided: Collection[Role] = (), view: str | None = None
+) -> ShotFiles:
+    """Find the sequences that a name stands for; with `gaps`, list missing frames.
+
+    `decided` are the roles whose channels the user names. If `view` is None, it is the hero.
+
+    Raises LayoutError if two passes are of one role, and nothing tells which one is meant.
+    """
+    spec, view_in_name, views = expand_view(spec, view)
+    aov_set = find_aov_set(spec, gaps=gaps, needed=lambda members: _needed_aovs(members, decided))
+    if aov_set is None:
+        return ShotFiles(find_sequence(spec, gaps=gaps), {}, view_in_name, views)
+    return ShotFiles(aov_set.leader, aov_set.aovs, view_in_name, views)
+
+
+def _needed_aovs(aov_set: AovSet, decided: Collection[Role]) -> list[str]:
+    """Return the AOVs of a set that its colour's own files do not hold."""
+    own: set[Role] = set()
+    for path in () if aov_set.colour is None else aov_set.colour.files.values():
+        try:
+            parts = read_flat_header(path, HeaderCache()).parts
+        except InputError:  # reported when that frame is read
+            continue
+        views = list_views(parts)
+        channels = view_channels(parts, views[0] if views else "")
+        own = set(detect_layout({"": channels.values()}).roles)
+        break
+    roles = {name: split_pass(name).role for name in aov_set.aovs}
+    names = [
+        name
+        for name, role in roles.items()
+        # Files that hold vectors are a render by themselves.
+        if role not in own and not (role is None and Role.MOTION in own)
+    ]
+    for role in (Role.MOTION, Role.DEPTH):
+        rivals = [name for name in names if roles[name] is role and role not in decided]
+        directions = {vector_direction(name) for name in rivals}
+        if len(rivals) > 1 and directions != {"forward", "backward"}:
+            listed = " and ".join(aov_set.aovs[name].pattern for name in rivals)
+            raise LayoutError(
+                f"{listed} both go by a name of {role.value}; say which one holds it with "
+                f"--aov {role.value}={aov_set.aovs[rivals[0]].pattern}"
+            )
+    return names
+
+
+def read_flat_header(path: Path, headers: HeaderCache) -> FileHeader:
+    """Read the header of a file, and refuse one of which all parts are deep."""
+    header = headers.read(path)
+    if all(part.deep for part in header.parts):
+        raise deep_image_error(path)
+    return header
 
 
 def without_cryptomattes(
     channels: Mapping[str, Channel], cryptomattes: Iterable[Cryptomatte], aov: str = ""
 ) -> tuple[Channel, ...]:
-    """Return channels as `rename_channels` does, without those of Cryptomattes."""
+    """Return channels without those of Cryptomattes."""
     refs = {ref for matte in cryptomattes for ref in matte.refs}
-    return tuple(c for c in rename_channels(channels) if ChannelRef(aov, c.name) not in refs)
+    return tuple(c for name, c in channels.items() if ChannelRef(aov, name) not in refs)
 
 
 def _view_in_file(parts: tuple[Part, ...], view: str, view_in_name: str, file: object) -> str:
@@ -308,37 +393,33 @@ def _with_aov(shot: Shot, aov: AovFile) -> Shot:
     # Files that hold several roles are read once.
     same_files = (n for n, member in shot.aovs.items() if member.pattern == sequence.pattern)
     name = next(same_files, aov.role.value)
-    mattes = find_cryptomattes({name: rename_channels(channels)}, {name: header.texts})
+    mattes = find_cryptomattes({name: channels.values()}, {name: header.texts})
     if aov.role is Role.STENCIL and mattes and not aov.channels:
         layout = Layout({aov.role: mattes[0].stencil})
     else:
-        renamed = {channel.name: channel for channel in rename_channels(channels)}
-        layout = _with_aov_names(detect_aov(aov, renamed, path), {aov.role.value: name})
+        layout = _with_aov_names(detect_aov(aov, channels, path), {aov.role.value: name})
     every, cryptomattes = shot.every, shot.cryptomattes
     if name not in shot.aovs:
         every += tuple(ChannelRef(name, channel) for channel in channels)
         cryptomattes += mattes
+    has_guess = Role.MOTION in layout and layout.guess is not None
+    roles = {**shot.layout.roles, **layout.roles}
+    merged = replace(
+        shot.layout,
+        roles={role: roles[role] for role in Role if role in roles},
+        guess=layout.guess if Role.MOTION in layout else shot.layout.guess,
+        producer=(layout if has_guess else shot.layout).producer,
+        alphas=layout.alphas if Role.COLOUR in layout else shot.layout.alphas,
+    )
     joined = replace(
         shot,
         aovs={**shot.aovs, name: sequence},
-        layout=_merged(shot.layout, layout),
+        layout=merged,
         within={**shot.within, name: within},
         every=every,
         cryptomattes=cryptomattes,
     )
     return _with_leader(joined, name) if aov.role is Role.COLOUR else joined
-
-
-def _with_named_cryptomatte(shot: Shot) -> Shot:
-    """Put the Cryptomatte first whose channels were named for ids: they are no numbers."""
-    refs = set(shot.layout.roles.get(Role.STENCIL, ()))
-    named = next((matte for matte in shot.cryptomattes if refs & matte.refs), None)
-    if named is None:
-        return shot
-    roles = dict(shot.layout.roles)
-    del roles[Role.STENCIL]
-    others = [matte for matte in shot.cryptomattes if matte is not named]
-    return replace(shot, layout=replace(shot.layout, roles=roles), cryptomattes=(named, *others))
 
 
 def _with_leader(shot: Shot, aov: str) -> Shot:
@@ -373,7 +454,7 @@ def _corrected(
     is_same_motion = roles.get(Role.MOTION) == layout.roles.get(Role.MOTION)
     return replace(
         layout,
-        roles=_ordered(roles),
+        roles={role: roles[role] for role in Role if role in roles},
         guess=layout.guess if is_same_motion else None,
         producer=channel_map.producer or layout.producer,
         alphas=() if Role.COLOUR in channel_map.channels else layout.alphas,
@@ -391,22 +472,6 @@ def _refs_with_aov_names(
     return tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in refs)
 
 
-def _merged(layout: Layout, more: Layout) -> Layout:
-    """Add the roles of another layout, and what it says of motion if that is among them."""
-    has_guess = Role.MOTION in more and more.guess is not None
-    return replace(
-        layout,
-        roles=_ordered({**layout.roles, **more.roles}),
-        guess=more.guess if Role.MOTION in more else layout.guess,
-        producer=(more if has_guess else layout).producer,
-        alphas=more.alphas if Role.COLOUR in more else layout.alphas,
-    )
-
-
-def _ordered(roles: Mapping[Role, tuple[ChannelRef, ...]]) -> dict[Role, tuple[ChannelRef, ...]]:
-    return {role: roles[role] for role in Role if role in roles}
-
-
 def alpha_note(layout: Layout) -> str | None:
     """Return the note that a colour has no alpha as several channels may be it, or None."""
     if not layout.alphas:
@@ -421,3 +486,51 @@ def alpha_note(layout: Layout) -> str | None:
 def channel_label(ref: ChannelRef) -> str:
     """Return a channel's name as users see it, and channel maps have it: with its AOV."""
     return f"{ref.aov}:{ref.name}" if ref.aov else ref.name
+
+
+def first_usable(numbers: Iterable[int], read: Callable[[int], T]) -> T:
+    """Return what `read` gives for the first frame for which it raises no InputError.
+
+    Raises the InputError of the very first frame, of at least one, if all fail.
+    """
+    first_error: InputError | None = None
+    for number in numbers:
+        try:
+            return read(number)
+        except InputError as error:
+            first_error = first_error or error
+    assert first_error is not None
+    raise first_error
+
+
+def require_sound(paths: Iterable[Path]) -> None:
+    """Decode all flat pixels of EXR files, as damage shows there alone; InputError if damaged."""
+    for path in paths:
+        with ExrFile(path) as file:
+            for part in file.parts:
+                for i in range(0, 0 if part.deep else len(part.channels), CHANNEL_BATCH):
+                    file.read(part.channels[i : i + CHANNEL_BATCH])
+
+
+def count_nonfinite(planes: Iterable[np.ndarray], role: Role | None = None) -> int:
+    """Count the pixels that are not finite in any of these channels.
+
+    `planes` are [H, W] or [H, W, C] of any types; those of other windows than the first are left
+    out. In a depth NaN alone counts: infinity is how renderers write the background.
+    """
+    nonfinite: Bool | None = None
+    shape: tuple[int, ...] | None = None
+    for plane in planes:
+        if plane.dtype.kind != "f":
+            continue
+        shape = shape or plane.shape[:2]
+        values = plane.reshape(*plane.shape[:2], -1)
+        if role is Role.DEPTH:
+            pixels = np.asarray(np.isnan(values).any(axis=-1))
+        elif is_surely_finite(values):
+            continue
+        else:
+            pixels = nonfinite_pixels(values)
+        if pixels.shape == shape:
+            nonfinite = pixels if nonfinite is None else nonfinite | pixels
+    return 0 if nonfinite is None else int(np.count_nonzero(nonfinite))

@@ -13,12 +13,11 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import OpenImageIO as oiio
@@ -39,6 +38,8 @@ from exwarp_cli.io.files import (
     with_retries,
 )
 from exwarp_cli.runtime.read_registry import report_reading
+
+T = TypeVar("T")
 
 # Suffixes of the sequences that are found beside EXR, in lower case.
 STILLS = (
@@ -78,15 +79,12 @@ class StillTemplate:
     curve: TransferCurve  # between code values and light
     premultiplied: bool  # whether the file's codes are multiplied by alpha
 
+    render: ClassVar[None] = None  # time of the key frame, as in `Template`: unknown in stills
+
     @property
     def has_alpha(self) -> bool:
         """Whether there is an alpha channel."""
         return self.channels in (2, 4)
-
-    @property
-    def render(self) -> None:
-        """Render time of the key frame, as in `Template`: unknown in stills."""
-        return None
 
 
 def read_still(path: Path) -> tuple[Image, StillTemplate]:
@@ -99,39 +97,28 @@ def read_still(path: Path) -> tuple[Image, StillTemplate]:
     LayoutError when it has other channels than grey or RGB, with or without alpha. Raises
     UnreadableError when the system does not let it through.
     """
-    return with_retries(path, partial(_read_still, path))
 
-
-def _read_still(path: Path) -> tuple[Image, StillTemplate]:
-    with _open_still(path) as file:
+    def read(file: Any) -> tuple[np.ndarray, StillTemplate]:
         template = _read_template(path, file.spec())
         codes = file.read_image(0, 0, 0, file.spec().nchannels, _oiio_type(template.dtype))
-        problem = file.geterror()
-    if codes is None or problem:
-        raise _damaged_error(path, problem)
+        if (problem := file.geterror()) or codes is None:
+            raise _damaged_error(path, problem)
+        return np.asarray(codes), template
+
+    codes, template = _read_file(path, read)
     height, width = codes.shape[:2]
     window = Window(0, 0, width, height)
-    return Image(_to_light(np.asarray(codes), template), window, window), template
+    return Image(_to_light(codes, template), window, window), template
 
 
 def read_still_template(path: Path) -> StillTemplate:
     """Read the header of an image alone; raises what `read_still` does."""
-
-    def read() -> StillTemplate:
-        with _open_still(path) as file:
-            return _read_template(path, file.spec())
-
-    return with_retries(path, read)
+    return _read_file(path, lambda file: _read_template(path, file.spec()))
 
 
 def still_size(path: Path) -> tuple[int, int]:
     """Return width and height of an image; raises what `read_still` does."""
-
-    def read() -> tuple[int, int]:
-        with _open_still(path) as file:
-            return file.spec().width, file.spec().height
-
-    return with_retries(path, read)
+    return _read_file(path, lambda file: (file.spec().width, file.spec().height))
 
 
 def require_writer(path: Path) -> Any:
@@ -191,29 +178,30 @@ def write_still(
     return [sealed]
 
 
-@contextmanager
-def _open_still(path: Path) -> Iterator[Any]:
-    """Open an image, its alpha as the file has it."""
-    if not path.is_file():
-        raise InputError(f"there is no image {path}; check the path")
-    head = b""
-    with suppress(OSError), path.open("rb") as file:
-        head = file.read(len(PNG))
-    if head.startswith(MAGIC):  # as a still it would lose windows, layers and attributes
-        raise InputError(f"{path} is an OpenEXR file by its content; name it .exr")
-    if head.startswith(PNG) and not _is_png_complete(path):
-        raise _damaged_error(path, "")  # its decoder would print that too
-    hint = oiio.ImageSpec()
-    hint.attribute("oiio:UnassociatedAlpha", 1)
-    with report_reading(path):
-        image = oiio.ImageInput.open(str(path), hint)
-        if image is None:
-            raise _damaged_error(path, oiio.geterror())
-        try:
-            require_size(path, image.spec().height, image.spec().width)
-            yield image
-        finally:
-            image.close()
+def _read_file(path: Path, read: Callable[[Any], T]) -> T:
+    """Open an image, its alpha as the file has it, and return what `read` gets of it."""
+
+    def open_and_read() -> T:
+        if not path.is_file():
+            raise InputError(f"there is no image {path}; check the path")
+        head = b""
+        with suppress(OSError), path.open("rb") as file:
+            head = file.read(len(PNG))
+        if head.startswith(MAGIC):  # as a still it would lose windows, layers and attributes
+            raise InputError(f"{path} is an OpenEXR file by its content; name it .exr")
+        if head.startswith(PNG) and not _is_png_complete(path):
+            raise _damaged_error(path, "")  # its decoder would print that too
+        hint = oiio.ImageSpec()
+        hint.attribute("oiio:UnassociatedAlpha", 1)
+        with report_reading(path):
+            image = oiio.ImageInput.open(str(path), hint)
+            if image is None:
+                raise _damaged_error(path, oiio.geterror())
+            with closing(image):
+                require_size(path, image.spec().height, image.spec().width)
+                return read(image)
+
+    return with_retries(path, open_and_read)
 
 
 def _is_png_complete(path: Path) -> bool:
@@ -252,25 +240,20 @@ def _read_template(path: Path, spec: Any) -> StillTemplate:
         if not item.name.startswith(_NOT_CARRIED)
     )
     full_bits = 8 * dtype.itemsize
+    # The curve that the file names, else the usual one of its type.
+    curve, space = SRGB, spec.get_string_attribute("oiio:ColorSpace").lower()
+    if spec.get_string_attribute("dpx:Transfer") in _FILM_TRANSFERS or "log" in space:
+        curve = FILM
+    elif space.startswith(("lin", "scene_linear", "acescg")) or dtype.kind == "f":
+        curve = LINEAR
     return StillTemplate(
         metadata,
         dtype,
         bits if dtype == np.uint16 and 8 < bits < full_bits else full_bits,
         spec.nchannels,
-        _find_curve(spec, dtype),
+        curve,
         not spec.get_int_attribute("oiio:UnassociatedAlpha", 0),
     )
-
-
-def _find_curve(spec: Any, dtype: np.dtype[Any]) -> TransferCurve:
-    """Return the curve that the file names, else the usual one of its type."""
-    transfer = spec.get_string_attribute("dpx:Transfer")
-    space = spec.get_string_attribute("oiio:ColorSpace").lower()
-    if transfer in _FILM_TRANSFERS or "log" in space:
-        return FILM
-    if space.startswith(("lin", "scene_linear", "acescg")) or dtype.kind == "f":
-        return LINEAR
-    return SRGB
 
 
 def _to_light(codes: np.ndarray, template: StillTemplate) -> Float32:
@@ -394,13 +377,10 @@ def _add_webp_orientation(data: bytes, orientation: int) -> bytes:
     exif = struct.pack(
         "<2sHIHHHIHHI", b"II", 42, 8, 1, _ORIENTATION_TAG, _SHORT, 1, orientation, 0, 0
     )
-    chunks = _riff_chunk(b"VP8X", extended) + data[_RIFF_HEADER:] + _riff_chunk(b"EXIF", exif)
-    body = b"WEBP" + chunks
-    return b"RIFF" + struct.pack("<I", len(body)) + body
-
-
-def _riff_chunk(name: bytes, content: bytes) -> bytes:
-    return name + struct.pack("<I", len(content)) + content + b"\0" * (len(content) % 2)
+    # Both chunks are of an even size, so they need no byte that fills them up.
+    front = b"WEBP" + struct.pack("<4sI", b"VP8X", len(extended)) + extended
+    body: bytes = front + data[_RIFF_HEADER:] + struct.pack("<4sI", b"EXIF", len(exif)) + exif
+    return struct.pack("<4sI", b"RIFF", len(body)) + body
 
 
 def seal_still(data: bytes) -> bytes:
@@ -454,19 +434,11 @@ def _with_digits(data: bytes, digits: bytes) -> bytes | None:
         return None
     changed = bytearray(data)
     changed[start : start + CHECKSUM_DIGITS] = digits
-    if data.startswith(PNG):
-        _renew_png_crc(changed, start)
-    return bytes(changed)
-
-
-def _renew_png_crc(data: bytearray, offset: int) -> None:
-    """Renew the CRC of the PNG chunk that contains an offset."""
     begin = len(PNG)
-    while begin + 12 <= len(data):
-        size = int.from_bytes(data[begin : begin + 4], "big")
-        end = begin + 8 + size
-        if begin <= offset < end <= len(data) - 4:
-            crc = zlib.crc32(data[begin + 4 : end])
-            data[end : end + 4] = crc.to_bytes(4, "big")
-            return
+    while data.startswith(PNG) and begin + 12 <= len(data):
+        end = begin + 8 + int.from_bytes(data[begin : begin + 4], "big")
+        if begin <= start < end <= len(data) - 4:  # the chunk with the digits has a CRC behind it
+            changed[end : end + 4] = zlib.crc32(changed[begin + 4 : end]).to_bytes(4, "big")
+            break
         begin = end + 4
+    return bytes(changed)

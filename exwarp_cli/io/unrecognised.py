@@ -10,7 +10,6 @@ from exwarp_cli.io.channels import ChannelRef, Role, split_words
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.sequences import neighbouring_sequences
 from exwarp_cli.io.shot import Shot, channel_label, without_cryptomattes
-from exwarp_cli.io.shot_files import rename_channels
 
 # Layers that a message names.
 MAX_LISTED = 12
@@ -36,7 +35,7 @@ def unrecognised(shot: Shot) -> tuple[ChannelRef, ...]:
     for aov, path in shot.files(shot.first).items():
         header = shot.headers.read(path)
         channels = shot.channels(header.parts, aov)
-        mattes = find_cryptomattes({aov: rename_channels(channels)}, {aov: header.texts})
+        mattes = find_cryptomattes({aov: channels.values()}, {aov: header.texts})
         for channel in without_cryptomattes(channels, mattes, aov):
             ref = ChannelRef(aov, channel.name)
             if ref not in used:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from glob import escape
 from pathlib import Path
 
@@ -75,6 +76,8 @@ def choose_view(views: tuple[str, ...], wanted: str | None, file: object) -> str
 def view_channels(parts: Iterable[Part], view: str = "") -> dict[str, Channel]:
     """Return the channels of a view by their name without it, in file order, without deep ones.
 
+    The channels have these names, too.
+
     "" is the hero, and the view of files without views. Of a file that does not have the view, the
     channels without view are returned. Channels without view are the hero's in a file where the
     hero is not named, and of all views else; what a view has itself comes before them.
@@ -94,11 +97,11 @@ def view_channels(parts: Iterable[Part], view: str = "") -> dict[str, Channel]:
     own: set[str] = set()
     for owner, name, channel in placed:
         if owner == view:
-            channels[name] = channel
+            channels[name] = replace(channel, name=name)
             own.add(name)
         # By definition a channel without a layer is the hero's.
         elif owner == "" and name not in own and (view == hero or (is_hero_named and "." in name)):
-            channels[name] = channel
+            channels[name] = replace(channel, name=name)
     return channels
 
 

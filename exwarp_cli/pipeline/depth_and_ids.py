@@ -29,8 +29,7 @@ from exwarp_cli.io.depth import (
     measure_depth_reading,
 )
 from exwarp_cli.io.frames import read_planes, read_raw
-from exwarp_cli.io.shot import Shot
-from exwarp_cli.io.shot_files import first_usable, rename_channels
+from exwarp_cli.io.shot import Shot, first_usable
 from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
 from exwarp_cli.synthesis.gbuffer_values import OrderVotes, camera_end, occlusion_votes
 
@@ -310,7 +309,7 @@ def _read_manifests(shots: Iterable[Shot]) -> tuple[list[Manifest], bool]:
         path = shot.files(number)[wanted.aov]
         try:
             header = shot.headers.read(path)
-            channels = {wanted.aov: rename_channels(shot.channels(header.parts, wanted.aov))}
+            channels = {wanted.aov: shot.channels(header.parts, wanted.aov).values()}
             in_file = find_cryptomattes(channels, {wanted.aov: header.texts})
             mattes = [matte for matte in in_file if matte.name == wanted.name]
             for matte in mattes:

@@ -13,13 +13,12 @@ from exwarp_cli.domain.frame import Float32, Window, outside_mask, place_on_canv
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.io.channels import ChannelRef, Role
 from exwarp_cli.io.cryptomatte import find_cryptomattes
-from exwarp_cli.io.exr.template import Plane, PlaneKey, Template, ViewLayers, read_template
+from exwarp_cli.io.exr.writer import Plane, PlaneKey, Template, ViewLayers, read_template
 from exwarp_cli.io.footage import is_plain, make_frame_template
 from exwarp_cli.io.frames import read_planes
 from exwarp_cli.io.generated_frames import FrameTemplate
 from exwarp_cli.io.layers import ALL, BEAUTY, Layer, LayerKind, group_layers, select_layers
-from exwarp_cli.io.shot import Shot
-from exwarp_cli.io.shot_files import count_nonfinite, rename_channels
+from exwarp_cli.io.shot import Shot, count_nonfinite
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.layer_retiming import LayerMotion, LayerRetimer, make_retimer
@@ -120,7 +119,7 @@ def _layers_in(shot: Shot, main: bool) -> tuple[Layer, ...]:
             continue
         header = shot.headers.read(path)
         files[aov] = shot.channels(header.parts, aov)
-        mattes = find_cryptomattes({aov: rename_channels(files[aov])}, {aov: header.texts})
+        mattes = find_cryptomattes({aov: files[aov].values()}, {aov: header.texts})
         cryptomattes |= {matte.name for matte in mattes}
     return group_layers(files, shot.layout, cryptomattes)
 

@@ -17,8 +17,7 @@ from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import ClipSequence, digest_frame, is_plain
-from exwarp_cli.io.generated_frames import file_digest
-from exwarp_cli.io.key_file import digests, plan_key_file
+from exwarp_cli.io.key_file import digests, file_digest, plan_key_file
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.pipeline.source import FrameOf, Source

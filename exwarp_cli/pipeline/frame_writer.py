@@ -20,8 +20,7 @@ from exwarp_cli.domain.results import FrameKind, FrameRecord, WrittenFile
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError, OutputError
 from exwarp_cli.io.display_colour import to_display, to_display_16
-from exwarp_cli.io.exr.template import PREFIX, Plane, PlaneKey
-from exwarp_cli.io.exr.writer import Buffer
+from exwarp_cli.io.exr.writer import PREFIX, Buffer, Plane, PlaneKey
 from exwarp_cli.io.files import ResourceOwner, output_error, path_exists
 from exwarp_cli.io.generated_frames import (
     FrameTemplate,

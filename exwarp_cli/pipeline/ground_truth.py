@@ -18,7 +18,7 @@ from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.display_colour import to_display
 from exwarp_cli.io.footage import find_frames, read_display_window, read_sequence_picture
 from exwarp_cli.io.sequences import Sequence
-from exwarp_cli.io.shot_files import NonFinite, count_nonfinite, first_usable
+from exwarp_cli.io.shot import NonFinite, count_nonfinite, first_usable
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.source import FrameOf, Source, align, read_display_windows
 

@@ -30,11 +30,10 @@ from exwarp_cli.io.generated_frames import (
     REQUESTED_METHOD,
     Authorship,
     FileState,
-    file_digest,
     find_authorship,
 )
-from exwarp_cli.io.key_file import KeyFile, possible_key_files
-from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, output_pattern
+from exwarp_cli.io.key_file import KeyFile, file_digest, possible_key_files
+from exwarp_cli.io.sequences import EXR, FramePattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.video_writer import (
@@ -78,8 +77,8 @@ HEADER_GROWTH = 4096
 class OutputPlan:
     """Where and how a run writes."""
 
-    frames: OutputPattern | None  # None where only a video is written
-    holes: OutputPattern | None  # of the hole masks
+    frames: FramePattern | None  # None where only a video is written
+    holes: FramePattern | None  # of the hole masks
     video: Path | None
     compression: Any = None  # of generated frames, as OpenEXR takes it; None: the key frame's
     exposure: float = 0.0  # of the video, in stops

@@ -21,9 +21,8 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import digest_frame, find_frames, is_plain, read_key_picture
 from exwarp_cli.io.frames import read_raw
 from exwarp_cli.io.generated_frames import FileState, find_authorship
-from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, find_sequence
-from exwarp_cli.io.shot import Shot
-from exwarp_cli.io.shot_files import NonFinite, count_nonfinite, require_sound
+from exwarp_cli.io.sequences import EXR, FramePattern, Sequence, find_sequence
+from exwarp_cli.io.shot import NonFinite, Shot, count_nonfinite, require_sound
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.extra_layers import Content, LayerStore
@@ -46,7 +45,7 @@ class RenderedFrames:
         """Return True if an output frame was rendered."""
         return number in self.sequence.files
 
-    def require_apart(self, frames: OutputPattern | None) -> None:
+    def require_apart(self, frames: FramePattern | None) -> None:
         """Refuse to write over the rendered frames themselves; raises OutputError."""
         for number, path in self.sequence.files.items():
             if frames is not None and frames.path(number).resolve() == path.resolve():

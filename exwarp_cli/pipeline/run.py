@@ -18,7 +18,7 @@ from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunOutcom
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
-from exwarp_cli.io.exr.template import PREFIX
+from exwarp_cli.io.exr.writer import PREFIX
 from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands

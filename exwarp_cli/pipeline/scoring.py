@@ -42,8 +42,7 @@ from exwarp_cli.synthesis.motion_fields import field_between, reproject, settle_
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.motion import MotionConvention
-    from exwarp_cli.io.shot import Shot
-    from exwarp_cli.io.shot_files import NonFinite
+    from exwarp_cli.io.shot import NonFinite, Shot
     from exwarp_cli.pipeline.job import Job
     from exwarp_cli.pipeline.rendered_frames import RenderedReader
     from exwarp_cli.pipeline.source import Source

@@ -19,7 +19,7 @@ from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.tiles import Risk, TileMakers, TilePlan
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import OutputError
-from exwarp_cli.io.exr.template import PREFIX, Plane, PlaneKey, Template
+from exwarp_cli.io.exr.writer import PREFIX, Plane, PlaneKey, Template
 from exwarp_cli.io.generated_frames import (
     KEY_FRAMES,
     REQUESTED_METHOD,

@@ -67,10 +67,8 @@ def left(path: Path) -> bool:
 
 
 def parts_of(data: bytes) -> list[Any]:
-    def read(start: int, size: int) -> np.ndarray:
-        return np.frombuffer(data[start : start + size], np.uint8)
-
-    return parse_layouts(RawHeader.read(io.BytesIO(data), len(data)), read, len(data))
+    file = io.BytesIO(data)
+    return parse_layouts(RawHeader.read(file, len(data)), file, len(data))
 
 
 def outcome(read: Callable[[], Read]) -> dict[tuple[int, str], bytes] | tuple[type, str]:

@@ -14,7 +14,7 @@ from exwarp_cli.io import generated_frames
 from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr.header import attributes_in, in_utf8, replace_non_utf8, restore_non_utf8
 from exwarp_cli.io.exr.reader import ExrFile, read_headers
-from exwarp_cli.io.exr.template import ViewLayers, read_template
+from exwarp_cli.io.exr.writer import ViewLayers, read_template
 from tests.unit.exr_files import header, rgba, write_parts, write_single
 
 MANIFEST = "cryptomatte/d593dd7/manifest"
@@ -54,7 +54,7 @@ def rewritten(source: Path, out: Path, *wanted: ViewLayers) -> Path:
     image_planes = {plane.key for plane in kept.colour}
     blank = generated_frames.Plane(np.zeros((3, 4), np.float32), image.data_window)
     beside = {p.key: blank for p in kept.planes if p.key not in image_planes}
-    generated_frames.write_frame(out, image, kept, {generated_frames.FINGERPRINT: "abc"}, beside)
+    generated_frames.write_picture(out, image, kept, {generated_frames.FINGERPRINT: "abc"}, beside)
     return out
 
 

@@ -17,9 +17,9 @@ from exwarp_cli.errors import DamagedFileError, OutputError, UsageError
 from exwarp_cli.io import generated_frames
 from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr.reader import ExrFile, read_headers
-from exwarp_cli.io.exr.template import Plane, quantise_colour, read_template
-from exwarp_cli.io.exr.writer import OpenExrCompression
+from exwarp_cli.io.exr.writer import OpenExrCompression, Plane, read_template
 from exwarp_cli.io.frames import read_image
+from exwarp_cli.io.key_file import file_digest
 from tests.unit.exr_files import box, plane, rgba, write_parts, write_single
 from tests.unit.written_frames import CARRIED, WINDOW, beauty, image, pixels, template
 
@@ -28,7 +28,7 @@ from tests.unit.written_frames import CARRIED, WINDOW, beauty, image, pixels, te
 def frame(tmp_path) -> Path:
     path = tmp_path / "out.exr"
     kept = template(tmp_path / "in.exr", **CARRIED)
-    generated_frames.write_frame(
+    generated_frames.write_picture(
         path, image(), kept, {generated_frames.FINGERPRINT: "abc", "exwarp:method": "s6"}
     )
     return path
@@ -52,7 +52,7 @@ class TestTemplate:
     def test_nothing_tells_of_an_earlier_run(self, tmp_path):
         """Frames of ours may be upsampled again, which had another path."""
         kept = template(tmp_path / "in.exr", **{"exwarp:path": "S3", "exwarp:kind": "repeated"})
-        generated_frames.write_frame(
+        generated_frames.write_picture(
             tmp_path / "out.exr", image(), kept, {generated_frames.FINGERPRINT: "abc"}
         )
         assert set(generated_frames.read_facts(tmp_path / "out.exr")) == {"recipe", "xxh128"}
@@ -67,14 +67,14 @@ class TestTemplate:
     def test_compression_is_the_source_s(self, tmp_path, compression):
         constant = generated_frames.parse_compression(compression)
         kept = template(tmp_path / "in.exr", compression=constant)
-        generated_frames.write_frame(tmp_path / "out.exr", image(), kept, {})
+        generated_frames.write_picture(tmp_path / "out.exr", image(), kept, {})
         assert read_headers(tmp_path / "out.exr")[0]["compression"] == constant
 
     @pytest.mark.parametrize("dtype", [np.float16, np.float32])
     def test_pixel_types_are_the_source_s(self, tmp_path, dtype):
         kept = template(tmp_path / "in.exr", dtype)
         assert [plane.dtype for plane in kept.colour] == [np.dtype(dtype)] * 4
-        generated_frames.write_frame(tmp_path / "out.exr", image(), kept, {})
+        generated_frames.write_picture(tmp_path / "out.exr", image(), kept, {})
         with ExrFile(tmp_path / "out.exr") as file:
             types = {channel.pixel_type for channel in file.parts[0].channels}
         assert types == {"half" if dtype is np.float16 else "float"}
@@ -96,7 +96,7 @@ class TestTemplate:
         kept = read_template(path, beauty(*colour))
         assert [part.header["owner"] for part in kept.parts] == ["colour"]
         assert [plane.name for plane in kept.colour] == [ref.name for ref in colour]
-        generated_frames.write_frame(tmp_path / "out.exr", image(), kept, {})
+        generated_frames.write_picture(tmp_path / "out.exr", image(), kept, {})
         np.testing.assert_array_equal(
             read_image(tmp_path / "out.exr").pixels, pixels().astype(np.float16)
         )
@@ -123,7 +123,7 @@ class TestFrame:
     def test_the_same_frame_gives_the_same_bytes(self, frame, tmp_path):
         again = tmp_path / "again.exr"
         kept = read_template(tmp_path / "in.exr", beauty())
-        generated_frames.write_frame(
+        generated_frames.write_picture(
             again, image(), kept, {generated_frames.FINGERPRINT: "abc", "exwarp:method": "s6"}
         )
         assert again.read_bytes() == frame.read_bytes()
@@ -132,7 +132,7 @@ class TestFrame:
         kept = template(tmp_path / "in.exr")
         bright = image()
         bright.pixels[0, 0] = (1e6, -1e6, 65519, 1)
-        generated_frames.write_frame(tmp_path / "out.exr", bright, kept, {})
+        generated_frames.write_picture(tmp_path / "out.exr", bright, kept, {})
         found = read_image(tmp_path / "out.exr").pixels
         assert found[0, 0].tolist() == [65504, -65504, 65504, 1]
 
@@ -140,7 +140,7 @@ class TestFrame:
         kept = template(tmp_path / "in.exr", np.float32)
         bright = image()
         bright.pixels[0, 0] = (1e6, -1e30, 65519, 1)
-        generated_frames.write_frame(tmp_path / "out.exr", bright, kept, {})
+        generated_frames.write_picture(tmp_path / "out.exr", bright, kept, {})
         found = read_image(tmp_path / "out.exr").pixels
         np.testing.assert_array_equal(found[0, 0], np.float32([1e6, -1e30, 65519, 1]))
 
@@ -149,15 +149,15 @@ class TestFrame:
         kept = template(tmp_path / "in.exr", dtype)
         bright = image()
         bright.pixels[0, :3] = 7e4, -0.0, 1e-9, 0.1
-        rounded = quantise_colour(bright.pixels, kept)
-        generated_frames.write_frame(tmp_path / "out.exr", bright, kept, {})
+        rounded = generated_frames.quantise_picture(bright.pixels, kept)
+        generated_frames.write_picture(tmp_path / "out.exr", bright, kept, {})
         np.testing.assert_array_equal(read_image(tmp_path / "out.exr").pixels, rounded)
-        np.testing.assert_array_equal(quantise_colour(rounded, kept), rounded)
+        np.testing.assert_array_equal(generated_frames.quantise_picture(rounded, kept), rounded)
 
     def test_nowhere_to_write(self, tmp_path):
         kept = template(tmp_path / "in.exr")
         with pytest.raises(OutputError, match="the folder does not exist"):
-            generated_frames.write_frame(tmp_path / "no" / "out.exr", image(), kept, {})
+            generated_frames.write_picture(tmp_path / "no" / "out.exr", image(), kept, {})
 
     def test_nothing_else_is_left_in_the_folder(self, frame, tmp_path):
         assert sorted(p.name for p in tmp_path.iterdir()) == ["in.exr", "out.exr"]
@@ -187,7 +187,7 @@ class TestSeal:
         """Attributes are sorted by name: those of Cryptomatte come before."""
         manifest = {"cryptomatte/1/manifest": '{"a":"' + "0" * 2_000_000 + '"}'}
         kept = template(tmp_path / "in.exr", **manifest)
-        generated_frames.write_frame(
+        generated_frames.write_picture(
             tmp_path / "out.exr", image(), kept, {generated_frames.FINGERPRINT: "abc"}
         )
         assert generated_frames.read_fingerprint(tmp_path / "out.exr") == "abc"
@@ -274,7 +274,9 @@ class TestFilledWindow:
         kept = template(tmp_path / "in.exr")
         values = np.zeros((*WINDOW.shape, 4), np.float32)
         values[3:5, 2:6] = pixels()[3:5, 2:6]
-        generated_frames.write_frame(tmp_path / "out.exr", Image(values, WINDOW, WINDOW), kept, {})
+        generated_frames.write_picture(
+            tmp_path / "out.exr", Image(values, WINDOW, WINDOW), kept, {}
+        )
         found = read_image(tmp_path / "out.exr")
         assert found.data_window == Window(2, 3, 4, 2)
         np.testing.assert_array_equal(found.pixels, values[3:5, 2:6].astype(np.float16))
@@ -300,14 +302,14 @@ class TestSmallThings:
 
     def test_digest(self, tmp_path):
         (tmp_path / "a").write_bytes(b"abc")
-        assert generated_frames.file_digest(tmp_path / "a") == xxhash.xxh3_128(b"abc").hexdigest()
+        assert file_digest(tmp_path / "a") == xxhash.xxh3_128(b"abc").hexdigest()
         with pytest.raises(DamagedFileError):
-            generated_frames.file_digest(tmp_path / "none")
+            file_digest(tmp_path / "none")
 
     def test_display_windows_off_the_origin(self, tmp_path):
         source = tmp_path / "in.exr"
         write_single(source, rgba(3, 4), dataWindow=box(-7, -9, 4, 3))
         kept = read_template(source, beauty())
         shifted = Image(pixels(window=Window(-7, -9, 4, 3)), Window(-7, -9, 4, 3), WINDOW)
-        generated_frames.write_frame(tmp_path / "out.exr", shifted, kept, {})
+        generated_frames.write_picture(tmp_path / "out.exr", shifted, kept, {})
         assert read_image(tmp_path / "out.exr").data_window == Window(-7, -9, 4, 3)

@@ -14,7 +14,7 @@ from exwarp_cli.errors import LayoutError
 from exwarp_cli.io import generated_frames
 from exwarp_cli.io.channels import Role, detect_layout
 from exwarp_cli.io.exr.reader import ExrFile, read_headers
-from exwarp_cli.io.exr.template import (
+from exwarp_cli.io.exr.writer import (
     PIXEL_TYPES,
     Plane,
     PlaneKey,
@@ -73,7 +73,7 @@ class TestParts:
         }
         out = tmp_path / "out.exr"
         own = {generated_frames.FINGERPRINT: "abc", "framesPerSecond": Fraction(96)}
-        generated_frames.write_frame(out, image(), kept, own, beside)
+        generated_frames.write_picture(out, image(), kept, own, beside)
         assert generated_frames.read_fingerprint(out) == "abc"
         headers = read_headers(out)
         assert [h["name"] for h in headers] == [h["name"] for h in read_headers(source)]
@@ -93,7 +93,7 @@ class TestParts:
 
     def test_one_view_of_them(self, source, tmp_path):
         kept = read_template(source, self.wanted(source, "right"))
-        generated_frames.write_frame(
+        generated_frames.write_picture(
             tmp_path / "o.exr", image(), kept, {}, self.planes(kept, WINDOW)
         )
         with ExrFile(tmp_path / "o.exr") as file:
@@ -104,7 +104,7 @@ class TestParts:
         source = write_single(tmp_path / "in.exr", planes, multiView=["left", "right"])
         for views in (("left",), ("right",), ("left", "right")):
             kept = read_template(source, self.wanted(source, *views))
-            generated_frames.write_frame(
+            generated_frames.write_picture(
                 tmp_path / "o.exr", image(), kept, {}, self.planes(kept, WINDOW)
             )
             with ExrFile(tmp_path / "o.exr") as file:
@@ -121,7 +121,7 @@ class TestParts:
             for target in kept.planes
         }
         bright = Image(np.full((*WINDOW.shape, 4), 1e5, np.float32), WINDOW, WINDOW)
-        generated_frames.write_frame(tmp_path / "o.exr", bright, kept, {}, beside)
+        generated_frames.write_picture(tmp_path / "o.exr", bright, kept, {}, beside)
         with ExrFile(tmp_path / "o.exr") as file:
             found = {c.name: file.read([c])[c][0, 0] for p in file.parts for c in p.channels}
         assert found["rgba.R"] == 65504 and np.isinf(found["z.Z"]) and found["id.X"] == 100000

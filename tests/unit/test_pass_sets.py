@@ -7,7 +7,7 @@ import pytest
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.sequences import find_aov_set, find_sequence
-from exwarp_cli.io.shot_files import find_files
+from exwarp_cli.io.shot import find_files
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 
 from exwarp_cli.domain.frame import nonfinite_pixels
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.shot_files import count_nonfinite
+from exwarp_cli.io.shot import count_nonfinite
 from exwarp_cli.synthesis.layer_retiming import PixelSources, unmoved_sources
 
 SHAPE = (5, 7)

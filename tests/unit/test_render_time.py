@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from exwarp_cli.domain.results import FrameKind, FrameRecord, InputSummary, RunSummary
-from exwarp_cli.io.exr.template import parse_duration, render_seconds
+from exwarp_cli.io.exr.writer import parse_duration, render_seconds
 from exwarp_cli.report.schema import render_time_saved
 from exwarp_cli.report.sentences import format_duration
 

@@ -188,11 +188,11 @@ class TestAovs:
         texts = parse_aovs([f"depth={tmp_path / 'folders' / '%V' / 'shot_%v.####.exr'}"])
         for view in ("left", "right"):
             shot = open_shot(str(folder), view, texts)
-            assert shot.aovs["depth"].directory.name == view
+            assert shot.aovs["depth"].folder.name == view
 
     def test_colour_of_its_own_leads(self, split):
         shot = self.open(split, "colour=main", spec="z")
-        assert shot.sequence.directory == split / "main" and set(shot.aovs) == {"main"}
+        assert shot.sequence.folder == split / "main" and set(shot.aovs) == {"main"}
         assert [ref.aov for ref in shot.layout.roles[Role.COLOUR]] == [""] * 4
         raw = read_raw(shot, 1)
         assert (raw.gbuffer.depth == 3).all() and raw.path == split / "main" / "a.0001.exr"

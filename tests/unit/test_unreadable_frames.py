@@ -7,7 +7,7 @@ import pytest
 from exwarp_cli.domain.timeline import MAX_FILLED, CutOption, Slot, fill_gaps
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.sequences import find_aov_set, find_sequence
-from exwarp_cli.io.shot_files import first_usable
+from exwarp_cli.io.shot import first_usable
 from exwarp_cli.pipeline.shots import Shots, UnreadableFrames
 
 

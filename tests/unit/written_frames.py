@@ -9,7 +9,7 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.io.channels import ChannelRef
-from exwarp_cli.io.exr.template import (
+from exwarp_cli.io.exr.writer import (
     Template,
     ViewLayers,
     read_template,

@@ -1,8 +1,8 @@
 """OpenEXR files: their headers, and the pixels of scan-line blocks, read and written.
 
 `reader.ExrFile` opens a file once, and is the only code that opens one with OpenEXR or OpenImageIO.
-`header` parses headers, parts and channels, `scanlines` decodes ZIP and ZIPS, `writer` encodes
-them, and `template` lists what a generated frame takes over from its key frame.
+`header` parses headers, parts and channels, and `scanlines` decodes ZIP and ZIPS. `writer` lists
+what a generated frame takes over from its key frame, and encodes it.
 Every other compression is decoded by OpenImageIO and encoded by OpenEXR.
 
 The words are those of "OpenEXR File Layout" (https://openexr.com/en/latest/OpenEXRFileLayout.html):

@@ -102,9 +102,10 @@ class Attribute:
     """One attribute of a header, as it stands in a file."""
 
     part: int  # index of the header
-    # Its name and type
+    # Its name, type and value
     name: bytes
     kind: bytes
+    value: bytes
     # Where the name begins, and where the value begins and ends
     at: int
     begin: int
@@ -129,12 +130,12 @@ def attributes_in(data: bytes | memoryview) -> Iterator[Attribute]:
         kind_at = data.index(b"\0", at) + 1
         size_at = data.index(b"\0", kind_at) + 1
         begin = size_at + 4
-        (size,) = struct.unpack("<I", data[size_at:begin].ljust(4, b"\0"))
-        if begin + size > len(data):
+        end = begin + int.from_bytes(data[size_at:begin], "little")
+        if end > len(data):
             raise ValueError("the header has no end")
         name, kind = data[at : kind_at - 1], data[kind_at : size_at - 1]
-        yield Attribute(part, name, kind, at, begin, begin + size)
-        at = begin + size
+        yield Attribute(part, name, kind, data[begin:end], at, begin, end)
+        at = end
 
 
 @dataclass(frozen=True)
@@ -175,18 +176,9 @@ class RawHeader:
         return int.from_bytes(self.data[4:BODY], "little")
 
     @property
-    def is_multipart(self) -> bool:
-        """Whether there may be several headers."""
-        return bool(self.flags & MULTIPART)
-
-    @property
     def part_count(self) -> int:
         """Number of parts."""
         return self.attributes[-1].part + 1
-
-    def value(self, attribute: Attribute) -> bytes:
-        """Return the bytes of an attribute's value."""
-        return self.data[attribute.begin : attribute.end]
 
     def by_part(self) -> list[dict[bytes, tuple[bytes, bytes]]]:
         """Return type and value of each part's attributes by name.
@@ -197,7 +189,7 @@ class RawHeader:
         for attribute in self.attributes:
             if attribute.name in headers[attribute.part]:
                 raise ValueError("an attribute is there twice")
-            headers[attribute.part][attribute.name] = attribute.kind, self.value(attribute)
+            headers[attribute.part][attribute.name] = attribute.kind, attribute.value
         return headers
 
     @cached_property
@@ -208,7 +200,7 @@ class RawHeader:
         """
         headers: tuple[dict[str, str], ...] = tuple({} for _ in range(self.part_count))
         for attribute in self.attributes:
-            texts, value = headers[attribute.part], self.value(attribute)
+            texts, value = headers[attribute.part], attribute.value
             if attribute.kind == b"string" and (value := value.partition(b"\0")[0]):
                 texts[decode(attribute.name)] = decode(value)
             elif attribute.kind == b"compression" and value and value[0] < len(COMPRESSION_NAMES):
@@ -227,9 +219,9 @@ class RawHeader:
         try:
             return _parse_by_openexr(self.data)
         except UnicodeDecodeError:
-            data, replaced = in_utf8(self.data)
+            data, changed = in_utf8(self.data)
         headers = _parse_by_openexr(data)
-        for (part, name), text in replaced.items():
+        for (part, name), text in changed.items():
             if text is not None:
                 headers[part][name] = text
             else:
@@ -257,7 +249,7 @@ def in_utf8(data: bytes) -> tuple[bytes, dict[tuple[int, str], str | None]]:
     out = bytearray(data)
     changed: dict[tuple[int, str], str | None] = {}
     for attribute in attributes_in(data):
-        name, value = decode(attribute.name), decode(data[attribute.begin : attribute.end])
+        name, value = decode(attribute.name), decode(attribute.value)
         is_text = attribute.kind in (b"string", b"stringvector")
         is_lossy = is_text and replace_non_utf8(value) != value
         if is_lossy:
@@ -294,7 +286,7 @@ def restore_non_utf8(
     out = bytearray(data)
     for attribute in attributes_in(data):
         raw = lost.get((attribute.part, attribute.name))
-        if raw is not None and len(raw) == attribute.end - attribute.begin:
+        if raw is not None and len(raw) == len(attribute.value):
             out[attribute.begin : attribute.end] = raw
     return bytes(out)
 
@@ -327,9 +319,7 @@ class Channel:
 
     part: int  # index of the part in the file
     index: int  # index of the channel in the part, in OpenImageIO's order
-    # Name with the part's name in front where the channel does not carry its layer itself, or an
-    # earlier part has a channel of that name; the part's view is not repeated in it
-    name: str
+    name: str  # as `name_channels` sets it
     raw_name: str  # name as it stands in the file
     pixel_type: str  # "half", "float" or "uint"
 
@@ -353,24 +343,24 @@ class Part:
 
 
 def part_from_spec(index: int, spec: oiio.ImageSpec, is_multipart: bool) -> Part:
-    """Describe a part by OpenImageIO's specification."""
+    """Describe a part by OpenImageIO's specification; its channels have their raw names."""
 
     def text(name: str) -> str:
         value = spec.getattribute(name)
         return value if isinstance(value, str) else ""
 
-    name, view = text("oiio:subimagename") if is_multipart else "", text("view")
     formats = [str(f) for f in spec.channelformats] or [str(spec.format)] * spec.nchannels
+    channels = enumerate(zip(spec.channelnames, formats, strict=True))
     views = spec.getattribute("multiView")
     if isinstance(views, str):  # a list of one string
         views = (views,) if views else ()
     return Part(
         index,
-        name,
+        text("oiio:subimagename") if is_multipart else "",
         Window(spec.x, spec.y, spec.width, spec.height),
         Window(spec.full_x, spec.full_y, spec.full_width, spec.full_height),
-        _make_channels(index, name, view, zip(spec.channelnames, formats, strict=True)),
-        view,
+        tuple(Channel(index, i, name, name, kind) for i, (name, kind) in channels),
+        text("view"),
         bool(spec.deep),
         spec.tile_width > 0,
         tuple(str(v) for v in views) if isinstance(views, (tuple, list)) else (),
@@ -397,15 +387,14 @@ def part_from_header(
     if any(len(v) != ATTRIBUTE_SIZES.get(kind, len(v)) for kind, v in values.values()):
         raise ValueError("an attribute has a wrong size")
     lists = {n: _parse_texts(n, v) for n, (kind, v) in values.items() if kind == b"stringvector"}
-    part_name, view = texts[b"name"] if is_multipart else "", texts[b"view"]
     ordered = ((decode(raw), PIXEL_TYPES[kind]) for raw, kind in in_openimageio_order(channels))
     return Part(
         index,
-        part_name,
+        texts[b"name"] if is_multipart else "",
         window_of(values, b"dataWindow"),
         window_of(values, b"displayWindow"),
-        _make_channels(index, part_name, view, ordered),
-        view,
+        tuple(Channel(index, i, name, name, kind) for i, (name, kind) in enumerate(ordered)),
+        texts[b"view"],
         False,
         b"tiles" in values,
         lists.get(b"multiView", ()),
@@ -451,39 +440,28 @@ def in_openimageio_order(channels: Iterable[tuple[bytes, int]]) -> list[tuple[by
     return ordered
 
 
-def with_distinct_names(parts: Iterable[Part]) -> tuple[Part, ...]:
-    """Return parts whose channels have distinct names, among those of one view."""
+def name_channels(parts: Iterable[Part]) -> tuple[Part, ...]:
+    """Return parts whose channels have distinct names, among those of one view.
+
+    A part's name stands in front where the channel does not carry its layer itself, or an earlier
+    part has a channel of that name. The part's view is not repeated in it.
+    """
     used: set[tuple[str, str]] = set()
-    distinct = []
+    out = []
     for part in parts:
-        layer = _without_view(part.view, part.name)
-        clashing = {channel.name for channel in part.channels if (part.view, channel.name) in used}
-        channels = tuple(
-            replace(channel, name=f"{layer}.{channel.name}")
-            if channel.name in clashing
-            else channel
-            for channel in part.channels
-        )
-        distinct.append(replace(part, channels=channels))
+        layer = part.name
+        if part.view:  # as an element of the name: "depth_left", "left.depth"
+            element = re.compile(rf"(^|[._ -]){re.escape(part.view)}($|[._ -])")
+            layer = element.sub(lambda m: m[1] if m[1] and m[2] else "", layer, count=1)
+        channels = []
+        for channel in part.channels:
+            name = channel.raw_name
+            if layer and "." not in name:
+                name = f"{layer}.{name}"
+            if (part.view, name) in used:
+                name = f"{layer}.{name}"
+            channels.append(replace(channel, name=name))
+        out.append(replace(part, channels=tuple(channels)))
         if not part.deep:
             used |= {(part.view, channel.name) for channel in channels}
-    return tuple(distinct)
-
-
-def _make_channels(
-    part: int, part_name: str, view: str, channels: Iterable[tuple[str, str]]
-) -> tuple[Channel, ...]:
-    """Make channels of raw names and pixel types, with the part's layer in their names."""
-    layer = _without_view(view, part_name)
-    return tuple(
-        Channel(part, i, raw if not layer or "." in raw else f"{layer}.{raw}", raw, pixel_type)
-        for i, (raw, pixel_type) in enumerate(channels)
-    )
-
-
-def _without_view(view: str, name: str) -> str:
-    """Remove a view from a part's name, where it is an element: "depth_left", "left.depth"."""
-    if not view:
-        return name
-    element = re.compile(rf"(^|[._ -]){re.escape(view)}($|[._ -])")
-    return element.sub(lambda m: m[1] if m[1] and m[2] else "", name, count=1)
+    return tuple(out)

@@ -11,8 +11,8 @@ from __future__ import annotations
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from threading import Lock
@@ -38,15 +38,14 @@ from exwarp_cli.io.exr.header import (
     RawHeader,
     channels_in,
     file_format,
+    name_channels,
     part_from_header,
     part_from_spec,
     window_of,
-    with_distinct_names,
 )
 from exwarp_cli.io.exr.scanlines import (
     ChannelRequest,
     ChunkLayout,
-    FileBytes,
     parse_layouts,
     read_blocks,
 )
@@ -84,11 +83,6 @@ class FileHeader:
     stamp: tuple[int, ...] = ()
 
     @property
-    def is_decoded_here(self) -> bool:
-        """Whether a part's pixels are decoded without OpenImageIO."""
-        return any(layout is not None and layout.is_decoded_here for layout in self.layouts)
-
-    @property
     def texts(self) -> tuple[dict[str, str], ...]:
         """Attributes of each part that are text, and its compression's name."""
         return tuple({} for _ in self.parts) if self.raw is None else self.raw.texts
@@ -118,10 +112,9 @@ def parse_header(path: Path, file: BinaryIO) -> FileHeader:
         status = os.fstat(file.fileno())
         raw = RawHeader.read(file, status.st_size)
         header = replace(header, raw=raw, stamp=_stamp(status))
-        layouts = parse_layouts(raw, FileBytes(file).read, status.st_size)
+        layouts = parse_layouts(raw, file, status.st_size)
         header = replace(header, layouts=tuple(layouts))
-        for index, values in enumerate(raw.by_part()):
-            layout = layouts[index]
+        for index, (values, layout) in enumerate(zip(raw.by_part(), layouts, strict=True)):
             if layout is None:
                 return header
             part = part_from_header(index, values, layout.channels, len(layouts) > 1)
@@ -134,7 +127,7 @@ def parse_header(path: Path, file: BinaryIO) -> FileHeader:
         # OpenImageIO opens what OpenEXR opens: so both readers accept the same files.
         with report_reading(path):
             if len(raw.typed) == len(parts):
-                return replace(header, parts=with_distinct_names(parts))
+                return replace(header, parts=name_channels(parts))
     except (OSError, RuntimeError, ValueError, ArithmeticError, DamagedFileError):
         pass
     return header
@@ -144,7 +137,7 @@ def _stamp(status: os.stat_result) -> tuple[int, ...]:
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
-class ExrFile:
+class ExrFile(AbstractContextManager["ExrFile"]):
     """An open OpenEXR file; a context manager.
 
     With `by_openimageio` OpenImageIO opens the file at once, as it is probably not decoded here.
@@ -160,7 +153,6 @@ class ExrFile:
         self.path = path
         self._by_openimageio = by_openimageio
         self._file: BinaryIO | None = None
-        self._bytes: FileBytes | None = None
         self._image: oiio.ImageInput | None = None
         self._has_failed = False
         self.header: FileHeader = with_retries(path, self._open)
@@ -170,9 +162,6 @@ class ExrFile:
         """The parts of the file."""
         return self.header.parts
 
-    def __enter__(self) -> ExrFile:
-        return self
-
     def __exit__(self, *exc: object) -> None:
         self._close()
 
@@ -181,7 +170,7 @@ class ExrFile:
             self._image.close()
         if self._file is not None:
             self._file.close()
-        self._image = self._file = self._bytes = None
+        self._image = self._file = None
 
     def _open(self) -> FileHeader:
         path = self.path
@@ -193,8 +182,22 @@ class ExrFile:
             raise InputError(
                 f"cannot read {path}: its name or a folder's is not valid UTF-8; rename that"
             ) from error
+        header = FileHeader(path, (), None, ())
         try:
-            header = self._read_header()
+            if self._by_openimageio:
+                with suppress(InputError):
+                    header = replace(header, parts=self._parts_by_openimageio(None))
+            if not header.parts:
+                self._close()
+                self._by_openimageio = False  # the usual way reports what is wrong
+                with suppress(OSError):  # OpenImageIO fails, too, and the cause is looked up then
+                    self._file = path.open("rb", buffering=0)
+                    head = self._file.read(SIGNATURE_BYTES)
+                    if not head.startswith(MAGIC):
+                        raise damaged_error(path, f"its content is {file_format(head)}")
+                    header = parse_header(path, self._file)
+            if not header.parts:
+                header = replace(header, parts=self._parts_by_openimageio(header.raw))
             for part in header.parts:
                 require_size(path, *part.data_window.shape)
                 require_size(path, *part.display_window.shape)
@@ -204,39 +207,13 @@ class ExrFile:
             self._close()
             raise
 
-    def _read_header(self) -> FileHeader:
-        if self._by_openimageio:
-            with suppress(InputError), report_reading(self.path):
-                self._image = open_image(self.path)
-                if self._image.format_name() == "openexr":
-                    parts = self._parts_by_openimageio(self._image, None)
-                    return FileHeader(self.path, parts, None, ())
-            self._close()
-            self._by_openimageio = False  # the usual way reports what is wrong
-        header = FileHeader(self.path, (), None, ())
-        with suppress(OSError):  # OpenImageIO fails, too, and the cause is looked up then
-            self._file = self.path.open("rb", buffering=0)
-            head = self._file.read(SIGNATURE_BYTES)
-            if not head.startswith(MAGIC):
-                raise damaged_error(self.path, f"its content is {file_format(head)}")
-            self._bytes = FileBytes(self._file)
-            header = parse_header(self.path, self._file)
-        if not header.parts:
-            with report_reading(self.path):
-                self._image = open_image(self.path)
-                parts = self._parts_by_openimageio(self._image, header.raw)
-            header = replace(header, parts=parts)
-        return header
-
-    def _parts_by_openimageio(
-        self, image: oiio.ImageInput, raw: RawHeader | None
-    ) -> tuple[Part, ...]:
+    def _parts_by_openimageio(self, raw: RawHeader | None) -> tuple[Part, ...]:
         specs: list[oiio.ImageSpec] = []
-        while True:
-            spec = image.spec(len(specs), 0)
-            if spec.width == 0 or spec.nchannels == 0:
-                break
-            specs.append(spec)
+        with report_reading(self.path):
+            image = self._image = open_image(self.path)
+            is_exr = image.format_name() == "openexr"
+            while is_exr and (spec := image.spec(len(specs), 0)).width and spec.nchannels:
+                specs.append(spec)
         if not specs:
             raise damaged_error(self.path, "it holds no image")
         parts = [part_from_spec(i, spec, len(specs) > 1) for i, spec in enumerate(specs)]
@@ -247,7 +224,7 @@ class ExrFile:
             with suppress(ValueError, KeyError):
                 windows = [window_of(values, b"displayWindow") for values in raw.by_part()]
                 parts = [replace(p, display_window=w) for p, w in zip(parts, windows, strict=True)]
-        return with_distinct_names(parts)
+        return name_channels(parts)
 
     def read(self, *groups: Iterable[Channel]) -> dict[Channel, np.ndarray]:
         """Decode groups of channels: [H, W] arrays on their part's data window.
@@ -277,101 +254,84 @@ class ExrFile:
             if header.parts != self.parts:
                 raise damaged_error(self.path, "it changes while it is read")
             self.header, self._has_failed = header, False
-        out: dict[Channel, np.ndarray] = {}
-        remaining: list[Channel] = []
-        try:
-            with report_reading(self.path):
-                for channels, pixels in zip(groups.values(), self._decode(groups), strict=True):
-                    if pixels is None:
-                        remaining += channels
-                    else:
-                        out |= {channel: pixels[..., i] for i, channel in enumerate(channels)}
-                return out | self._decode_by_openimageio(remaining)
-        except (OSError, DamagedFileError):
-            self._has_failed = True
-            raise
-
-    def _decode(self, groups: ChannelGroups) -> list[np.ndarray | None]:
-        """Decode float32 or uint32 [H, W, C] of each group; None where OpenImageIO has to."""
         # Interpreted, kernels would take minutes for a frame.
         is_interpreted = os.environ.get("NUMBA_DISABLE_JIT", "0") != "0"
         requests = {}
-        for (number, index, is_integer), channels in groups.items():
+        for key, channels in groups.items():
+            _, index, is_integer = key
             layout = self.header.layouts[index] if index < len(self.header.layouts) else None
             if layout is None or not layout.is_decoded_here or is_interpreted:
                 continue
             if layout.window == self.parts[index].data_window:
                 names = tuple(channel.raw_name for channel in channels)
-                requests[number, index, is_integer] = ChannelRequest(layout, names, is_integer)
-        if self._bytes is None or not requests:
-            return [None] * len(groups)
-        decoded = dict(zip(requests, read_blocks(self._bytes, [*requests.values()]), strict=True))
-        return [decoded.get(key) for key in groups]
+                requests[key] = ChannelRequest(layout, names, is_integer)
+        out: dict[Channel, np.ndarray] = {}
+        try:
+            with report_reading(self.path):
+                if self._file is not None:
+                    arrays = read_blocks(self._file, [*requests.values()])
+                    for key, pixels in zip(requests, arrays, strict=True):
+                        if pixels is not None:
+                            out |= {c: pixels[..., i] for i, c in enumerate(groups[key])}
+                remaining = [c for channels in groups.values() for c in channels if c not in out]
+                return out | self._decode_by_openimageio(remaining)
+        except (OSError, DamagedFileError):
+            self._has_failed = True
+            raise
 
     def _decode_by_openimageio(self, channels: Iterable[Channel]) -> dict[Channel, np.ndarray]:
-        """Decode channels of any kind; raises DamagedFileError."""
+        """Decode channels of any kind, float32 or uint32 [H, W]; raises DamagedFileError."""
         by_part: dict[tuple[int, bool], list[Channel]] = {}
         for channel in channels:
             by_part.setdefault((channel.part, channel.pixel_type == "uint"), []).append(channel)
         out: dict[Channel, np.ndarray] = {}
-        if not by_part:
-            return out
-        image = self._image = self._image or open_image(self.path)
         for (index, is_integer), members in sorted(by_part.items(), key=lambda item: item[0]):
-            part = self.parts[index]
-            spec = image.spec(index, 0)
+            image = self._image = self._image or open_image(self.path)
+            spec, window = image.spec(index, 0), self.parts[index].data_window
             places = {name: i for i, name in enumerate(spec.channelnames)}
-            window = Window(spec.x, spec.y, spec.width, spec.height)
-            if window != part.data_window or any(c.raw_name not in places for c in members):
+            is_same = window == Window(spec.x, spec.y, spec.width, spec.height)
+            if not is_same or any(channel.raw_name not in places for channel in members):
                 raise damaged_error(self.path, "it changes while it is read")
             columns = [places[channel.raw_name] for channel in members]
             begin, end = min(columns), max(columns) + 1
-            pixels = self._read_channels(image, part, (begin, end), is_integer)
+            kind, dtype = ("uint", np.uint32) if is_integer else ("float", np.float32)
+            pixels = pool.empty((*window.shape, end - begin), dtype)
+            # A chunk for each core at a time, into memory that later frames get: complete images of
+            # OpenImageIO's lay in pieces of the allocator's heap, 100 to 160 MB at 1920x1080.
+            is_dwab = spec.getattribute("compression") == "dwab"
+            step = (LINES_OF_DWAB if is_dwab else LINES) * cores.count()
+            tile_height = int(spec.tile_height) or 1
+            step = -(-step // tile_height) * tile_height
+            for top in range(0, window.height, step):
+                lines = (window.y + top, window.y + min(top + step, window.height))
+                if self.parts[index].tiled:
+                    box = (window.x, window.x + window.width, *lines, 0, 1)
+                    chunk = image.read_tiles(index, 0, *box, begin, end, kind)
+                else:
+                    chunk = image.read_scanlines(index, 0, *lines, 0, begin, end, kind)
+                if chunk is None:
+                    raise damaged_error(self.path, _first_line(image.geterror))
+                pixels[top : top + step] = chunk.reshape(-1, *pixels.shape[1:])
             out |= {c: pixels[..., i - begin] for c, i in zip(members, columns, strict=True)}
         return out
 
-    def _read_channels(
-        self, image: oiio.ImageInput, part: Part, columns: tuple[int, int], is_integer: bool
-    ) -> np.ndarray:
-        """Read the channels [begin, end) of a part by OpenImageIO, float32 or uint32 [H, W, C]."""
-        window, kind = part.data_window, "uint" if is_integer else "float"
-        begin, end = columns
-        spec = image.spec(part.index, 0)
-        out = pool.empty((*window.shape, end - begin), np.uint32 if is_integer else np.float32)
-        # A chunk for each core at a time, into memory that later frames get: complete images of
-        # OpenImageIO's lay in pieces of the allocator's heap, 100 to 160 MB at 1920x1080.
-        is_dwab = spec.getattribute("compression") == "dwab"
-        step = (LINES_OF_DWAB if is_dwab else LINES) * cores.count()
-        if part.tiled:
-            step = -(-step // spec.tile_height) * int(spec.tile_height)
-        for top in range(0, window.height, step):
-            lines = (window.y + top, window.y + min(top + step, window.height))
-            if part.tiled:
-                box = (window.x, window.x + window.width, *lines, 0, 1)
-                pixels = image.read_tiles(part.index, 0, *box, begin, end, kind)
-            else:
-                pixels = image.read_scanlines(part.index, 0, *lines, 0, begin, end, kind)
-            if pixels is None:
-                raise damaged_error(self.path, _first_line(image.geterror))
-            out[top : top + step] = pixels.reshape(-1, *out.shape[1:])
-        return out
 
-
+@dataclass(eq=False)
 class HeaderCache:
     """Keeps headers that were read last, and which AOVs' files OpenImageIO decodes.
 
     So a shot's files are opened less often.
     """
 
-    def __init__(self) -> None:
-        self._headers: OrderedDict[Path, FileHeader] = OrderedDict()
-        self._decoded_here: dict[str, bool] = {}
-        self._lock = Lock()
+    _headers: OrderedDict[Path, FileHeader] = field(default_factory=OrderedDict)
+    _decoded_here: dict[str, bool] = field(default_factory=dict)
+    _lock: Lock = field(default_factory=Lock)
 
     def open(self, path: Path, aov: str) -> ExrFile:
         """Open a file of an AOV, the way that was right for the one before; see `ExrFile`."""
         file = ExrFile(path, not self._decoded_here.get(aov, True))
-        self._decoded_here.setdefault(aov, file.header.is_decoded_here)
+        is_decoded_here = any(layout and layout.is_decoded_here for layout in file.header.layouts)
+        self._decoded_here.setdefault(aov, is_decoded_here)
         return file
 
     def read(self, path: Path) -> FileHeader:
@@ -424,12 +384,6 @@ def read_headers(path: Path) -> tuple[dict[str, Any], ...]:
         return file.header.attributes
 
 
-def display_window(path: Path) -> Window:
-    """Return a file's display window; raises InputError when it is missing or damaged."""
-    with ExrFile(path) as file:
-        return file.parts[0].display_window
-
-
 def deep_image_error(path: Path) -> LayoutError:
     """Build the error for a file whose pixels are deep samples."""
     # They are not flattened here: compositing by depth is right for colour alone, and would mix
@@ -448,7 +402,7 @@ def _subsampled_error(path: Path) -> LayoutError:
             raw = RawHeader.read(file, path.stat().st_size)
         for attribute in raw.attributes:
             if attribute.kind == b"chlist":
-                for name, _, pixel_steps in channels_in(raw.value(attribute)):
+                for name, _, pixel_steps in channels_in(attribute.value):
                     if pixel_steps != (1, 1):
                         steps[name.decode("utf-8", "replace")] = pixel_steps
     if {name.rpartition(".")[2] for name in steps} == {"RY", "BY"}:

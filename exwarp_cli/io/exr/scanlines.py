@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from threading import Lock, local
 from typing import BinaryIO
@@ -40,8 +40,6 @@ from exwarp_cli.runtime.frame_pool import pool
 
 U8 = npt.NDArray[np.uint8]
 I64 = npt.NDArray[np.int64]
-# Returns the bytes of a file from a position on, so many; fewer where it ends.
-ReadAt = Callable[[int, int], U8]
 
 ZIPS, ZIP = 2, 3
 # Scan lines of a chunk by the number of its compression, as in `header.COMPRESSION_NAMES`.
@@ -113,15 +111,15 @@ class ChunkLayout:
         return tuple(BYTES[kind] for _, kind in self.channels)
 
 
-def parse_layouts(header: RawHeader, read: ReadAt, size: int) -> list[ChunkLayout | None]:
-    """Return how the parts of a file of `size` bytes are stored.
+def parse_layouts(header: RawHeader, file: BinaryIO, size: int) -> list[ChunkLayout | None]:
+    """Return how the parts of an unbuffered file of `size` bytes are stored.
 
     None stands for a part of deep, subsampled or mipmapped pixels, and for one with anything that
     is unusual or broken.
 
     Raises ValueError when headers or chunk offset tables are broken.
     """
-    is_multipart = header.is_multipart
+    is_multipart = bool(header.flags & MULTIPART)
     supported = MULTIPART | LONG_NAMES | (DEEP if is_multipart else TILED)
     if header.flags & ~supported != 2:
         raise ValueError("the version is unknown")
@@ -129,12 +127,15 @@ def parse_layouts(header: RawHeader, read: ReadAt, size: int) -> list[ChunkLayou
     flat = [_parse_flat(part, size, header.flags) for part in values]
     counts = [0 if flat[0] is None else flat[0].count]
     if is_multipart:
-        counts = [_chunk_count(part) for part in values]
-    table_start = len(header.data)
-    begin = table_start + 8 * sum(counts)
-    table = np.empty(0, "<u8")
-    if begin <= size:
-        table = read(table_start, begin - table_start).view("<u8")
+        fields = [part.get(b"chunkCount", (b"", b"")) for part in values]
+        if any(kind != b"int" or len(value) != 4 for kind, value in fields):
+            raise ValueError("a part has no chunkCount")
+        counts = [int.from_bytes(value, "little", signed=True) for _, value in fields]
+    begin = len(header.data) + 8 * sum(counts)
+    if min(counts) < 0 or begin > size:
+        raise ValueError("the tables of chunks are cut off")
+    file.seek(len(header.data))
+    table = np.frombuffer(file.read(8 * sum(counts)), "<u8")
     if len(table) != sum(counts):
         raise ValueError("the tables of chunks are cut off")
     stops = np.append(np.sort(np.minimum(table, np.uint64(size))), np.uint64(size))
@@ -199,29 +200,19 @@ def _parse_channels(values: Values) -> tuple[tuple[bytes, int], ...] | None:
     return tuple((name, kind) for name, kind, _ in channels)
 
 
-def _chunk_count(values: Values) -> int:
-    kind, value = values.get(b"chunkCount", (b"", b""))
-    if kind != b"int" or len(value) != 4:
-        raise ValueError("no chunkCount")
-    count: int = struct.unpack("<i", value)[0]
-    if count < 0:
-        raise ValueError("chunkCount is below 0")
-    return count
-
-
+@dataclass(eq=False)
 class FileBytes:
     """Reads pieces of an open, unbuffered file at any position, from any thread."""
 
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self._lock, self._thread = Lock(), local()
-
-    def read(self, start: int, size: int) -> U8:
-        """Read bytes; they stay until this thread reads the next ones."""
-        return self.read_padded(start, size)[:-INPUT_PADDING]
+    _file: BinaryIO
+    _lock: Lock = field(default_factory=Lock)
+    _thread: local = field(default_factory=local)
 
     def read_padded(self, start: int, size: int) -> U8:
-        """Read bytes likewise, and append `INPUT_PADDING` bytes of any value."""
+        """Read bytes, fewer where the file ends, and append `INPUT_PADDING` bytes of any value.
+
+        They stay until this thread reads the next ones.
+        """
         # Fresh memory for each run of blocks took as long as half of the reading.
         out: U8 = getattr(self._thread, "buffer", _NO_BYTES)
         if len(out) < size + INPUT_PADDING:
@@ -260,51 +251,43 @@ class _Destination:
     out: np.ndarray  # Bits, uint32 [H, W, C]
 
 
-def read_blocks(file: FileBytes, requests: Sequence[ChannelRequest]) -> list[np.ndarray | None]:
-    """Decode channels of parts whose layout `is_decoded_here`.
+def read_blocks(file: BinaryIO, requests: Sequence[ChannelRequest]) -> list[np.ndarray | None]:
+    """Decode channels of parts of an unbuffered file whose layout `is_decoded_here`.
 
     Returns float32 or uint32 [H, W, C] for each request; None where OpenImageIO is to decide.
     """
-    destinations = [_make_destination(request) for request in requests]
+    arrays: list[np.ndarray | None] = []
     by_part: dict[int | None, tuple[ChunkLayout, list[_Destination]]] = {}
-    for request, destination in zip(requests, destinations, strict=True):
-        if destination is not None:
-            layout = request.layout
-            by_part.setdefault(layout.number, (layout, []))[1].append(destination)
-    broken = _decode(file, list(by_part.values()))
-    return [
-        None
-        if destination is None or request.layout.number in broken
-        else destination.out.view(np.uint32 if request.integer else np.float32)
-        for request, destination in zip(requests, destinations, strict=True)
-    ]
-
-
-def _make_destination(request: ChannelRequest) -> _Destination | None:
-    """Allocate an array for channels; None where they are not as expected, or too many."""
-    layout = request.layout
-    kinds = dict(layout.channels)
-    names = [name.encode("utf-8", "surrogateescape") for name in request.names]
-    if not all(n in kinds and (kinds[n] == UINT) == request.integer for n in names):
-        return None
-    places = [names.index(name) if name in names else -1 for name, _ in layout.channels]
-    try:
-        out = pool.empty((*layout.window.shape, len(names)), np.uint32)
-    except MemoryError:
-        return None
-    return _Destination(np.array([layout.sizes, places], np.int64).T.copy(), out)
-
-
-def _decode(
-    file: FileBytes, parts: Sequence[tuple[ChunkLayout, list[_Destination]]]
-) -> set[int | None]:
-    """Fill destinations by part; return the numbers of parts that could not be decoded."""
+    for request in requests:
+        layout, out = request.layout, None
+        kinds = dict(layout.channels)
+        names = [name.encode("utf-8", "surrogateescape") for name in request.names]
+        if all(n in kinds and (kinds[n] == UINT) == request.integer for n in names):
+            with suppress(MemoryError):
+                out = pool.empty((*layout.window.shape, len(names)), np.uint32)
+                places = [names.index(n) if n in names else -1 for n, _ in layout.channels]
+                columns = np.array([layout.sizes, places], np.int64).T.copy()
+                members = by_part.setdefault(layout.number, (layout, []))[1]
+                members.append(_Destination(columns, out))
+        arrays.append(out)
+    file_bytes = FileBytes(file)
     runs: list[_BlockRun] = []
-    for layout, destinations in parts:
+    for layout, members in by_part.values():
         order = np.argsort(layout.starts, kind="stable")  # as they follow each other on disk
         step = max(1, RUN_BYTES // (layout.lines * layout.window.width * sum(layout.sizes)))
         for first in range(0, len(order), step):
-            runs.append(_BlockRun(file, layout, destinations, order[first : first + step]))
+            runs.append(_BlockRun(file_bytes, layout, members, order[first : first + step]))
+    broken = _decode(runs)
+    return [
+        None
+        if out is None or request.layout.number in broken
+        else out.view(np.uint32 if request.integer else np.float32)
+        for request, out in zip(requests, arrays, strict=True)
+    ]
+
+
+def _decode(runs: Sequence[_BlockRun]) -> set[int | None]:
+    """Decode runs on several threads; return the numbers of parts that could not be decoded."""
     broken: set[int | None] = set()
 
     def decode(run: _BlockRun) -> None:
@@ -335,62 +318,55 @@ class _BlockRun:
     destinations: Sequence[_Destination]
     chunks: I64
 
-    def decode(self) -> bool:
-        """Decode all blocks; False when one of them is not what it should be."""
-        try:
-            return all(self._decode_block(int(i), data) for i, data in self._read_blocks())
-        except (OSError, MemoryError):
-            return False
-
-    @property
-    def _leader(self) -> struct.Struct:
-        """What stands before each block: the part's number, the first line, the bytes."""
-        return struct.Struct("<2i" if self.layout.number is None else "<3i")
-
-    def _read_blocks(self) -> Iterator[tuple[int, U8]]:
+    def _read_blocks(self, leader_size: int) -> Iterator[tuple[int, U8]]:
         """Yield each block's index, and its bytes with padding.
 
         Blocks that follow each other are read at once.
         """
-        layout, leader = self.layout, self._leader.size
-        size = sum(layout.sizes) * layout.window.width
+        layout = self.layout
+        size = leader_size + sum(layout.sizes) * layout.window.width * layout.lines
         starts = layout.starts[self.chunks]
         # In front of something else there may be a gap of any length.
-        ends = np.minimum(layout.ends[self.chunks], starts + leader + layout.lines * size)
+        ends = np.minimum(layout.ends[self.chunks], starts + size)
         breaks = np.flatnonzero(starts[1:] != ends[:-1]) + 1
         for blocks in np.split(np.arange(len(starts)), breaks):
             begin = int(starts[blocks[0]])
             data = self.file.read_padded(begin, int(ends[blocks[-1]]) - begin)
             data.flags.writeable = False  # kernels are compiled for arrays of one kind
             for i in blocks:
-                yield self.chunks[i], data[starts[i] - begin : ends[i] - begin + INPUT_PADDING]
+                index = int(self.chunks[i])
+                yield index, data[starts[i] - begin : ends[i] - begin + INPUT_PADDING]
 
-    def _decode_block(self, index: int, data: U8) -> bool:
-        """Decode one block with padding; False when it is not what it should be."""
+    def decode(self) -> bool:
+        """Decode all blocks; False when one of them is not what it should be."""
         from exwarp_cli.kernels import exr_filters  # numba: not for what reads no pixels
 
-        layout, leader = self.layout, self._leader
-        if len(data) < leader.size + INPUT_PADDING:
+        layout = self.layout
+        # Before each block: the part's number, the first line, the bytes.
+        leader = struct.Struct("<2i" if layout.number is None else "<3i")
+        try:
+            for index, data in self._read_blocks(leader.size):
+                if len(data) < leader.size + INPUT_PADDING:
+                    return False
+                first = index * layout.lines
+                rows = min(layout.lines, layout.window.height - first)
+                *number, line, size = leader.unpack_from(data.data)
+                full_size = rows * layout.window.width * sum(layout.sizes)
+                packed = data[leader.size : leader.size + size + INPUT_PADDING]
+                is_own = number in ([], [layout.number]) and line == layout.window.y + first
+                if not is_own or not 0 < size <= full_size or len(packed) != size + INPUT_PADDING:
+                    return False
+                pixels: U8 | None
+                if size == full_size:  # stored uncompressed, as it did not become smaller
+                    kernel, pixels = exr_filters.read_lines, packed[:full_size]
+                else:
+                    kernel, pixels = exr_filters.read_predicted, inflate(packed, full_size)
+                if pixels is None:
+                    return False
+                for destination in self.destinations:
+                    kernel(pixels, destination.columns, destination.out[first : first + rows])
+        except (OSError, MemoryError):
             return False
-        first = index * layout.lines
-        rows = min(layout.lines, layout.window.height - first)
-        *number, line, size = leader.unpack_from(data.data)
-        full_size = rows * layout.window.width * sum(layout.sizes)
-        packed = data[leader.size : leader.size + size + INPUT_PADDING]
-        is_own = not number or number[0] == layout.number
-        if not is_own or line != layout.window.y + first or not 0 < size <= full_size:
-            return False
-        if len(packed) != size + INPUT_PADDING:
-            return False
-        pixels: U8 | None
-        if size == full_size:  # stored uncompressed, as it did not become smaller
-            kernel, pixels = exr_filters.read_lines, packed[:full_size]
-        else:
-            kernel, pixels = exr_filters.read_predicted, inflate(packed, full_size)
-        if pixels is None:
-            return False
-        for destination in self.destinations:
-            kernel(pixels, destination.columns, destination.out[first : first + rows])
         return True
 
 

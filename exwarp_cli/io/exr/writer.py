@@ -1,4 +1,7 @@
-"""Encoding scan-line EXR files: OpenEXR's header, and blocks that are compressed here.
+"""Writing scan-line EXR files: what generated frames take over from key frames, and encoding.
+
+A template lists the parts, channels, types and header attributes of a key frame's file. The header
+may also contain how long the frame took to render: `render_seconds`.
 
 OpenEXR writes the header of a file of one pixel; the windows and chunks of the real one are put
 into it. So every attribute stands there as OpenEXR writes it, of any type. The blocks hold the same
@@ -22,10 +25,13 @@ Only float layers of flat shapes grow noticeably (depth: 0.231 instead of 0.183 
 from __future__ import annotations
 
 import io
+import math
+import re
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -33,13 +39,17 @@ import numpy.typing as npt
 import OpenEXR
 from isal import isal_zlib
 
-from exwarp_cli.domain.frame import Float32, Window
-from exwarp_cli.io.exr.header import COMPRESSION_NAMES, attributes_in
+from exwarp_cli.domain.frame import Float32, Window, nonfinite_pixels
+from exwarp_cli.errors import LayoutError
+from exwarp_cli.io.channels import ChannelRef
+from exwarp_cli.io.exr.header import COMPRESSION_NAMES, Part, attributes_in
+from exwarp_cli.io.exr.reader import HeaderCache, damaged_error
+from exwarp_cli.io.layers import Layer, LayerKind
+from exwarp_cli.io.views import list_views, view_channels
 from exwarp_cli.kernels.exr_filters import predict, round_to_half
 from exwarp_cli.runtime.frame_pool import pool
 
 U16 = npt.NDArray[np.uint16]
-U32 = npt.NDArray[np.uint32]
 
 # OpenEXR's constants, as headers have them, by name.
 COMPRESSIONS: dict[str, Any] = {
@@ -57,6 +67,30 @@ FLUSHED_ALONE = 4  # bytes at the beginning of a stream; see `deflate_stream`
 
 _MIN_OWN_CODE = 1024  # bytes of a kind that are worth a code of their own
 _BAND_ROWS = 16  # are prepared at once, whole blocks of them: they stay in the processor's cache
+
+HALF_MAX = 65504.0
+
+PREFIX = "exwarp:"  # of ExWarp's own attributes, which describe one generated frame
+
+# Structure, which the writer sets itself; and what belongs to the source frame's own pixels.
+_NOT_CARRIED = frozenset(
+    [
+        *("channels", "chunkCount", "dataWindow", "displayWindow", "lineOrder", "tiles", "type"),
+        *("version", "compression", "view", "multiView", "maxSamplesPerPixel", "dataHash"),
+        *("preview", "idManifest", "timeCode", "keyCode", "framesPerSecond"),
+    ]
+)
+
+PIXEL_TYPES = {"half": np.float16, "float": np.float32, "uint": np.uint32}
+
+# A channel of one view: the view's name, "" where there are none, and the channel in it.
+PlaneKey = tuple[str, ChannelRef]
+
+# Attributes with the render time: Blender's, V-Ray's, and those of Cycles' render layers.
+BLENDER, VRAY = "RenderTime", "vrayInfo/rendertime"
+_CYCLES_LAYER = re.compile(r"cycles\..*\.render_time", re.DOTALL)
+_CLOCK = re.compile(r"(?:(?:(\d+):)?(\d+):)?(\d+(?:\.\d+)?)")
+_UNITS = re.compile(r"(?:(\d+)h)?\s*(?:(\d+)m)?\s*(\d+(?:\.\d+)?)s")
 
 
 @dataclass(frozen=True)
@@ -83,7 +117,8 @@ class PendingHalf:
     def rounded(self) -> np.ndarray:
         """Return the halfs [H, W]."""
         out = pool.empty(self.shape, np.uint16)
-        round_to_half(_float_bits(self.values), self.bounded, out)
+        bits = np.ascontiguousarray(self.values).view(np.uint32)
+        round_to_half(bits, self.bounded, out)
         return out.view(np.float16)
 
 
@@ -95,14 +130,199 @@ OutputPart: TypeAlias = tuple[Header, Mapping[str, OutputChannel]]
 Buffer: TypeAlias = bytes | bytearray | memoryview
 
 
+@dataclass(frozen=True)
+class Plane:
+    """One channel of a generated frame: values [H, W] of any type, and their window."""
+
+    values: np.ndarray
+    window: Window
+
+
+@dataclass(frozen=True)
+class ViewLayers:
+    """The layers of one view of a shot that are written."""
+
+    view: str  # its name; "" where there are none
+    within: str  # which view of the files it is, as in :func:`exwarp_cli.io.views.view_channels`
+    colour: tuple[ChannelRef, ...]  # R, G, B and, if there, A of the beauty
+    layers: tuple[Layer, ...] = ()  # further layers; the beauty may be among them
+
+    @property
+    def keys(self) -> dict[PlaneKey, bool]:
+        """Every channel, the beauty's first, and whether its values are bounded."""
+        bounded = {(self.view, ref): True for ref in self.colour}
+        for layer in self.layers:
+            for ref in layer.refs:
+                bounded.setdefault((self.view, ref), layer.kind is not LayerKind.DEPTH)
+        return bounded
+
+
+@dataclass(frozen=True)
+class PlaneTemplate:
+    """One channel to write."""
+
+    key: PlaneKey  # which one it is
+    name: str  # as it stands in the file
+    dtype: np.dtype[Any]  # pixel type: half, float or uint32
+    # Whether values beyond the type's range become its largest; a depth may be infinite
+    bounded: bool
+
+    def channel(self, values: np.ndarray) -> OutputChannel:
+        """Return values [H, W] in the channel's type; floats for halfs are rounded later.
+
+        Bounded floats get the largest floats in place of infinity, and 0 for NaN.
+        """
+        if self.dtype == np.float32 and values.dtype == np.float32 and self.bounded:
+            values = np.ascontiguousarray(values)
+            return np.nan_to_num(values) if nonfinite_pixels(values[..., None]).any() else values
+        if self.dtype != np.float16 or values.dtype == np.float16:
+            return np.ascontiguousarray(values, dtype=self.dtype)
+        if values.dtype == np.float32:
+            return PendingHalf(values, self.bounded)
+        if self.bounded:
+            values = np.clip(values, -HALF_MAX, HALF_MAX)
+        with np.errstate(over="ignore"):
+            return np.ascontiguousarray(values, dtype=np.float16)
+
+
+@dataclass(frozen=True)
+class PartTemplate:
+    """One part to write."""
+
+    header: Mapping[str, Any]  # attributes to carry, with the part's compression
+    planes: tuple[PlaneTemplate, ...]  # its channels
+    window: Window  # the data window of the source's part
+
+
+@dataclass(frozen=True)
+class Template:
+    """What a generated frame takes over from its key frame's file."""
+
+    parts: tuple[PartTemplate, ...]  # in the order of the file, those of which something is written
+    colour: tuple[PlaneTemplate, ...]  # the beauty of the leading view: R, G, B and, if there, A
+    # Seconds that the key frame took to render, and the attribute with them; None if unknown
+    render: tuple[float, str] | None = None
+
+    @property
+    def planes(self) -> Iterator[PlaneTemplate]:
+        """Every channel to write."""
+        return (plane for part in self.parts for plane in part.planes)
+
+
+def read_template(
+    path: Path, wanted: tuple[ViewLayers, ...], headers: HeaderCache | None = None
+) -> Template:
+    """Read what a generated frame takes over from the file of its key frame.
+
+    Raises DamagedFileError when the header cannot be read, or a colour channel is missing. Raises
+    LayoutError when a layer is missing.
+
+    Parameters
+    ----------
+    path
+        The key frame's file.
+    wanted
+        What is written of each view, the leading one first. A channel that several of them have
+        in common is the first one's.
+    headers
+        Where the file's header may be kept; None to open the file.
+    """
+    header = (headers or HeaderCache()).read(path)
+    parts, attributes = header.parts, header.attributes
+    placed: dict[int, dict[int, PlaneTemplate]] = {}
+    for layers in wanted:
+        channels = view_channels(parts, layers.within)
+        for key, bounded in layers.keys.items():
+            ref = key[1]
+            channel = channels.get(ref.name)
+            if channel is None and ref in layers.colour:
+                raise damaged_error(path, "its colour channels are gone")
+            if channel is None:
+                raise LayoutError(
+                    f"{path} has no channel {ref.name!r}, which the sequence's first frame has; "
+                    "render all frames with the same passes, or leave that layer out of --layers"
+                )
+            dtype = np.dtype(PIXEL_TYPES.get(channel.pixel_type, np.float32))
+            plane = PlaneTemplate(key, channel.raw_name, dtype, bounded)
+            placed.setdefault(channel.part, {}).setdefault(channel.index, plane)
+    written_views = [layers.within for layers in wanted]
+    part_templates = tuple(
+        PartTemplate(
+            _carried_header(attributes[index], parts, index, written_views),
+            tuple(plane for _, plane in sorted(planes.items())),
+            parts[index].data_window,
+        )
+        for index, planes in sorted(placed.items())
+    )
+    by_key = {plane.key: plane for part in part_templates for plane in part.planes}
+    colour = tuple(by_key[wanted[0].view, ref] for ref in wanted[0].colour)
+    return Template(part_templates, colour, render_seconds(attributes))
+
+
+def _carried_header(
+    header: Mapping[str, Any], parts: tuple[Part, ...], index: int, written_views: Iterable[str]
+) -> dict[str, Any]:
+    """Return the attributes that go over; of the views of one part those that are written."""
+    carried = {
+        name: value
+        for name, value in header.items()
+        if name not in _NOT_CARRIED and not name.startswith(PREFIX) and (name != "name" or value)
+    }
+    carried["compression"] = header["compression"]
+    part = parts[index]
+    if part.view:
+        carried["view"] = part.view
+        return carried
+    # Views side by side in one part, the hero first.
+    views = part.views or (list_views(parts) if len(parts) == 1 else ())
+    written = {view or (views[0] if views else "") for view in written_views}
+    if kept_views := [view for view in views if view in written]:
+        carried["multiView"] = kept_views
+    return carried
+
+
+def render_seconds(headers: Iterable[Mapping[str, Any]]) -> tuple[float, str] | None:
+    """Return how many seconds a frame took to render, and the attribute that contains it.
+
+    None where no attribute contains it, or none is above 0. The headers are those of every part of
+    the frame's file. Parts repeat the attributes of the whole frame, so the first one counts.
+    """
+    listed = list(headers)
+    for name in (BLENDER, VRAY):
+        for header in listed:
+            seconds = parse_duration(header.get(name))
+            if seconds:
+                return seconds, name
+    layers: dict[str, float] = {}
+    for header in listed:
+        for name, value in header.items():
+            if _CYCLES_LAYER.fullmatch(name) and (seconds := parse_duration(value)):
+                layers.setdefault(name, seconds)
+    return (sum(layers.values()), "cycles.*.render_time") if layers else None
+
+
+def parse_duration(value: object) -> float | None:
+    """Read ``01:02:03.45``, ``02:03.45``, ``0h 28m 39.3s`` or a number of seconds; else None."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value) if math.isfinite(value) and value >= 0 else None
+    if not isinstance(value, str):
+        return None
+    text = value.strip()
+    match = _CLOCK.fullmatch(text) or _UNITS.fullmatch(text)
+    if match is None:
+        return None
+    hours, minutes, seconds = match.groups()
+    return 3600.0 * int(hours or 0) + 60.0 * int(minutes or 0) + float(seconds)
+
+
 def scanline_attributes(data: Window, display: Window) -> dict[str, Any]:
     """Return the attributes of a scan-line part with these windows."""
-
-    def box(window: Window) -> tuple[np.ndarray, np.ndarray]:
-        x0, y0, x1, y1 = window.corners
-        return np.array([x0, y0], np.int32), np.array([x1, y1], np.int32)
-
-    return {"type": OpenEXR.scanlineimage, "dataWindow": box(data), "displayWindow": box(display)}
+    boxes = np.array([data.corners, display.corners], np.int32).reshape(2, 2, 2)
+    return {
+        "type": OpenEXR.scanlineimage,
+        "dataWindow": tuple(boxes[0]),
+        "displayWindow": tuple(boxes[1]),
+    }
 
 
 def encode(parts: Sequence[OutputPart]) -> list[Buffer]:
@@ -119,7 +339,21 @@ def encode(parts: Sequence[OutputPart]) -> list[Buffer]:
         _encode_blocks(header, planes, struct.pack("<i", number) if is_multipart else b"")
         for number, (header, planes) in enumerate(parts)
     ]
-    head = _encode_headers(parts, [len(blocks) for blocks in bodies])
+    # OpenEXR encodes a file of one pixel, and the window and number of chunks are put into it.
+    one_pixel_parts = []
+    for header, planes in parts:
+        corner = np.asarray(header["dataWindow"][0], np.int32)
+        pixels = {name: np.zeros((1, 1), plane.dtype) for name, plane in planes.items()}
+        one_pixel_parts.append(({**header, "dataWindow": (corner, corner.copy())}, pixels))
+    data = encode_by_openexr(one_pixel_parts)
+    head, attributes = bytearray(data), list(attributes_in(data))
+    for attribute in attributes:
+        if attribute.name == b"dataWindow":
+            window = np.asarray(parts[attribute.part][0]["dataWindow"], "<i4")
+            head[attribute.begin : attribute.end] = window.tobytes()
+        elif attribute.name == b"chunkCount":
+            head[attribute.begin : attribute.end] = struct.pack("<i", len(bodies[attribute.part]))
+    del head[attributes[-1].end + min(len(parts), 2) :]
     blocks = [block for body in bodies for block in body]
     starts = accumulate(map(len, blocks[:-1]), initial=len(head) + 8 * len(blocks))
     head += struct.pack(f"<{len(blocks)}Q", *starts)
@@ -158,25 +392,6 @@ def encode_by_openexr(parts: Sequence[OutputPart]) -> memoryview:
     return buffer.getbuffer()
 
 
-def _encode_headers(parts: Sequence[OutputPart], counts: Sequence[int]) -> bytearray:
-    """Return everything before the chunk offset tables, of which each part has so many entries."""
-    # OpenEXR encodes a file of one pixel, and the window and number of chunks are put into it.
-    one_pixel_parts = []
-    for header, planes in parts:
-        corner = np.asarray(header["dataWindow"][0], np.int32)
-        pixels = {name: np.zeros((1, 1), plane.dtype) for name, plane in planes.items()}
-        one_pixel_parts.append(({**header, "dataWindow": (corner, corner.copy())}, pixels))
-    data = encode_by_openexr(one_pixel_parts)
-    out, attributes = bytearray(data), list(attributes_in(data))
-    for attribute in attributes:
-        if attribute.name == b"dataWindow":
-            window = np.asarray(parts[attribute.part][0]["dataWindow"], "<i4")
-            out[attribute.begin : attribute.end] = window.tobytes()
-        elif attribute.name == b"chunkCount":
-            out[attribute.begin : attribute.end] = struct.pack("<i", counts[attribute.part])
-    return out[: attributes[-1].end + min(len(parts), 2)]
-
-
 def _encode_blocks(
     header: Header, planes: Mapping[str, OutputChannel], part_number: bytes
 ) -> list[Buffer]:
@@ -195,7 +410,17 @@ def _encode_blocks(
     blocks: list[Buffer] = []
     for y in range(0, height, _BAND_ROWS):
         band = lines[: height - y]
-        _fill_lines(channels, y, halfs, band)
+        # In each row channel after channel, as a file has them uncompressed.
+        column, rows = 0, slice(y, y + len(band))
+        for channel in channels:
+            if isinstance(channel, PendingHalf):
+                pairs = halfs[: len(band)]
+                bits = np.ascontiguousarray(channel.values[rows]).view(np.uint32)
+                round_to_half(bits, channel.bounded, pairs)
+            else:
+                pairs = np.ascontiguousarray(channel[rows]).view(np.uint16)
+            band[:, column : column + pairs.shape[1]] = pairs
+            column += pairs.shape[1]
         predict(band.reshape(-1), block_size // 2, filtered)
         for start in range(0, band.nbytes, block_size):
             data = filtered.data[start : min(start + block_size, band.nbytes)]
@@ -213,22 +438,6 @@ def _encode_blocks(
     return blocks
 
 
-def _fill_lines(channels: Iterable[OutputChannel], top: int, halfs: U16, lines: U16) -> None:
-    """Write rows from `top` on as a file has them uncompressed: in each, channel after channel.
-
-    `lines` are pairs of bytes [rows, N], `halfs` is scratch memory [rows or more, W].
-    """
-    column, rows = 0, slice(top, top + len(lines))
-    for channel in channels:
-        if isinstance(channel, PendingHalf):
-            pairs = halfs[: len(lines)]
-            round_to_half(_float_bits(channel.values[rows]), channel.bounded, pairs)
-        else:
-            pairs = np.ascontiguousarray(channel[rows]).view(np.uint16)
-        lines[:, column : column + pairs.shape[1]] = pairs
-        column += pairs.shape[1]
-
-
 def deflate_stream(*pieces: memoryview) -> list[bytes]:
     """Compress bytes that are not empty, each piece with a code of its own, to one zlib stream."""
     # Where ISA-L (2.32) begins with more than 16 bytes, it hashes the address of its own state in
@@ -240,7 +449,3 @@ def deflate_stream(*pieces: memoryview) -> list[bytes]:
     for piece in (pieces[0][FLUSHED_ALONE:], *pieces[1:]):
         out += [stream.flush(isal_zlib.Z_SYNC_FLUSH), stream.compress(piece)]
     return [*out, stream.flush()]
-
-
-def _float_bits(values: Float32) -> U32:
-    return np.ascontiguousarray(values).view(np.uint32)

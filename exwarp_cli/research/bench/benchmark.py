@@ -16,7 +16,7 @@ from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.exr.reader import read_headers
-from exwarp_cli.io.exr.template import render_seconds
+from exwarp_cli.io.exr.writer import render_seconds
 from exwarp_cli.io.files import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.messages import other_extrapolator
