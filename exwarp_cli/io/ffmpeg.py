@@ -55,7 +55,7 @@ def run_ffmpeg(options: Sequence[str], data: bytes | None = None) -> tuple[bytes
             _command(options), input=data, capture_output=True, check=False, process_group=0
         )
     except (OSError, RuntimeError) as error:
-        raise _start_error(error) from error
+        raise FfmpegError(f"ffmpeg does not start ({error})") from error
     if process.returncode:
         raise _exit_error(process.stderr, process.returncode)
     return process.stdout, process.stderr.decode("utf-8", "replace")
@@ -64,10 +64,10 @@ def run_ffmpeg(options: Sequence[str], data: bytes | None = None) -> tuple[bytes
 class _FfmpegStream(ResourceOwner):
     """One run of ffmpeg beside this process; a context manager that ends it."""
 
-    def __init__(self, options: Sequence[str]) -> None:
-        self._options = options
+    def __init__(self, options: Sequence[str], folder: Path | None = None) -> None:
+        self._options, self._folder = options, folder
 
-    def _start(self, stack: ExitStack, stdin: int, stdout: int, folder: Path | None = None) -> None:
+    def _start(self, stack: ExitStack, stdin: int, stdout: int) -> None:
         log: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - the stack closes it
         self._log = stack.enter_context(log)
         try:
@@ -76,16 +76,19 @@ class _FfmpegStream(ResourceOwner):
                 stdin=stdin,
                 stdout=stdout,
                 stderr=self._log,
-                cwd=folder,
+                cwd=self._folder,
                 process_group=0,
             )
         except (OSError, RuntimeError) as error:
-            raise _start_error(error) from error
+            raise FfmpegError(f"ffmpeg does not start ({error})") from error
 
     def _kill(self) -> None:
         if self._process.poll() is None:
             self._process.kill()
         self._process.wait()
+        if self._process.stdin is not None:
+            with suppress(OSError):  # what was buffered has no reader any more
+                self._process.stdin.close()
 
     def _error(self) -> FfmpegError:
         self._log.seek(0)
@@ -98,11 +101,9 @@ class FfmpegReader(_FfmpegStream):
     Left before the end, it ends ffmpeg. Raises FfmpegError when ffmpeg does not start.
     """
 
-    def __init__(self, options: Sequence[str]) -> None:
-        super().__init__(("-nostdin", *options))
-        self._log_position, self._incomplete_line = 0, b""
-
     def _open(self, stack: ExitStack) -> None:
+        self._log_position, self._incomplete_line = 0, b""
+        self._options = ("-nostdin", *self._options)
         self._start(stack, subprocess.DEVNULL, subprocess.PIPE)
         assert self._process.stdout is not None
         stack.enter_context(self._process.stdout)
@@ -141,12 +142,8 @@ class FfmpegWriter(_FfmpegStream):
     does not start.
     """
 
-    def __init__(self, options: Sequence[str], folder: Path | None = None) -> None:
-        super().__init__(options)
-        self._folder = folder
-
     def _open(self, stack: ExitStack) -> None:
-        self._start(stack, subprocess.PIPE, subprocess.DEVNULL, self._folder)
+        self._start(stack, subprocess.PIPE, subprocess.DEVNULL)
         stack.enter_context(clean_up_after(self._kill))
 
     def write(self, frame: Codes) -> None:
@@ -169,12 +166,6 @@ class FfmpegWriter(_FfmpegStream):
         if self._process.wait() != 0:
             raise self._error()
 
-    def _kill(self) -> None:
-        super()._kill()
-        if self._process.stdin is not None and not self._process.stdin.closed:
-            with suppress(OSError):  # what was buffered has no reader any more
-                self._process.stdin.close()
-
 
 def pad_to_even(frame: Codes) -> Codes:
     """Repeat the last row and column of [H, W, 3] where their number is odd.
@@ -195,10 +186,6 @@ def _command(options: Sequence[str]) -> list[str]:
     count = str(cores.count())
     limits = ("-filter_threads", count, "-filter_complex_threads", count, "-threads", count)
     return [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *limits, *options]
-
-
-def _start_error(error: Exception) -> FfmpegError:
-    return FfmpegError(f"ffmpeg does not start ({error})")
 
 
 def _exit_error(log: bytes, status: int) -> FfmpegError:

@@ -51,6 +51,8 @@ BLOCK = 8  # side of minterpolate's blocks, pixels; it leaves incomplete blocks 
 MIN_SIDE = 16  # pixels; minterpolate makes nothing of smaller frames
 KEY_TOLERANCE = 4  # steps of 8 bits by which its YUV may change a frame that it passes through
 
+_VIDEOS = ("reference.mp4", "test.mp4")
+
 _RATE_IN = 30  # only its ratio to the output rate matters
 
 # The settings that suited minterpolate best on the rendered example (PSNR in dB): detection of
@@ -93,10 +95,15 @@ def compute_vmaf(reference: Iterable[UInt8], test: Iterable[UInt8]) -> list[floa
         return stream.close()
 
 
-class _PairStream(ResourceOwner):
-    """VMAF of pairs of frames as they come; a context manager."""
+class VmafStream(ResourceOwner):
+    """VMAF of pairs of frames as they come; a context manager.
 
-    def __init__(self) -> None:
+    If `is_encoded`, of two videos in H.264 as ExtraNet's release makes them; odd sizes are then
+    padded by repeating the last column or row, as 4:2:0 has even ones only.
+    """
+
+    def __init__(self, is_encoded: bool = False) -> None:
+        self._is_encoded = is_encoded
         self._writers: list[FfmpegWriter] = []
         self._folder = Path()
 
@@ -112,43 +119,23 @@ class _PairStream(ResourceOwner):
                 for options in self._options(height, width):
                     writer = FfmpegWriter(options, self._folder)
                     self._writers.append(self._stack.enter_context(writer))
-            self._send(reference, test)
+            if self._is_encoded:
+                frames = [pad_to_even(reference), pad_to_even(test)]
+            else:
+                frames = [np.concatenate([reference, test])]
+            for writer, frame in zip(self._writers, frames, strict=True):
+                writer.write(frame)
         except FfmpegError as error:
             raise _vmaf_error(error) from error
-
-    def close(self) -> list[float]:
-        """Return the scores of all frames."""
-        if not self._writers:
-            return []
-        try:
-            for writer in self._writers:
-                writer.close()
-            self._finish()
-        except FfmpegError as error:
-            raise _vmaf_error(error) from error
-        log = json.loads((self._folder / "scores.json").read_text(encoding="utf-8"))
-        return [float(frame["metrics"]["vmaf"]) for frame in log["frames"]]
 
     def _options(self, height: int, width: int) -> list[list[str]]:
         """Return the options of each run of ffmpeg that takes frames of this size."""
-        raise NotImplementedError
-
-    def _send(self, reference: UInt8, test: UInt8) -> None:
-        raise NotImplementedError
-
-    def _finish(self) -> None:
-        """Compute the scores when all frames are sent."""
-
-
-class VmafStream(_PairStream):
-    """VMAF of frames as they come; a context manager.
-
-    Both frames of a pair go to ffmpeg as one picture, the reference above, and are cut apart there:
-    one stream cannot wait for the other.
-    """
-
-    def _options(self, height: int, width: int) -> list[list[str]]:
-        # Equal time stamps, whatever the filters before did: pairs must not slip.
+        if self._is_encoded:
+            even = RAW_INPUT.format(width=width + width % 2, height=height + height % 2, rate=RATE)
+            return [[*even.split(), *PUBLISHED_ENCODING.split(), video] for video in _VIDEOS]
+        # Both frames of a pair go to ffmpeg as one picture, the reference above, and are cut apart
+        # there: one stream cannot wait for the other. Equal time stamps, whatever the filters
+        # before did: pairs must not slip.
         graph = (
             f"[0:v]split[x][y];[x]crop={width}:{height}:0:0,{_TO_VIDEO},setpts=N[r];"
             f"[y]crop={width}:{height}:0:{height},{_TO_VIDEO},setpts=N[t];"
@@ -157,30 +144,23 @@ class VmafStream(_PairStream):
         source = RAW_INPUT.format(width=width, height=2 * height, rate=RATE)
         return [[*source.split(), "-filter_complex", graph, "-f", "null", "-"]]
 
-    def _send(self, reference: UInt8, test: UInt8) -> None:
-        self._writers[0].write(np.concatenate([reference, test]))
-
-
-class EncodedVmafStream(_PairStream):
-    """VMAF of two videos in H.264 as ExtraNet's release makes them; used as `VmafStream` is.
-
-    Odd sizes are padded by repeating the last column or row, as 4:2:0 has even ones only.
-    """
-
-    def _options(self, height: int, width: int) -> list[list[str]]:
-        source = RAW_INPUT.format(width=width + width % 2, height=height + height % 2, rate=RATE)
-        names = ("reference.mp4", "test.mp4")
-        return [[*source.split(), *PUBLISHED_ENCODING.split(), name] for name in names]
-
-    def _send(self, reference: UInt8, test: UInt8) -> None:
-        for writer, frame in zip(self._writers, (reference, test), strict=True):
-            writer.write(pad_to_even(frame))
-
-    def _finish(self) -> None:
-        graph = f"[0:v]setpts=N[r];[1:v]setpts=N[t];[t][r]{_LIBVMAF}"
-        videos = ["-i", "reference.mp4", "-i", "test.mp4", "-filter_complex"]
-        with FfmpegWriter((*videos, graph, "-f", "null", "-"), self._folder) as comparison:
-            comparison.close()
+    def close(self) -> list[float]:
+        """Return the scores of all frames."""
+        if not self._writers:
+            return []
+        try:
+            for writer in self._writers:
+                writer.close()
+            if self._is_encoded:
+                graph = f"[0:v]setpts=N[r];[1:v]setpts=N[t];[t][r]{_LIBVMAF}"
+                videos = [option for video in _VIDEOS for option in ("-i", video)]
+                options = (*videos, "-filter_complex", graph, "-f", "null", "-")
+                with FfmpegWriter(options, self._folder) as comparison:
+                    comparison.close()
+        except FfmpegError as error:
+            raise _vmaf_error(error) from error
+        log = json.loads((self._folder / "scores.json").read_text(encoding="utf-8"))
+        return [float(frame["metrics"]["vmaf"]) for frame in log["frames"]]
 
 
 def _vmaf_error(error: FfmpegError) -> InputError:
@@ -209,8 +189,19 @@ def minterpolate(older: Float32 | None, before: Float32, after: Float32) -> tupl
     height, width = shown[0].shape[:2]
     rows, columns = (max(MIN_SIDE, size + -size % BLOCK) - size for size in (height, width))
     padded = [np.pad(frame, ((0, rows), (0, columns), (0, 0)), mode="edge") for frame in shown]
-    # It makes nothing after the last but one of its frames, so the last is repeated.
-    frames = _run_minterpolate([*padded, padded[-1]])[:, :height, :width]
+    source = RAW_INPUT.format(width=width + columns, height=height + rows, rate=_RATE_IN)
+    options = (*source.split(), "-vf", _MINTERPOLATE, *RAW.split(), "-")
+    try:
+        # It makes nothing after the last but one of its frames, so the last is repeated.
+        data, _ = run_ffmpeg(options, b"".join(frame.tobytes() for frame in (*padded, padded[-1])))
+    except FfmpegError as error:
+        raise OutputError(
+            f"cannot interpolate with minterpolate: {error}; reinstall the package "
+            "imageio-ffmpeg, or leave minterpolate out"
+        ) from error
+    complete = len(data) // padded[0].nbytes * padded[0].nbytes
+    frames = np.frombuffer(data[:complete], np.uint8).reshape(-1, *padded[0].shape)
+    frames = frames[:, :height, :width]
     first = FACTOR  # of the frames at the output rate, that at `before`
     key = frames[first : first + 1].astype(np.int16)
     if len(frames) < first + FACTOR or np.abs(key - shown[1]).max() > KEY_TOLERANCE:
@@ -221,22 +212,6 @@ def minterpolate(older: Float32 | None, before: Float32, after: Float32) -> tupl
         )
     linear = _linear_table()
     return tuple(linear[frame] for frame in frames[first + 1 : first + FACTOR])
-
-
-def _run_minterpolate(frames: list[UInt8]) -> UInt8:
-    """Run ffmpeg on uint8 [H, W, 3] frames; return uint8 [N, H, W, 3] at the output rate."""
-    height, width, _ = frames[0].shape
-    source = RAW_INPUT.format(width=width, height=height, rate=_RATE_IN)
-    options = (*source.split(), "-vf", _MINTERPOLATE, *RAW.split(), "-")
-    try:
-        data, _ = run_ffmpeg(options, b"".join(frame.tobytes() for frame in frames))
-    except FfmpegError as error:
-        raise OutputError(
-            f"cannot interpolate with minterpolate: {error}; reinstall the package "
-            "imageio-ffmpeg, or leave minterpolate out"
-        ) from error
-    complete = len(data) // frames[0].nbytes * frames[0].nbytes
-    return np.frombuffer(data[:complete], np.uint8).reshape(-1, height, width, 3)
 
 
 @cache

@@ -16,7 +16,7 @@ from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.errors import InputError, MotionError, UsageError
 from exwarp_cli.io.display_colour import to_display
-from exwarp_cli.io.ffmpeg_filters import EncodedVmafStream, VmafStream
+from exwarp_cli.io.ffmpeg_filters import VmafStream
 from exwarp_cli.io.files import ResourceOwner
 from exwarp_cli.io.frames import GEOMETRY, read_raw
 from exwarp_cli.io.generated_frames import read_facts
@@ -102,7 +102,7 @@ class SequenceScorer(ResourceOwner):
         What a reader of the numbers should know at the end, a sentence each.
     """
 
-    _vmaf: VmafStream | EncodedVmafStream | None = None
+    _vmaf: VmafStream | None = None
 
     def _open(self, stack: ExitStack) -> None:
         if self._vmaf is not None:
@@ -195,7 +195,7 @@ class ExtranetScorer(SequenceScorer):
         cut = ENDS_LEFT_OUT if count > SHORTEST_CUT else 0
         self._video = range(cut, count - cut)
         self._generated = generated
-        self._vmaf = EncodedVmafStream() if "vmaf" in names else None
+        self._vmaf = VmafStream(is_encoded=True) if "vmaf" in names else None
         self._scores: list[Score] = []
         self._counted = 0
 
