@@ -280,20 +280,15 @@ def _require_types(document: Mapping[str, Any], path: Path) -> None:
             raise _invalid(path, key, "has to be a text in quotes; correct it, or leave it out")
     if document.get("schema", SCHEMA) != SCHEMA:
         raise _invalid(path, "schema", f"is not {SCHEMA}; this version of ExWarp reads that alone")
-    for name, value in document.get("channels", {}).items():
-        if not _is_name(value) and not (isinstance(value, list) and all(map(_is_name, value))):
-            raise _invalid(
-                path,
-                f"channels.{name}",
-                "has to be a list of channel names; correct it, or leave it out",
-            )
-    for name, value in document.get("aovs", {}).items():
-        if not _is_name(value):
-            raise _invalid(
-                path,
-                f"aovs.{name}",
-                "has to be a text such as PATTERN:R,G; correct it, or leave it out",
-            )
+    for table, needed in (
+        ("channels", "a list of channel names"),
+        ("aovs", "a text such as PATTERN:R,G"),
+    ):
+        for name, value in document.get(table, {}).items():
+            is_list = table == "channels" and isinstance(value, list)
+            if not _is_name(value) and not (is_list and all(map(_is_name, value))):
+                problem = f"has to be {needed}; correct it, or leave it out"
+                raise _invalid(path, f"{table}.{name}", problem)
 
 
 def _is_name(value: object) -> bool:

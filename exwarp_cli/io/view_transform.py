@@ -70,16 +70,13 @@ class ViewTransform:
             source, self.display, self.view, SOURCE_SPACE, colorconfig=self.config
         )
         if shown.has_error:
-            raise self._error(shown.geterror())
+            (first, *_) = shown.geterror().splitlines() or ["nothing"]
+            refused = f"--view-transform {self.name} cannot be used, as OpenImageIO says {first!r}"
+            if self.name in BUILT_IN:
+                raise InstallationError(f"{refused}; install a newer OpenImageIO, or use srgb")
+            raise UsageError(f"{refused}; correct the configuration, the display or the view")
         codes = np.asarray(shown.get_pixels(oiio.FLOAT), np.float32)
         return SRGB.to_linear(codes.clip(0, 1))
-
-    def _error(self, reason: str) -> UsageError | InstallationError:
-        (first, *_) = reason.splitlines() or ["nothing"]
-        said = f"--view-transform {self.name} cannot be used, as OpenImageIO says {first!r}"
-        if self.name in BUILT_IN:
-            return InstallationError(f"{said}; install a newer OpenImageIO, or use srgb")
-        return UsageError(f"{said}; correct the configuration, the display or the view")
 
 
 @dataclass(frozen=True)
