@@ -46,14 +46,12 @@ HASH, CONVERSION = "MurmurHash3_32", "uint32_to_float32"
 # in 87, 80, 96 and 100 %.
 LEAD = np.float32(0.1)
 
-# Number of pixels that are looked at for damage.
-SAMPLES = 4096
+SAMPLES = 4096  # number of pixels that are looked at for damage
 
 # The bits of a float's exponent, and those that are zero if it has ever been a half.
 EXPONENT, HALF_TAIL = np.uint32(0x7F800000), np.uint32(0x1FFF)
 
-# Characters beyond which a manifest is not read: some million names.
-MAX_MANIFEST_SIZE = 64 << 20
+MAX_MANIFEST_SIZE = 64 << 20  # characters beyond which a manifest is not read: some million names
 
 # Names that a message lists.
 MAX_NAMES = 8

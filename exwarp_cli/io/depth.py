@@ -21,8 +21,7 @@ from exwarp_cli.domain.frame import Float32
 
 F64 = npt.NDArray[np.float64]
 
-# Depth from which on a pixel counts as background.
-FAR = 1e9
+FAR = 1e9  # depth from which on a pixel counts as background
 
 # Pixels that a camera is fitted to, and below which nothing is concluded.
 SAMPLES, LEAST = 3000, 200
@@ -30,8 +29,7 @@ SAMPLES, LEAST = 3000, 200
 # Largest relative error of distances, in the median, of a kind that explains the values.
 MAX_ERROR = 0.01
 
-# Pixels by which positions may miss their own pixel, in the median.
-MAX_REPROJECTION = 1.0
+MAX_REPROJECTION = 1.0  # pixels by which positions may miss their own pixel, in the median
 
 # Pixels, at their distance, by which positions in the median differ if the camera moved.
 MIN_CHANGE = 2.0

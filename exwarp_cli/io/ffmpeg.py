@@ -23,8 +23,7 @@ from exwarp_cli.io.files import ResourceOwner
 from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.stop import check_stop, clean_up_after
 
-# Names frames as bytes: uint8 [H, W, 3], one after the other.
-RAW = "-f rawvideo -pix_fmt rgb24"
+RAW = "-f rawvideo -pix_fmt rgb24"  # names frames as bytes: uint8 [H, W, 3], one after the other
 
 # Options that make ffmpeg read such frames, or those of uint16.
 RAW_INPUT = RAW + " -s {width}x{height} -r {rate} -i -"

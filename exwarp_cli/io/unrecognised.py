@@ -12,8 +12,7 @@ from exwarp_cli.io.sequences import neighbouring_sequences
 from exwarp_cli.io.shot import Shot, channel_label, without_cryptomattes
 from exwarp_cli.io.shot_files import rename_channels
 
-# Layers that a message names.
-MAX_LISTED = 12
+MAX_LISTED = 12  # layers that a message names
 
 _MOTION_WORDS = frozenset(
     {"motion", "move", "movement", "mv", "mvec", "mvecs", "mb", "vec", "vecs", "vector", "vectors"}

@@ -14,8 +14,7 @@ from statistics import median
 
 from exwarp_cli.io.ffmpeg import FfmpegError, FfmpegReader, run_ffmpeg
 
-# ffmpeg's flags of packets: decoding can start at it; an edit list hides it.
-KEY, DISCARD = 1, 4
+KEY, DISCARD = 1, 4  # ffmpeg's flags of packets: decoding can start at it; an edit list hides it
 
 # Rates that are meant; each also 1000/1001 times as fast, as television has it.
 WHOLE_RATES = (8, 10, 12, 12.5, 15, 16, 18, 20, 24, 25, 30, 48, 50, 60, 90, 100, 120, 240)

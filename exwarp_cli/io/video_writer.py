@@ -31,8 +31,7 @@ from exwarp_cli.io.ffmpeg import (
 )
 from exwarp_cli.io.files import ResourceOwner, atomic_path
 
-# ffmpeg's name of the container by file suffix.
-CONTAINERS = {".mp4": "mp4", ".mov": "mov"}
+CONTAINERS = {".mp4": "mp4", ".mov": "mov"}  # ffmpeg's name of the container by file suffix
 
 # Constant rate factor of libx264 and libx265, 0 to 51: at 16 the eye sees no difference from the
 # frames.
@@ -82,11 +81,8 @@ CODECS: Mapping[str, Codec] = {
 # Subtitles whose styles the two containers have no room for.
 STYLED_SUBTITLES = frozenset({"ass", "ssa"})
 
-# Kinds of tracks, as ffmpeg's options call them.
-SOUND, SUBTITLES = "a", "s"
-
-# Frames per second that a timecode track of MP4 and QuickTime can count.
-MAX_TIMECODE_RATE = 255
+SOUND, SUBTITLES = "a", "s"  # kinds of tracks, as ffmpeg's options call them
+MAX_TIMECODE_RATE = 255  # frames per second that a timecode track of MP4 and QuickTime can count
 
 _COPY = "copy"
 _TIMECODE = re.compile(r"(\d\d):(\d\d):(\d\d)([:;.])(\d+)")

@@ -22,15 +22,13 @@ from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.exr.header import Channel, Part
 from exwarp_cli.io.frame_names import NamePattern
 
-# What --view takes for every view.
-ALL = "all"
+ALL = "all"  # what --view takes for every view
 
 _LEFT_RIGHT = ("left", "right")
 _TOKEN = re.compile(r"(%[Vv])")
 _GROUPS = {"%V": r"(?P<V>[^./\\_ -]+)", "%v": r"(?P<v>[^./\\_ -])"}
 _NUMBER = r"-?[0-9]+"
-# The view that comes first where nothing else tells.
-_RANK = {"left": 0, "l": 1}
+_RANK = {"left": 0, "l": 1}  # the view that comes first where nothing else tells
 _LETTERS = {"l": "left", "r": "right"}
 
 

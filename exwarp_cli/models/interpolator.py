@@ -42,8 +42,7 @@ KEYS = ("schema", "name", "inputs", "output", "layout", "order", "range", "encod
 OUTPUT_KEYS = ("name", "layout", "order", "range", "first_channel")
 PADDING_KEYS = ("multiple", "mode", "place")
 
-# Largest encoded colour of an answer, as a multiple of white.
-MAX_ENCODED = 4.0
+MAX_ENCODED = 4.0  # largest encoded colour of an answer, as a multiple of white
 
 # Least number of pixels of the frame in one of the coarsest scale of such networks.
 COARSEST_STRIDE = 32
@@ -72,8 +71,7 @@ PARTS_BY_CHANNELS: Mapping[int, list[Part]] = {
     8: [FIRST, SECOND, TIME, 1.0],
 }
 
-# Usual names of the frame in exports that have several outputs.
-USUAL_OUTPUTS = ("image", "output")
+USUAL_OUTPUTS = ("image", "output")  # usual names of the frame in exports that have several outputs
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,7 @@ from exwarp_cli.runtime.read_registry import report_reading
 # Limit of a file in Protocol Buffers, and more than any other file that is read whole.
 MAX_BYTES = 2**31 - 1
 
-# Beside the shipped models: SHA-256 by file name.
-CHECKSUMS = "checksums.json"
+CHECKSUMS = "checksums.json"  # beside the shipped models: SHA-256 by file name
 
 STRIDE_KEY, INTERFACE_KEY = "exwarp.stride", "exwarp.interface"
 
@@ -58,8 +57,7 @@ NESTED_MESSAGES: Mapping[str, Mapping[int, str]] = {
 RAW_DATA, EXTERNAL_DATA, DATA_LOCATION = 9, 13, 14
 EXTERNAL = 1
 
-# Depth of nested messages that a reader of Protocol Buffers follows.
-MAX_DEPTH = 100
+MAX_DEPTH = 100  # depth of nested messages that a reader of Protocol Buffers follows
 
 VARINT, EIGHT_BYTES, LENGTH_DELIMITED, FOUR_BYTES = 0, 1, 2, 5
 _FIXED_SIZES = {EIGHT_BYTES: 8, FOUR_BYTES: 4}

@@ -39,19 +39,15 @@ DEFAULT_STRIDE, MAX_STRIDE = 8, 256
 # extrapolator takes 560 bytes a pixel while it runs.
 MAX_PIXELS = 2**20
 
-# Largest colour of an answer: coded as log(1 + x), it is near float32's limit.
-MAX_ENCODED = 80.0
-
-# By which the sum of weights may miss 1, and a weight 0.
-WEIGHT_TOLERANCE = 1e-3
+MAX_ENCODED = 80.0  # largest colour of an answer: coded as log(1 + x), it is near float32's limit
+WEIGHT_TOLERANCE = 1e-3  # by which the sum of weights may miss 1, and a weight 0
 
 # Sides in pixels of the pictures on which the reach is measured. The shipped extrapolator sees 96
 # pixels far. A network that sees farther than half of the second picture is not worth cutting up.
 REACH_SIDES = (384, 1024)
 MIN_REACH_CELLS = 7
 
-# Largest difference between a picture and a part of it that is rounding.
-ROUNDING = 1e-5
+ROUNDING = 1e-5  # largest difference between a picture and a part of it that is rounding
 
 
 def load_extrapolator(path: Path | None, threads: int | None, device: str) -> OnnxExtrapolator:

@@ -51,8 +51,7 @@ PAPER = "paper"
 MOST_BYTES = 1 << 26
 MOST_OF_ALL = 1 << 28
 
-# Column of the states: Q16.16 integers with spaces between.
-STATE_COLUMN = "inputs"
+STATE_COLUMN = "inputs"  # column of the states: Q16.16 integers with spaces between
 # Columns that identify the decision of a row, where a table has them.
 IDENTITY_COLUMNS = ("frame", "key", "slot", "node")
 

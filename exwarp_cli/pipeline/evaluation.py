@@ -15,6 +15,7 @@ from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.domain.timeline import parse_frames, ranges
 from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
+from exwarp_cli.io.display_colour import DisplayLook, find_display_look, find_view_transform
 from exwarp_cli.io.exr.reader import read_headers
 from exwarp_cli.io.footage import (
     clip_rate,
@@ -26,7 +27,6 @@ from exwarp_cli.io.footage import (
 from exwarp_cli.io.frames import read_plane
 from exwarp_cli.io.generated_frames import frame_rate
 from exwarp_cli.io.sequences import Sequence, find_sequence
-from exwarp_cli.io.view_transform import DisplayLook, find_display_look, find_view_transform
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.ground_truth import truth_rate
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress

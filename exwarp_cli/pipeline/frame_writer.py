@@ -12,7 +12,7 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, Image, Window
 from exwarp_cli.domain.timeline import OutputRate
-from exwarp_cli.io.display_colour import to_display, to_display_16
+from exwarp_cli.io.display_colour import DisplayLook, to_display, to_display_16
 from exwarp_cli.io.exr.template import PREFIX, Plane, PlaneKey
 from exwarp_cli.io.exr.writer import Buffer
 from exwarp_cli.io.files import ResourceOwner, path_exists
@@ -26,7 +26,6 @@ from exwarp_cli.io.generated_frames import (
 from exwarp_cli.io.key_file import open_key_file, plan_key_file, plan_marked_file
 from exwarp_cli.io.sequences import EXR
 from exwarp_cli.io.video_writer import VideoLook, VideoWriter
-from exwarp_cli.io.view_transform import DisplayLook
 from exwarp_cli.pipeline.output_plan import OutputPlan, key_is_there, slot_is_there
 from exwarp_cli.pipeline.scheduling import AsyncWriter, record_time
 from exwarp_cli.pipeline.verification import FRAME, HOLES, Sums, sum_of
