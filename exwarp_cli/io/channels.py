@@ -199,15 +199,6 @@ class _Layer:
             return ()  # a picture: ids are one number
         return next(filter(None, (self.pick(letters) for letters in rule.components)), ())
 
-    @property
-    def alpha(self) -> ChannelRef | None:
-        """The alpha of a picture in another layer, or None."""
-        if set(self.components) >= _RGB:
-            return None  # this layer's own
-        if self.leaf in _ALPHAS:
-            return next((self.components[c] for c in ("A", *_ONE) if c in self.components), None)
-        return self.components.get("A") if self.leaf in _PICTURES else None
-
 
 def detect_layout(channels: Mapping[str, Iterable[Channel]]) -> Layout:
     """Recognise the roles of one frame's channels by AOV; "" is the main file's."""
@@ -454,8 +445,13 @@ def _alphas(layers: list[_Layer], roles: Mapping[Role, Refs]) -> Refs:
     colour = roles.get(Role.COLOUR, ())
     if len(colour) != 3:
         return ()
-    alphas = (layer.alpha for layer in layers)
-    return tuple(ref for ref in alphas if ref is not None and ref.aov == colour[0].aov)
+    alphas = []
+    for layer in layers:
+        if set(layer.components) >= _RGB:
+            continue  # its alpha is its own
+        usual = ("A", *_ONE) if layer.leaf in _ALPHAS else ("A",) if layer.leaf in _PICTURES else ()
+        alphas += [layer.components[c] for c in usual if c in layer.components][:1]
+    return tuple(ref for ref in alphas if ref.aov == colour[0].aov)
 
 
 def _motion_convention(

@@ -228,21 +228,11 @@ class ViewTransform:
     def apply(self, linear: Float32) -> Float32:
         """Return what a display shows of scene-linear colour.
 
-        Parameters
-        ----------
-        linear
-            float32 [H, W, 3 or more], Rec. 709 primaries. NaN count as 0 and infinities as the
-            largest half float.
+        `linear` is float32 [H, W, 3 or more], Rec. 709 primaries. NaN count as 0 and infinities as
+        the largest half float. Returns float32 [H, W, 3], light of an sRGB display, 0 to 1: the
+        sRGB curve makes the view's codes of it.
 
-        Returns
-        -------
-        float32 [H, W, 3]
-            Light of an sRGB display, 0 to 1: the sRGB curve makes the view's codes of it.
-
-        Raises
-        ------
-        UsageError, InstallationError
-            When OpenColorIO cannot do it; the latter for views in `BUILT_IN`.
+        Raises UsageError, for views in `BUILT_IN` InstallationError, if OpenColorIO cannot do it.
         """
         finite = np.nan_to_num(linear[..., :3], nan=0.0, posinf=HALF_MAX, neginf=-HALF_MAX)
         source = oiio.ImageBuf(np.ascontiguousarray(finite.clip(-HALF_MAX, HALF_MAX)))
@@ -290,13 +280,10 @@ def find_display_look(sequence: Sequence, transform: ViewTransform | None) -> Di
 def find_view_transform(name: str, *shown: Sequence) -> ViewTransform | None:
     """Return the view transform of a name, for these sequences; None for the sRGB curve alone.
 
-    Raises
-    ------
-    UsageError
-        For a name that is neither ``srgb``, nor in `BUILT_IN`, nor ``CONFIG:DISPLAY:VIEW``, for
-        a configuration without that view, and for a sequence that is not of scene-linear colour.
-    InstallationError
-        When OpenImageIO has no OpenColorIO, or an older one than a view in `BUILT_IN` needs.
+    Raises UsageError for a name that is neither ``srgb``, nor in `BUILT_IN`, nor
+    ``CONFIG:DISPLAY:VIEW``, for a configuration without that view, and for a sequence that is not
+    of scene-linear colour. Raises InstallationError when OpenImageIO has no OpenColorIO, or an
+    older one than a view in `BUILT_IN` needs.
     """
     if name == SRGB_VIEW:
         return None

@@ -370,18 +370,9 @@ def intact_frames(
 
     A frame that is corrupt or missing makes those after it unusable up to the next key frame.
 
-    Parameters
-    ----------
-    ffmpeg
-        Decodes with the options `ON_DAMAGE` and writes every frame.
-    size
-        Bytes of a frame.
-    packets
-        Of the file.
-    begin
-        Index of the frame whose time is ffmpeg's 0; 0 for the start of the file.
-    rate
-        Frames per second, where the packets have no times.
+    `ffmpeg` decodes with the options `ON_DAMAGE` and writes every frame, of `size` bytes. `begin`
+    is the index of the frame whose time is ffmpeg's 0; 0 for the start of the file. `rate` counts
+    where the packets have no times.
     """
     expected, is_usable, zero = begin, True, None
     # Frames that may build on frames shown after them: index, bytes, and the last frame that each

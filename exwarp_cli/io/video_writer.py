@@ -137,12 +137,6 @@ class Track:
     index: int  # among the tracks of its kind, from 0
     codec: str  # by ffmpeg's name
 
-    @property
-    def name(self) -> str:
-        """Its name in messages, counted from 1."""
-        kind = "sound" if self.kind == SOUND else "subtitle"
-        return f"{kind} track {self.index + 1} ({self.codec})"
-
 
 # Tracks that go into the new video, each with the encoder's name and options.
 EncodedTracks = Sequence[tuple[Track, tuple[str, ...]]]
@@ -211,12 +205,8 @@ def require_container(path: Path) -> None:
 def find_codec(name: str, path: Path) -> Codec:
     """Return the codec of a name out of `VIDEO_CODECS` for a video.
 
-    Raises
-    ------
-    UsageError
-        For another name, and where the container has no room for it.
-    InstallationError
-        When ffmpeg cannot encode with it.
+    Raises UsageError for another name, and where the container has no room for it. Raises
+    InstallationError when ffmpeg cannot encode with it.
     """
     if name not in CODECS:
         raise UsageError(f"--video-codec {name} is not one of {', '.join(CODECS)}")
@@ -402,7 +392,8 @@ def plan_tracks(sound: Soundtrack, container: str) -> tuple[EncodedTracks, tuple
         encoded = [(track, encoder) for track, encoder in choices if encoder is not None]
     encoders, remarks = dict(encoded), []
     for track in sound.tracks:
-        name, encoder = f"{track.name} of {sound.path}", encoders.get(track)
+        kind, encoder = "sound" if track.kind == SOUND else "subtitle", encoders.get(track)
+        name = f"{kind} track {track.index + 1} ({track.codec}) of {sound.path}"
         if encoder is None:
             fits_mov = container == "mp4" and _choose_encoder(sound, track, "mov") is not None
             better = "; a video named .mov can hold it" if fits_mov else ""

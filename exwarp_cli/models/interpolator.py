@@ -92,12 +92,6 @@ class Padding:
     mode: str
     centred: bool
 
-    def around(self, height: int, width: int) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Return the rows above and below, and the columns left and right, to add."""
-        rows, columns = -height % self.multiple, -width % self.multiple
-        above, left = (rows // 2, columns // 2) if self.centred else (0, 0)
-        return (above, rows - above), (left, columns - left)
-
 
 @dataclass(frozen=True)
 class Card:
@@ -361,12 +355,14 @@ class OnnxInterpolator(OnnxNetwork):
         """Run the network on two encoded frames [H, W, 3]; return an encoded one."""
         padding, form = self.card.padding, self.card.input_format
         height, width, _ = first.shape
-        (above, below), (left, right) = around = padding.around(height, width)
-        size = (above + height + below, left + width + right)
+        rows, columns = -height % padding.multiple, -width % padding.multiple
+        above, left = (rows // 2, columns // 2) if padding.centred else (0, 0)
+        around = ((above, rows - above), (left, columns - left), (0, 0))
+        size = (height + rows, width + columns)
         frames: dict[Part, Float32] = {}
         for frame, encoded in ((FIRST, first), (SECOND, second)):
             mode: Any = MODES[padding.mode]
-            padded = np.pad(encoded, (*around, (0, 0)), mode=mode)
+            padded = np.pad(encoded, around, mode=mode)
             if form.order == "BGR":
                 padded = padded[..., ::-1]
             frames[frame] = padded * np.float32(form.high - form.low) + np.float32(form.low)
