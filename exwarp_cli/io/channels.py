@@ -63,10 +63,8 @@ Refs = tuple[ChannelRef, ...]
 class Layout:
     """What was recognised in a sequence's files."""
 
-    # Components in order: R G B A, X Y Z.
-    roles: Mapping[Role, Refs]
-    # The motion convention that names suggest.
-    guess: MotionConvention | None = None
+    roles: Mapping[Role, Refs]  # components in order: R G B A, X Y Z
+    guess: MotionConvention | None = None  # the motion convention that names suggest
     producer: str = UNKNOWN
     # Layers that go by a role's name but lack channels: what each has, in words, for example
     # "'forward' has only u".

@@ -62,8 +62,7 @@ class DepthReading:
     kind: DepthKind = DepthKind.UNKNOWN
     offset: float = 0.0
     scale: float = 1.0
-    # True if world positions showed this, rather than a name or a person.
-    measured: bool = False
+    measured: bool = False  # True if world positions showed this, rather than a name or a person
     # What a user should know of how it is read, or why it is left out; "" for nothing.
     evidence: str = field(default="", compare=False)
 

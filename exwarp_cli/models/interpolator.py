@@ -106,11 +106,9 @@ class Card:
     inputs: Mapping[str, tuple[Part, ...]]
     input_format: PictureFormat
     output_format: PictureFormat
-    # Name of the output, and the channel in it that the frame starts with.
-    output: str
-    first_channel: int
-    # The encoding that the network was trained on, out of `ENCODINGS`.
-    encoding: str
+    output: str  # its name
+    first_channel: int  # of the output, with which the frame starts
+    encoding: str  # the encoding that the network was trained on, out of `ENCODINGS`
     padding: Padding
 
     @property
