@@ -30,11 +30,12 @@ from exwarp_cli.io.files import atomic_write_text
 
 SCHEMA = "exwarp.channel-map/1"
 
-# Least and most channels of a role; of the others one.
-CHANNEL_COUNTS: Mapping[Role, tuple[int, int]] = {
-    Role.COLOUR: (3, 4),
-    Role.MOTION: (2, 5),
-    **dict.fromkeys((Role.NORMAL, Role.POSITION, Role.ALBEDO, Role.SPECULAR), (3, 3)),
+# Least and most channels of a role, and how a message writes them as an example.
+CHANNEL_COUNTS: Mapping[Role, tuple[int, int, str]] = {
+    **dict.fromkeys(Role, (1, 1, "Z")),
+    **dict.fromkeys((Role.NORMAL, Role.POSITION, Role.ALBEDO, Role.SPECULAR), (3, 3, "X,Y,Z")),
+    Role.COLOUR: (3, 4, "R,G,B,A"),
+    Role.MOTION: (2, 5, "R,G"),
 }
 
 _ROLES = {role.value: role for role in Role} | {"color": Role.COLOUR}
@@ -151,7 +152,7 @@ def detect_aov(aov: AovFile, channels: Mapping[str, Channel], file: object) -> L
     if not names:
         raise LayoutError(
             f"{file} has no {role.value} channels that are recognised, only "
-            f"{', '.join(channels)}; name them, as in {aov.option}:{_example(role)}"
+            f"{', '.join(channels)}; name them, as in {aov.option}:{CHANNEL_COUNTS[role][2]}"
         )
     return Layout(
         {role: tuple(ChannelRef(role.value, name) for name in names)},
@@ -167,7 +168,7 @@ def _only_layer(role: Role, channels: Mapping[str, Channel]) -> tuple[str, ...]:
     """Return the channels of a file's only layer in their usual order, () if they do not fit."""
     layers = {name.rpartition(".")[0] for name in channels}
     by_letter = {name.rpartition(".")[2].upper(): name for name in channels}
-    least, most = CHANNEL_COUNTS.get(role, (1, 1))
+    least, most, _ = CHANNEL_COUNTS[role]
     if len(layers) != 1:
         return ()
     if len(channels) == least == most == 1:
@@ -196,24 +197,18 @@ def find_channel(name: str, channels: Iterable[str], option: str, file: object) 
 
 def require_channel_count(role: Role, channels: tuple[str, ...], option: str) -> None:
     """Refuse a number of channels that a role cannot have, and the same channel twice."""
-    least, most = CHANNEL_COUNTS.get(role, (1, 1))
+    least, most, example = CHANNEL_COUNTS[role]
     if not least <= len(channels) <= most:
         wanted = str(least) if least == most else f"{least} to {most}"
         raise UsageError(
             f"{option} names {len(channels)} channel{'s' * (len(channels) != 1)} for "
-            f"{role.value}, which takes {wanted}; write them as in {_example(role)}"
+            f"{role.value}, which takes {wanted}; write them as in {example}"
         )
     repeated = next((name for i, name in enumerate(channels) if name in channels[:i]), None)
     if repeated is not None and role is not Role.COLOUR:  # a grey beauty is one plane thrice
         raise UsageError(
             f"{option} names the channel {repeated!r} of {role.value} twice; name each component's"
         )
-
-
-def _example(role: Role) -> str:
-    if role is Role.MOTION:
-        return "R,G"
-    return {1: "Z", 3: "X,Y,Z"}.get(CHANNEL_COUNTS.get(role, (1, 1))[1], "R,G,B,A")
 
 
 def read_channel_map(path: Path) -> ChannelMap:
