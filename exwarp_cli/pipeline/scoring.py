@@ -17,7 +17,7 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.display_colour import to_display
-from exwarp_cli.io.ffmpeg_filters import compute_vmaf, require_vmaf_size
+from exwarp_cli.io.ffmpeg import compute_vmaf, require_vmaf_size
 from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.metrics.temporal import (
     Transition,

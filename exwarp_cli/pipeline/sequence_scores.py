@@ -16,7 +16,7 @@ from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.errors import InputError, MotionError, UsageError
 from exwarp_cli.io.display_colour import to_display
-from exwarp_cli.io.ffmpeg_filters import VmafStream
+from exwarp_cli.io.ffmpeg import VmafStream
 from exwarp_cli.io.files import ResourceOwner
 from exwarp_cli.io.frames import GEOMETRY, read_raw
 from exwarp_cli.io.generated_frames import read_facts

@@ -13,7 +13,7 @@ from exwarp_cli.domain.metric import METRICS, Threshold, parse_metrics, parse_th
 from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.errors import InputError, QualityError, UsageError
 from exwarp_cli.io.display_colour import to_display
-from exwarp_cli.io.ffmpeg_filters import VmafStream, compute_vmaf
+from exwarp_cli.io.ffmpeg import VmafStream, compute_vmaf
 from exwarp_cli.metrics import extranet_scores
 from exwarp_cli.metrics.temporal import display_error
 from exwarp_cli.pipeline.evaluation import Comparison, evaluate

@@ -9,8 +9,8 @@ import pytest
 
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.errors import OutputError
-from exwarp_cli.io import ffmpeg_filters as module
-from exwarp_cli.io.ffmpeg_filters import minterpolate
+from exwarp_cli.io import ffmpeg as module
+from exwarp_cli.io.ffmpeg import minterpolate
 from exwarp_cli.metrics.display import encode_display
 
 STEP = 8

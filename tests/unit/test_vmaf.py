@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import InputError, LayoutError
-from exwarp_cli.io.ffmpeg_filters import MIN_VMAF_SIZE, VmafStream, compute_vmaf
+from exwarp_cli.io.ffmpeg import MIN_VMAF_SIZE, VmafStream, compute_vmaf
 
 INTERVALS = 3
 

@@ -11,7 +11,7 @@ from exwarp_cli.domain.decision import HOLD
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.network_api import Extrapolator, Interpolator
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.io.ffmpeg_filters import minterpolate
+from exwarp_cli.io.ffmpeg import minterpolate
 from exwarp_cli.research.bench.systems import IMPORTED, MINTERPOLATE, REPEATED, SLOTS
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS, predict_path
