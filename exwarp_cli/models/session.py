@@ -7,12 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from exwarp_cli.errors import (
-    DamagedFileError,
-    LayoutError,
-    MissingExtraError,
-    OutOfMemoryError,
-)
+from exwarp_cli.errors import DamagedFileError, LayoutError, MissingExtraError, OutOfMemoryError
 from exwarp_cli.models.model_file import embed_weights
 from exwarp_cli.runtime.read_registry import report_reading
 from exwarp_cli.standard_streams import silence_libraries
