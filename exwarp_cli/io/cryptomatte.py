@@ -341,10 +341,6 @@ class Manifest:
     problem: str = ""  # why there are none, as half a sentence; "" if there are some
     hashed: bool = True  # True if a name's id is its hash, so that a name alone gives its id
 
-    def names(self, rounded: bool = False) -> dict[int, str]:
-        """Return the names by id as of `surface_ids`."""
-        return {surface_id(bits, rounded): name for name, bits in self.ids.items()}
-
 
 def read_manifest(cryptomatte: Cryptomatte, path: Path) -> Manifest:
     """Read the manifest of a Cryptomatte in the file `path`, from its header or from a sidecar.

@@ -155,11 +155,6 @@ class Soundtrack:
     subtitles: tuple[str, ...] = ()  # codecs of its subtitles, by ffmpeg's names
 
     @property
-    def delay(self) -> Fraction:
-        """Seconds of silence to put before it."""
-        return max(self.begins - self.start, Fraction(0))
-
-    @property
     def tracks(self) -> tuple[Track, ...]:
         """Its tracks, sound first."""
         kinds = ((SOUND, self.codecs), (SUBTITLES, self.subtitles))
@@ -175,8 +170,8 @@ class Soundtrack:
         options = ["-ss", f"{float(self.start):.6f}"] if self.start > 0 else []
         if self.length is not None:
             options += ["-t", f"{float(self.length):.6f}"]
-        if self.delay:
-            options += ["-itsoffset", f"{float(self.delay):.6f}"]
+        if self.begins > self.start:  # silence goes before it
+            options += ["-itsoffset", f"{float(self.begins - self.start):.6f}"]
         return [*options, "-i", f"file:{self.path}"]
 
 
