@@ -81,7 +81,7 @@ class UpsampleSettings:
     video: str | None = None  # path of a video to write too
     video_codec: str = VIDEO_CODECS[0]  # out of `VIDEO_CODECS`
     exposure: float = 0.0  # of the video, in stops
-    # Of the video and the report's pictures; see `io.view_transform`
+    # Of the video and the report's pictures; see `io.display_colour`
     view_transform: str = SRGB_VIEW
     write_holes: str | None = None  # folder or pattern for hole masks
     threads: int | None = None  # cores for all that works at a time; None: all that there are

@@ -30,11 +30,12 @@ from exwarp_cli.io.files import atomic_write_text
 
 SCHEMA = "exwarp.channel-map/1"
 
-# Least and most channels of a role; of the others one.
-CHANNEL_COUNTS: Mapping[Role, tuple[int, int]] = {
-    Role.COLOUR: (3, 4),
-    Role.MOTION: (2, 5),
-    **dict.fromkeys((Role.NORMAL, Role.POSITION, Role.ALBEDO, Role.SPECULAR), (3, 3)),
+# Least and most channels of a role, and how a message writes them as an example.
+CHANNEL_COUNTS: Mapping[Role, tuple[int, int, str]] = {
+    **dict.fromkeys(Role, (1, 1, "Z")),
+    **dict.fromkeys((Role.NORMAL, Role.POSITION, Role.ALBEDO, Role.SPECULAR), (3, 3, "X,Y,Z")),
+    Role.COLOUR: (3, 4, "R,G,B,A"),
+    Role.MOTION: (2, 5, "R,G"),
 }
 
 _ROLES = {role.value: role for role in Role} | {"color": Role.COLOUR}
@@ -151,7 +152,7 @@ def detect_aov(aov: AovFile, channels: Mapping[str, Channel], file: object) -> L
     if not names:
         raise LayoutError(
             f"{file} has no {role.value} channels that are recognised, only "
-            f"{', '.join(channels)}; name them, as in {aov.option}:{_example(role)}"
+            f"{', '.join(channels)}; name them, as in {aov.option}:{CHANNEL_COUNTS[role][2]}"
         )
     return Layout(
         {role: tuple(ChannelRef(role.value, name) for name in names)},
@@ -167,7 +168,7 @@ def _only_layer(role: Role, channels: Mapping[str, Channel]) -> tuple[str, ...]:
     """Return the channels of a file's only layer in their usual order, () if they do not fit."""
     layers = {name.rpartition(".")[0] for name in channels}
     by_letter = {name.rpartition(".")[2].upper(): name for name in channels}
-    least, most = CHANNEL_COUNTS.get(role, (1, 1))
+    least, most, _ = CHANNEL_COUNTS[role]
     if len(layers) != 1:
         return ()
     if len(channels) == least == most == 1:
@@ -196,24 +197,18 @@ def find_channel(name: str, channels: Iterable[str], option: str, file: object) 
 
 def require_channel_count(role: Role, channels: tuple[str, ...], option: str) -> None:
     """Refuse a number of channels that a role cannot have, and the same channel twice."""
-    least, most = CHANNEL_COUNTS.get(role, (1, 1))
+    least, most, example = CHANNEL_COUNTS[role]
     if not least <= len(channels) <= most:
         wanted = str(least) if least == most else f"{least} to {most}"
         raise UsageError(
             f"{option} names {len(channels)} channel{'s' * (len(channels) != 1)} for "
-            f"{role.value}, which takes {wanted}; write them as in {_example(role)}"
+            f"{role.value}, which takes {wanted}; write them as in {example}"
         )
     repeated = next((name for i, name in enumerate(channels) if name in channels[:i]), None)
     if repeated is not None and role is not Role.COLOUR:  # a grey beauty is one plane thrice
         raise UsageError(
             f"{option} names the channel {repeated!r} of {role.value} twice; name each component's"
         )
-
-
-def _example(role: Role) -> str:
-    if role is Role.MOTION:
-        return "R,G"
-    return {1: "Z", 3: "X,Y,Z"}.get(CHANNEL_COUNTS.get(role, (1, 1))[1], "R,G,B,A")
 
 
 def read_channel_map(path: Path) -> ChannelMap:
@@ -280,20 +275,15 @@ def _require_types(document: Mapping[str, Any], path: Path) -> None:
             raise _invalid(path, key, "has to be a text in quotes; correct it, or leave it out")
     if document.get("schema", SCHEMA) != SCHEMA:
         raise _invalid(path, "schema", f"is not {SCHEMA}; this version of ExWarp reads that alone")
-    for name, value in document.get("channels", {}).items():
-        if not _is_name(value) and not (isinstance(value, list) and all(map(_is_name, value))):
-            raise _invalid(
-                path,
-                f"channels.{name}",
-                "has to be a list of channel names; correct it, or leave it out",
-            )
-    for name, value in document.get("aovs", {}).items():
-        if not _is_name(value):
-            raise _invalid(
-                path,
-                f"aovs.{name}",
-                "has to be a text such as PATTERN:R,G; correct it, or leave it out",
-            )
+    for table, needed in (
+        ("channels", "a list of channel names"),
+        ("aovs", "a text such as PATTERN:R,G"),
+    ):
+        for name, value in document.get(table, {}).items():
+            is_list = table == "channels" and isinstance(value, list)
+            if not _is_name(value) and not (is_list and all(map(_is_name, value))):
+                problem = f"has to be {needed}; correct it, or leave it out"
+                raise _invalid(path, f"{table}.{name}", problem)
 
 
 def _is_name(value: object) -> bool:

@@ -9,7 +9,7 @@ words. A motion layer only gets a first guess of its convention here, by what
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -63,10 +63,8 @@ Refs = tuple[ChannelRef, ...]
 class Layout:
     """What was recognised in a sequence's files."""
 
-    # Components in order: R G B A, X Y Z.
-    roles: Mapping[Role, Refs]
-    # The motion convention that names suggest.
-    guess: MotionConvention | None = None
+    roles: Mapping[Role, Refs]  # components in order: R G B A, X Y Z
+    guess: MotionConvention | None = None  # the motion convention that names suggest
     producer: str = UNKNOWN
     # Layers that go by a role's name but lack channels: what each has, in words, for example
     # "'forward' has only u".
@@ -170,6 +168,7 @@ _LONG_COMPONENTS = {"RED": "R", "GREEN": "G", "BLUE": "B", "ALPHA": "A"}
 
 # `VRayZDepth_v2` has the words V, Ray, Z, Depth, v, 2.
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+[a-z]?")
+_NAME_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+")
 # Names of parts that say nothing of what they hold.
 _NO_LAYER_NAME = re.compile(r"(part|subimage|image|layer|default|main)?[0-9]*")
 
@@ -198,15 +197,6 @@ class _Layer:
             return ()  # a picture: ids are one number
         return next(filter(None, (self.pick(letters) for letters in rule.components)), ())
 
-    @property
-    def alpha(self) -> ChannelRef | None:
-        """The alpha of a picture in another layer, or None."""
-        if set(self.components) >= _RGB:
-            return None  # this layer's own
-        if self.leaf in _ALPHAS:
-            return next((self.components[c] for c in ("A", *_ONE) if c in self.components), None)
-        return self.components.get("A") if self.leaf in _PICTURES else None
-
 
 def detect_layout(channels: Mapping[str, Iterable[Channel]]) -> Layout:
     """Recognise the roles of one frame's channels by AOV; "" is the main file's."""
@@ -231,8 +221,20 @@ def detect_layout(channels: Mapping[str, Iterable[Channel]]) -> Layout:
             ]
             near.sort(key=lambda layer: layer.part != part)
             layers = near + [layer for layer in layers if layer not in near]
-    if Role.COLOUR not in roles and (picture := _only_picture(layers, roles)):
-        roles[Role.COLOUR] = picture
+    if Role.COLOUR not in roles:
+        # The only RGB layer without a role, whatever its name. Of several, the one whose channels
+        # have no layer in the file, but for its part's name: R, G and B alone are the picture.
+        used = {ref for refs in roles.values() for ref in refs}
+        pictures = [(layer, layer.pick("RGBA") or layer.pick("RGB")) for layer in layers]
+        free = [(layer, refs) for layer, refs in pictures if refs and not used.intersection(refs)]
+        if len(free) > 1:
+            free = [
+                (layer, refs)
+                for layer, refs in free
+                if layer.named_by_part and not {layer.leaf, *layer.endings} & _DATA
+            ]
+        if len(free) == 1:
+            roles[Role.COLOUR] = free[0][1]
     alphas = _alphas(near, roles) or _alphas(layers, roles)
     if len(alphas) == 1:
         roles[Role.COLOUR] += alphas
@@ -279,11 +281,22 @@ def _group_by_layer(channels: Mapping[str, Iterable[Channel]]) -> list[_Layer]:
     layers: dict[tuple[str, str, int], _Layer] = {}
     for aov, members in channels.items():
         members = tuple(members)
-        parts = _PartNames.of(members)
+        # What the parts' names say of channels that carry no layer of their own.
+        letters: dict[int, set[str]] = {}
+        names: dict[str, list[str]] = {}
+        for channel in members:
+            if _is_named_by_part(channel):
+                layer, _, component = channel.name.rpartition(".")
+                letters.setdefault(channel.part, set()).add(_letter(component))
+                names[layer] = _NAME_WORD.findall(layer.rsplit(".", 1)[-1])
+        pictures = {part for part, components in letters.items() if components >= _RGB}
+        # Words that all these names begin and end with: of `rgba_main` and `depth_main`, 0 and 1.
+        leading = _shared_word_count(list(names.values()))
+        trailing = _shared_word_count([words[leading:][::-1] for words in names.values()])
         for channel in members:
             if is_cryptomatte_name(channel.name.rpartition(".")[0] or aov):
                 continue
-            layer, last, component, part = parts.locate(channel)
+            layer, last, component, part = _locate(channel, pictures, leading, trailing)
             key = (aov, layer, part)
             if key not in layers:
                 own_file = bool(aov) and layer == ""
@@ -301,54 +314,32 @@ def _group_by_layer(channels: Mapping[str, Iterable[Channel]]) -> list[_Layer]:
     return list(layers.values())
 
 
-@dataclass(frozen=True)
-class _PartNames:
-    """What the parts' names say of channels that carry no layer of their own.
+def _locate(
+    channel: Channel, pictures: Collection[int], leading: int, trailing: int
+) -> tuple[str, str, str, int]:
+    """Return a channel's layer, the last element of its name, the component, and the part.
 
-    `pictures` are the parts with such R, G and B. `leading` and `trailing` count the words that the
-    names of all such parts begin and end with: of `rgba_main` and `depth_main`, 0 and 1.
+    The part is -1 where layers of one name are one layer, whatever their parts. `pictures` are the
+    parts with R, G and B that have no layer; `leading` and `trailing` count the shared words of the
+    names of parts.
     """
-
-    pictures: frozenset[int]
-    leading: int
-    trailing: int
-
-    @classmethod
-    def of(cls, channels: Iterable[Channel]) -> _PartNames:
-        letters: dict[int, set[str]] = {}
-        names: dict[str, list[str]] = {}
-        for channel in channels:
-            if _is_named_by_part(channel):
-                layer, _, component = channel.name.rpartition(".")
-                letters.setdefault(channel.part, set()).add(_letter(component))
-                names[layer] = _name_words(layer.rsplit(".", 1)[-1])
-        pictures = frozenset(part for part, components in letters.items() if components >= _RGB)
-        leading = _shared_word_count(list(names.values()))
-        reversed_rests = [words[leading:][::-1] for words in names.values()]
-        return cls(pictures, leading, _shared_word_count(reversed_rests))
-
-    def locate(self, channel: Channel) -> tuple[str, str, str, int]:
-        """Return a channel's layer, the last element of its name, the component, and the part.
-
-        The part is -1 where layers of one name are one layer, whatever their parts.
-        """
-        layer, _, component = channel.name.rpartition(".")
-        component, last = _letter(component), layer.rsplit(".", 1)[-1]
-        by_part = _is_named_by_part(channel)
-        repeats_layer = _plain(component) == _plain(last)
-        if len(component) > 1 and (not layer or by_part or repeats_layer):
-            return channel.name, channel.name.rsplit(".", 1)[-1], "V", -1
-        if not by_part:
-            return layer, last, component, -1
-        if channel.part in self.pictures and component not in ("R", "G", "B", "A"):
-            # The name is the picture's; Z beside a picture is OpenEXR's own depth.
-            return layer, "", component, channel.part
-        if _NO_LAYER_NAME.fullmatch(_plain(layer)):
-            return "", "", component, channel.part
-        if _plain(last) not in _DATA and (self.leading or self.trailing):
-            words = _name_words(last)
-            last = "_".join(words[self.leading : len(words) - self.trailing])
+    layer, _, component = channel.name.rpartition(".")
+    component, last = _letter(component), layer.rsplit(".", 1)[-1]
+    by_part = _is_named_by_part(channel)
+    repeats_layer = _plain(component) == _plain(last)
+    if len(component) > 1 and (not layer or by_part or repeats_layer):
+        return channel.name, channel.name.rsplit(".", 1)[-1], "V", -1
+    if not by_part:
         return layer, last, component, -1
+    if channel.part in pictures and component not in ("R", "G", "B", "A"):
+        # The name is the picture's; Z beside a picture is OpenEXR's own depth.
+        return layer, "", component, channel.part
+    if _NO_LAYER_NAME.fullmatch(_plain(layer)):
+        return "", "", component, channel.part
+    if _plain(last) not in _DATA and (leading or trailing):
+        words = _NAME_WORD.findall(last)
+        last = "_".join(words[leading : len(words) - trailing])
+    return layer, last, component, -1
 
 
 def _is_named_by_part(channel: Channel) -> bool:
@@ -380,10 +371,6 @@ def _parent(name: str) -> str:
 def _plain(name: str) -> str:
     """Return a name in lower case, without what separates its words."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
-
-
-def _name_words(name: str) -> list[str]:
-    return re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+", name)
 
 
 def _endings(name: str) -> dict[str, str]:
@@ -451,31 +438,18 @@ def _ends_in(layer: _Layer, leaf: str, role: Role) -> bool:
     return before not in _SPOILING_WORDS
 
 
-def _only_picture(layers: list[_Layer], roles: Mapping[Role, Refs]) -> Refs:
-    """Return a single unclaimed RGB layer, whatever its name, or ().
-
-    Of several, the one whose channels have no layer in the file, but for its part's name: R, G and
-    B alone are the picture.
-    """
-    used = {ref for refs in roles.values() for ref in refs}
-    free = []
-    for layer in layers:
-        refs = layer.pick("RGBA") or layer.pick("RGB")
-        if refs and not used.intersection(refs):
-            is_data = bool({layer.leaf, *layer.endings} & _DATA)
-            free.append((layer.named_by_part and not is_data, refs))
-    if len(free) > 1:
-        free = [entry for entry in free if entry[0]]
-    return free[0][1] if len(free) == 1 else ()
-
-
 def _alphas(layers: list[_Layer], roles: Mapping[Role, Refs]) -> Refs:
     """Return the alphas of other layers that may belong to a colour without alpha."""
     colour = roles.get(Role.COLOUR, ())
     if len(colour) != 3:
         return ()
-    alphas = (layer.alpha for layer in layers)
-    return tuple(ref for ref in alphas if ref is not None and ref.aov == colour[0].aov)
+    alphas = []
+    for layer in layers:
+        if set(layer.components) >= _RGB:
+            continue  # its alpha is its own
+        usual = ("A", *_ONE) if layer.leaf in _ALPHAS else ("A",) if layer.leaf in _PICTURES else ()
+        alphas += [layer.components[c] for c in usual if c in layer.components][:1]
+    return tuple(ref for ref in alphas if ref.aov == colour[0].aov)
 
 
 def _motion_convention(

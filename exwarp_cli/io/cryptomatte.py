@@ -46,14 +46,12 @@ HASH, CONVERSION = "MurmurHash3_32", "uint32_to_float32"
 # in 87, 80, 96 and 100 %.
 LEAD = np.float32(0.1)
 
-# Number of pixels that are looked at for damage.
-SAMPLES = 4096
+SAMPLES = 4096  # number of pixels that are looked at for damage
 
 # The bits of a float's exponent, and those that are zero if it has ever been a half.
 EXPONENT, HALF_TAIL = np.uint32(0x7F800000), np.uint32(0x1FFF)
 
-# Characters beyond which a manifest is not read: some million names.
-MAX_MANIFEST_SIZE = 64 << 20
+MAX_MANIFEST_SIZE = 64 << 20  # characters beyond which a manifest is not read: some million names
 
 # Names that a message lists.
 MAX_NAMES = 8
@@ -90,23 +88,17 @@ _KIND_NAMES = (
 class Cryptomatte:
     """One Cryptomatte of a file, or of the files of a frame."""
 
-    # Name of the AOV's own sequence if each AOV has a file of its own, else "".
-    aov: str
-    # Of its layers, without the rank.
-    name: str
+    aov: str  # name of the AOV's own sequence if each AOV has a file of its own, else ""
+    name: str  # of its layers, without the rank
     kind: IdKind
     # The four channels of each layer, in order: id, share, id, share.
     ranks: tuple[tuple[ChannelRef, ...], ...]
-    # True if all ids are stored as 32-bit floats.
-    exact: bool = True
-    # True if the file's compression (PXR24) has rounded them to 24 bits.
-    rounded: bool = False
+    exact: bool = True  # True if all ids are stored as 32-bit floats
+    rounded: bool = False  # True if the file's compression (PXR24) has rounded them to 24 bits
     # True if ids are the hash that `hash_name` computes; else only a manifest links them to names.
     hashed: bool = True
-    # Text of the manifest in the header.
-    manifest: str | None = field(default=None, repr=False)
-    # Path of a manifest's own file, relative to the image.
-    sidecar: str | None = None
+    manifest: str | None = field(default=None, repr=False)  # text of it in the header
+    sidecar: str | None = None  # path of a manifest's own file, relative to the image
 
     @property
     def stencil(self) -> tuple[ChannelRef, ...]:
@@ -155,8 +147,26 @@ def find_cryptomattes(
         named = [entry for entry in entries.values() if entry.get("name")]
         for name, layers in _group_ranks(members).items():
             entry = _header_entry(name, named)
-            if entry is not None or any(word in _last_element(name) for word in _USUAL_NAMES):
-                mattes.append(_cryptomatte(aov, name, layers, entry or {}, parts))
+            last = "".join(_words(name.rsplit(".", 1)[-1]))
+            if entry is None and not any(word in last for word in _USUAL_NAMES):
+                continue
+            entry = entry or {}
+            kinds = (kind for kind, words in _KIND_NAMES if any(word in last for word in words))
+            hashing = entry.get("hash", HASH), entry.get("conversion", CONVERSION)
+            indices = {channel.part for layer in layers for channel in layer}
+            compressions = {str(parts[i].get("compression")) for i in indices if i < len(parts)}
+            matte = Cryptomatte(
+                aov,
+                name,
+                next(kinds, IdKind.OTHER),
+                tuple(tuple(ChannelRef(aov, c.name) for c in layer) for layer in layers),
+                exact=all(id_.pixel_type == "float" for layer in layers for id_ in layer[::2]),
+                rounded="pxr24" in compressions,
+                hashed=hashing == (HASH, CONVERSION),
+                manifest=entry.get("manifest"),
+                sidecar=entry.get("manif_file"),
+            )
+            mattes.append(matte)
     view_layer = beauty.rpartition(".")[0].rpartition(".")[0]
     return tuple(sorted(mattes, key=lambda m: (m.name.rpartition(".")[0] != view_layer, m.kind)))
 
@@ -179,30 +189,6 @@ def _group_ranks(channels: Iterable[Channel]) -> dict[str, list[list[Channel]]]:
             ranks.setdefault(name, []).append(layer_channels)
             count += 1
     return ranks
-
-
-def _cryptomatte(
-    aov: str,
-    name: str,
-    layers: list[list[Channel]],
-    entry: Mapping[str, str],
-    parts: Sequence[Mapping[str, object]],
-) -> Cryptomatte:
-    indices = {channel.part for layer in layers for channel in layer}
-    compressions = {str(parts[i].get("compression", "")) for i in indices if i < len(parts)}
-    plain = _last_element(name)
-    kinds = (kind for kind, words in _KIND_NAMES if any(word in plain for word in words))
-    return Cryptomatte(
-        aov,
-        name,
-        next(kinds, IdKind.OTHER),
-        tuple(tuple(ChannelRef(aov, channel.name) for channel in layer) for layer in layers),
-        exact=all(id_.pixel_type == "float" for layer in layers for id_ in layer[::2]),
-        rounded="pxr24" in compressions,
-        hashed=(entry.get("hash", HASH), entry.get("conversion", CONVERSION)) == (HASH, CONVERSION),
-        manifest=entry.get("manifest"),
-        sidecar=entry.get("manif_file"),
-    )
 
 
 def _header_entry(name: str, entries: list[dict[str, str]]) -> dict[str, str] | None:
@@ -228,10 +214,6 @@ def _header_entry(name: str, entries: list[dict[str, str]]) -> dict[str, str] | 
 def _words(name: str) -> list[str]:
     """Return the words of a name without what writers change: case and separators."""
     return re.findall(r"[^\W_]+", name.lower())
-
-
-def _last_element(name: str) -> str:
-    return "".join(_words(name.rsplit(".", 1)[-1]))
 
 
 def surface_ids(ranks: Float32, rounded: bool = False) -> Int32:
@@ -324,8 +306,7 @@ class IdReading:
     cryptomatte: Cryptomatte
     # True if some of the ids that they are compared with were rounded; see `surface_ids`.
     rounded: bool = False
-    # None if nothing says what moves.
-    dynamic: DynamicObjects | None = None
+    dynamic: DynamicObjects | None = None  # None if nothing says what moves
 
     @property
     def identity(self) -> list[Any]:
@@ -356,16 +337,9 @@ class IdReading:
 class Manifest:
     """The names that one frame's Cryptomatte knows."""
 
-    # The bits of each name's id.
-    ids: Mapping[str, int] = field(default_factory=dict)
-    # Why there are none, as half a sentence; "" if there are some.
-    problem: str = ""
-    # True if a name's id is its hash, so that a name alone gives its id.
-    hashed: bool = True
-
-    def names(self, rounded: bool = False) -> dict[int, str]:
-        """Return the names by id as of `surface_ids`."""
-        return {surface_id(bits, rounded): name for name, bits in self.ids.items()}
+    ids: Mapping[str, int] = field(default_factory=dict)  # the bits of each name's id
+    problem: str = ""  # why there are none, as half a sentence; "" if there are some
+    hashed: bool = True  # True if a name's id is its hash, so that a name alone gives its id
 
 
 def read_manifest(cryptomatte: Cryptomatte, path: Path) -> Manifest:

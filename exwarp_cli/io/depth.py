@@ -21,8 +21,7 @@ from exwarp_cli.domain.frame import Float32
 
 F64 = npt.NDArray[np.float64]
 
-# Depth from which on a pixel counts as background.
-FAR = 1e9
+FAR = 1e9  # depth from which on a pixel counts as background
 
 # Pixels that a camera is fitted to, and below which nothing is concluded.
 SAMPLES, LEAST = 3000, 200
@@ -30,8 +29,7 @@ SAMPLES, LEAST = 3000, 200
 # Largest relative error of distances, in the median, of a kind that explains the values.
 MAX_ERROR = 0.01
 
-# Pixels by which positions may miss their own pixel, in the median.
-MAX_REPROJECTION = 1.0
+MAX_REPROJECTION = 1.0  # pixels by which positions may miss their own pixel, in the median
 
 # Pixels, at their distance, by which positions in the median differ if the camera moved.
 MIN_CHANGE = 2.0
@@ -64,8 +62,7 @@ class DepthReading:
     kind: DepthKind = DepthKind.UNKNOWN
     offset: float = 0.0
     scale: float = 1.0
-    # True if world positions showed this, rather than a name or a person.
-    measured: bool = False
+    measured: bool = False  # True if world positions showed this, rather than a name or a person
     # What a user should know of how it is read, or why it is left out; "" for nothing.
     evidence: str = field(default="", compare=False)
 
@@ -119,11 +116,30 @@ def measure_depth_reading(depth: Float32, position: Float32) -> DepthReading | N
         return None
     points, values = position[y, x].astype(np.float64), depth[y, x].astype(np.float64)
     distances = _fit_camera(points, np.stack([x, y], axis=1).astype(np.float64))
-    if distances is None:
+    if distances is None or np.count_nonzero(distances[2]) < LEAST:
         return None
-    axis, ray, is_inlier = distances
+    # At points of these distances along the axis and the ray.
+    values, axis, ray = (array[distances[2]] for array in (values, *distances[:2]))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        return _explain(values[is_inlier], axis[is_inlier], ray[is_inlier])
+        along_axis = _median_error(values / np.median(values / axis), axis)
+        if np.median(values) < 0 and along_axis < MAX_ERROR:
+            return DepthReading(DepthKind.NEGATIVE, measured=True)
+        along_ray = _median_error(values / np.median(values / ray), ray)
+        if min(along_axis, along_ray) < MAX_ERROR and np.median(values) > 0:
+            # In a narrow view both fit; then the axis' is by far the more usual.
+            is_ray = along_ray < 0.5 * along_axis
+            return DepthReading(DepthKind.RAY if is_ray else DepthKind.AXIS, measured=True)
+        offset, scale = _fit_line(1 / axis, values)
+        if _median_error(scale / (values - offset), axis) < MAX_ERROR:
+            return DepthReading(DepthKind.INVERSE, offset, scale, True)
+        offset, scale = _fit_line(axis, values)
+        if _median_error((values - offset) / scale, axis) < MAX_ERROR:
+            kind = DepthKind.NORMALISED if scale > 0 else DepthKind.REVERSED
+            return DepthReading(kind, offset, scale, True)
+        ranks = [np.argsort(np.argsort(array)).astype(np.float64) for array in (values, axis)]
+        if np.corrcoef(ranks[0], ranks[1])[0, 1] < -0.9 and (values > 0).all():
+            return DepthReading(DepthKind.INVERSE, measured=True)  # in the right order, at least
+    return None
 
 
 def is_negative(depth: Float32) -> bool:
@@ -143,45 +159,29 @@ def is_relative_to_camera(first: Float32, other: Float32) -> bool:
 
     False also for a camera that stands: then positions relative to it are as good as any.
     """
-    camera = _fit_lens(first)
-    if camera is None or not _is_seen_by(camera, other):
-        return False
+    # A camera at the origin that looks along z: offset and factor of columns and of rows.
+    camera: list[tuple[float, float]] = []
+    for position in (first, other):
+        row, column = _sample_surfaces(np.ones(position.shape[:2], np.float32), position)
+        point = position[row, column].astype(np.float64)
+        is_off_plane = point[:, 2] != 0
+        x, y, z = point[is_off_plane].T
+        pixels = np.stack([column, row])[:, is_off_plane].astype(np.float64)
+        slopes = x / z, y / z
+        if not camera:
+            # Over a wall alone the same holds in the world.
+            if len(z) < LEAST or np.ptp(np.percentile(z, (10, 90))) < 0.05 * np.median(abs(z)):
+                return False
+            camera = [_fit_line(*line) for line in zip(slopes, pixels, strict=True)]
+        for (offset, factor), slope, pixel in zip(camera, slopes, pixels, strict=True):
+            error = np.abs(pixel - offset - factor * slope)
+            if not len(slope) or np.median(error) > MAX_REPROJECTION:
+                return False
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         change = np.linalg.norm(other - first, axis=-1) / np.linalg.norm(first, axis=-1)
     change = change[np.isfinite(change)]
     focal = max(abs(factor) for _, factor in camera)
     return len(change) >= LEAST and float(np.median(change)) * focal > MIN_CHANGE
-
-
-Lens = tuple[tuple[float, float], ...]
-
-
-def _fit_lens(position: Float32) -> Lens | None:
-    """Fit a camera at the origin that looks along z: offset and factor of columns and of rows."""
-    slopes, pixels, z = _slopes(position)
-    # Over a wall alone the same holds in the world.
-    if len(z) < LEAST or np.ptp(np.percentile(z, (10, 90))) < 0.05 * np.median(abs(z)):
-        return None
-    camera = tuple(_fit_line(slope, pixel) for slope, pixel in zip(slopes, pixels, strict=True))
-    return camera if _is_seen_by(camera, position) else None
-
-
-def _is_seen_by(camera: Lens, position: Float32) -> bool:
-    """True if positions lie where a camera of `_fit_lens` sees them."""
-    for (offset, factor), slope, pixel in zip(camera, *_slopes(position)[:2], strict=True):
-        if not len(slope) or np.median(np.abs(pixel - offset - factor * slope)) > MAX_REPROJECTION:
-            return False
-    return True
-
-
-def _slopes(position: Float32) -> tuple[F64, F64, F64]:
-    """Return x / z and y / z, the columns and rows, [2, N] each, and z, of some surface pixels."""
-    row, column = _sample_surfaces(np.ones(position.shape[:2], np.float32), position)
-    point = position[row, column].astype(np.float64)
-    is_off_plane = point[:, 2] != 0
-    point = point[is_off_plane]
-    pixels = np.stack([column, row])[:, is_off_plane].astype(np.float64)
-    return (point[:, :2] / point[:, 2:]).T, pixels, point[:, 2]
 
 
 def _sample_surfaces(depth: Float32, position: Float32) -> tuple[npt.NDArray[np.intp], ...]:
@@ -232,31 +232,6 @@ def _fit_camera(points: F64, pixels: F64) -> tuple[F64, F64, npt.NDArray[np.bool
         axis = -axis
     ray = np.linalg.norm(local[:, :3] - eye, axis=1) * spread
     return axis, ray, (error < 2 * MAX_REPROJECTION) & (axis > 0)
-
-
-def _explain(values: F64, axis: F64, ray: F64) -> DepthReading | None:
-    """Return what values are at points of these distances along the axis and the ray."""
-    if len(values) < LEAST:
-        return None
-    along_axis = _median_error(values / np.median(values / axis), axis)
-    if np.median(values) < 0 and along_axis < MAX_ERROR:
-        return DepthReading(DepthKind.NEGATIVE, measured=True)
-    along_ray = _median_error(values / np.median(values / ray), ray)
-    if min(along_axis, along_ray) < MAX_ERROR and np.median(values) > 0:
-        # In a narrow view both fit; then the axis' is by far the more usual.
-        is_ray = along_ray < 0.5 * along_axis
-        return DepthReading(DepthKind.RAY if is_ray else DepthKind.AXIS, measured=True)
-    offset, scale = _fit_line(1 / axis, values)
-    if _median_error(scale / (values - offset), axis) < MAX_ERROR:
-        return DepthReading(DepthKind.INVERSE, offset, scale, True)
-    offset, scale = _fit_line(axis, values)
-    if _median_error((values - offset) / scale, axis) < MAX_ERROR:
-        kind = DepthKind.NORMALISED if scale > 0 else DepthKind.REVERSED
-        return DepthReading(kind, offset, scale, True)
-    ranks = [np.argsort(np.argsort(array)).astype(np.float64) for array in (values, axis)]
-    if np.corrcoef(ranks[0], ranks[1])[0, 1] < -0.9 and (values > 0).all():
-        return DepthReading(DepthKind.INVERSE, measured=True)  # in the right order, at least
-    return None
 
 
 def _median_error(distance: F64, truth: F64) -> float:

@@ -112,31 +112,29 @@ def recognise_producer(
     `layer` is the full name of the first motion layer, or of its AOV if that has a file of its own;
     `components` the first letter of each motion channel, in capitals; `layers` all full names.
     """
-    for sign in _SIGNATURES:
-        if (
-            re.search(sign.motion, layer)
-            and len(components) >= sign.min_channels
-            and components.startswith(sign.components)
-            and sign.own_file in (None, own_file)
-            and (not sign.other_layer or any(re.search(sign.other_layer, n) for n in layers))
-        ):
-            is_backward = re.search(r"(?i)(backward|motionback)$", layer) is not None
-            convention = _reduced(PRESETS[sign.preset], len(components), is_backward)
-            return convention, sign.producer
-    return None, UNKNOWN
-
-
-def _reduced(convention: MotionConvention, count: int, is_backward: bool) -> MotionConvention:
-    """Leave out of a convention what takes more channels than there are."""
+    signs = (
+        sign
+        for sign in _SIGNATURES
+        if re.search(sign.motion, layer)
+        and len(components) >= sign.min_channels
+        and components.startswith(sign.components)
+        and sign.own_file in (None, own_file)
+        and (not sign.other_layer or any(re.search(sign.other_layer, n) for n in layers))
+    )
+    sign = next(signs, None)
+    if sign is None:
+        return None, UNKNOWN
+    convention, count = PRESETS[sign.preset], len(components)
     if convention.count <= count:
-        return convention
+        return convention, sign.producer
+    # Without what takes more channels than there are.
     before, after = convention.to_previous, convention.to_next
-    if before is not None and after is not None:
-        if is_backward:
-            return MotionConvention(replace(before, x_channel=0, y_channel=1), None)
+    if before is None or after is None:
+        before, after = (
+            axes and replace(axes, length=None, alpha=None) for axes in (before, after)
+        )
+    elif re.search(r"(?i)(backward|motionback)$", layer):
+        before, after = replace(before, x_channel=0, y_channel=1), None
+    else:
         before, after = (axes if max(axes.channels) < count else None for axes in (before, after))
-        return MotionConvention(before, after)
-    if before is not None:
-        return replace(convention, to_previous=replace(before, length=None, alpha=None))
-    assert after is not None
-    return replace(convention, to_next=replace(after, length=None, alpha=None))
+    return replace(convention, to_previous=before, to_next=after), sign.producer

@@ -11,8 +11,7 @@ from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.sequences import neighbouring_sequences
 from exwarp_cli.io.shot import Shot, channel_label, without_cryptomattes
 
-# Layers that a message names.
-MAX_LISTED = 12
+MAX_LISTED = 12  # layers that a message names
 
 _MOTION_WORDS = frozenset(
     {"motion", "move", "movement", "mv", "mvec", "mvecs", "mb", "vec", "vecs", "vector", "vectors"}
@@ -67,20 +66,6 @@ def likely_vectors(refs: Iterable[ChannelRef]) -> tuple[tuple[ChannelRef, ...], 
     return (*named, *unnamed)
 
 
-def list_channels(refs: Iterable[ChannelRef]) -> str:
-    """Return channels as a message names them: layer by layer, with their components."""
-    layers: dict[str, list[str]] = defaultdict(list)
-    for ref in refs:
-        layer, dot, component = channel_label(ref).rpartition(".")
-        layers[layer + dot].append(component)
-    names = [
-        f"{layer}{components[0]}" if len(components) == 1 else f"{layer}{{{','.join(components)}}}"
-        for layer, components in layers.items()
-    ]
-    more = f" and {len(names) - MAX_LISTED} more layers" if len(names) > MAX_LISTED else ""
-    return ", ".join(names[:MAX_LISTED]) + more
-
-
 def is_colour_alone(shot: Shot) -> bool:
     """Return True if a shot has nothing but its beauty: plain footage, and no render with passes.
 
@@ -115,7 +100,16 @@ def no_vectors_message(shot: Shot, estimable: bool = True) -> str:
     incomplete = shot.layout.incomplete.get(Role.MOTION)
     partly = "" if incomplete is None else f" ({incomplete})"
     unused = unrecognised(shot)
-    unknown = f"; not recognised: {list_channels(unused)}" if unused else ""
+    layers: dict[str, list[str]] = defaultdict(list)
+    for ref in unused:
+        layer, dot, component = channel_label(ref).rpartition(".")
+        layers[layer + dot].append(component)
+    listed = [
+        f"{layer}{components[0]}" if len(components) == 1 else f"{layer}{{{','.join(components)}}}"
+        for layer, components in layers.items()
+    ]
+    more = f" and {len(listed) - MAX_LISTED} more layers" if len(listed) > MAX_LISTED else ""
+    unknown = f"; not recognised: {', '.join(listed[:MAX_LISTED])}{more}" if unused else ""
     likeliest = ""
     if likely := likely_vectors(unused):
         names = ", ".join(ref.name.rpartition(".")[0] or ref.aov for ref, _ in likely[:3])

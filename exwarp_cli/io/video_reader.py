@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -113,17 +112,31 @@ class Clip:
         premultiplied. Pixels are the same wherever decoding starts. Raises DamagedFileError when
         the video cannot be decoded, or ends early.
         """
+        packets = self._packets
         shown = self.pacing.shown[start : self.count if stop is None else stop]
         if not shown:
             return
-        first = self._packets.cut(shown[0]) if self._packets.times else shown[0]
+        first = packets.cut(shown[0]) if packets.times else shown[0]
+        # A field is judged by the frame before, too.
+        key = None if first is None else self._key_before(first - self._is_deinterlaced)
+        seek = None if key is None else packets.time(key)
+        begin = [] if seek is None else ["-ss", f"{float(seek):.6f}"]
+        if first is None:
+            cut = "null,"
+        elif packets.times:
+            # Half a frame before its time, as both are rounded.
+            half = max(packets.least_step, packets.tick) / 2
+            since = packets.time(first) - (seek or 0) - half
+            cut = f"trim=start={max(float(since), 0):.6f},"
+        else:
+            cut = f"trim=start_frame={first},"
         decoded = (first or 0) - 1
         ahead: deque[tuple[int, bytes]] = deque()
         try:
-            with FfmpegReader(self._options(first)) as ffmpeg:
+            with FfmpegReader(["-xerror", *begin, *self._decoding_options(cut)]) as ffmpeg:
                 for index, source in enumerate(shown, start=start):
                     # A B-frame is not known to be sound before the frame after it is.
-                    needed = self._packets.last_needed(source)
+                    needed = packets.last_needed(source)
                     while decoded < needed:
                         data = ffmpeg.read(self._frame_size)
                         if data is None:
@@ -164,23 +177,6 @@ class Clip:
                     decoded, data = next(intact, (self._packets.count, b""))
                 yield None if decoded > source else self._to_light(data)
 
-    def _options(self, first: int | None) -> list[str]:
-        """Return what makes ffmpeg write the file's frames from `first` on; None for all."""
-        # A field is judged by the frame before, too.
-        key = None if first is None else self._key_before(first - self._is_deinterlaced)
-        seek = None if key is None else self._packets.time(key)
-        begin = [] if seek is None else ["-ss", f"{float(seek):.6f}"]
-        if first is None:
-            cut = "null,"
-        elif self._packets.times:
-            # Half a frame before its time, as both are rounded.
-            half = max(self._packets.least_step, self._packets.tick) / 2
-            since = self._packets.time(first) - (seek or 0) - half
-            cut = f"trim=start={max(float(since), 0):.6f},"
-        else:
-            cut = f"trim=start_frame={first},"
-        return ["-xerror", *begin, *self._decoding_options(cut)]
-
     def _decoding_options(self, cut: str) -> list[str]:
         """Return what makes ffmpeg write full-range RGB, after filters that choose frames."""
         names = ("rgb48le", "rgba64le") if self.deep else ("rgb24", "rgba")
@@ -197,17 +193,13 @@ class Clip:
         ]
 
     @property
-    def _dtype(self) -> np.dtype[Any]:
-        return np.dtype("<u2" if self.deep else "u1")
-
-    @property
     def _frame_size(self) -> int:
         """Bytes of a decoded frame."""
-        return self.width * self.height * (3 + self.has_alpha) * self._dtype.itemsize
+        return self.width * self.height * (3 + self.has_alpha) * (1 + self.deep)
 
     def _to_light(self, data: bytes) -> Float32:
         """Turn sRGB codes into scene-linear light, premultiplied if there is alpha."""
-        codes = np.frombuffer(data, self._dtype)
+        codes = np.frombuffer(data, "<u2" if self.deep else "u1")
         codes = codes.reshape(self.height, self.width, 3 + self.has_alpha)
         light = from_display(codes[..., :3])
         if not self.has_alpha:
@@ -344,14 +336,14 @@ def _open_clip(path: Path, scan: str) -> Clip:
         is_interlaced = frame["scan"] in "TB"
         since = Fraction(0) if is_interlaced else first_interlaced(path, packets, is_indexed)
         if since is not None:
-            raise _interlaced_error(path, since)
+            begin = f" from {float(since):.2f} s on" if since else ""
+            raise InputError(
+                f"the video {path} is interlaced{begin}, and frames are upsampled here, not "
+                "fields; give --scan deinterlace, or --scan progressive if both fields show one "
+                "instant (PsF)"
+            )
     require_size(path, height, width)
-    codecs, subtitles = (_track_codecs(input_info, kind) for kind in ("Audio", "Subtitle"))
-    sound = None
-    if codecs or subtitles:
-        picture_start, sound_start = _rebased_starts(container[1], input_info)
-        start = max(picture_start + packets.time(0), Fraction(0))
-        sound = Soundtrack(path, codecs, start, None, sound_start, subtitles)
+    sound = _find_soundtrack(path, container[1], input_info, packets.time(0))
     rate = re.search(r"showinfo.*frame_rate: (\d+)/([1-9]\d*)", info)
     pacing = find_pacing(packets, Fraction(int(rate[1]), int(rate[2])) if rate else None)
     code = re.search(r"^\s*timecode\s*: (\S+)", input_info, re.MULTILINE | re.IGNORECASE)
@@ -381,14 +373,6 @@ def _open_clip(path: Path, scan: str) -> Clip:
 def damaged_clip(path: Path, why: str) -> DamagedFileError:
     """Build the error for a video that cannot be decoded."""
     return DamagedFileError(f"cannot read the video {path}: {why}; export it again")
-
-
-def _interlaced_error(path: Path, since: Fraction) -> InputError:
-    begin = f" from {float(since):.2f} s on" if since else ""
-    return InputError(
-        f"the video {path} is interlaced{begin}, and frames are upsampled here, not fields; give "
-        "--scan deinterlace, or --scan progressive if both fields show one instant (PsF)"
-    )
 
 
 def _require_picture(path: Path) -> None:
@@ -421,31 +405,33 @@ def _input_part(info: str) -> str:
     return info.partition("Stream mapping:")[0].partition("Output #0")[0]
 
 
-def _track_codecs(input_info: str, kind: str) -> tuple[str, ...]:
-    """Return the codecs of a kind of tracks, in the order of the file."""
-    line = rf"^\s*Stream #0:(\d+).*?: {kind}: (\w+)"
-    streams = re.findall(line, input_info, re.MULTILINE)
+def _find_soundtrack(
+    path: Path, container: str, input_info: str, first_time: Fraction
+) -> Soundtrack | None:
+    """Return a video's sound and subtitles from the time of its first picture on, if any."""
     # A transport stream lists a track once for each program that has it.
-    by_index = {int(index): codec for index, codec in streams}
-    return tuple(by_index[index] for index in sorted(by_index))
-
-
-def _rebased_starts(container: str, input_info: str) -> tuple[Fraction, Fraction]:
-    """Return seconds from a file's first time to those of picture and sound that ffmpeg makes 0.
-
-    They are 0 where ffmpeg keeps the times.
-    """
-    zero = Fraction(0)
+    tracks: dict[str, dict[int, tuple[str, Fraction]]] = {"Video": {}, "Audio": {}, "Subtitle": {}}
+    line = r"^\s*Stream #0:(\d+).*?: (Video|Audio|Subtitle): (\w+)(.*)$"
+    for index, kind, codec, rest in re.findall(line, input_info, re.MULTILINE):
+        start = re.search(r", start (-?[\d.]+)", rest)
+        tracks[kind][int(index)] = codec, Fraction(start[1] if start else 0)
+    codecs, subtitles = (
+        tuple(codec for _, (codec, _) in sorted(tracks[kind].items()))
+        for kind in ("Audio", "Subtitle")
+    )
+    if not codecs and not subtitles:
+        return None
+    picture_start = sound_start = zero = Fraction(0)
     begin = re.search(r"^  Duration: .*\bstart: (-?[\d.]+)", input_info, re.MULTILINE)
-    if not container.startswith(_REBASED) or begin is None:
-        return zero, zero
-    starts: dict[str, list[Fraction]] = {"Video": [], "Audio": []}
-    streams = re.findall(r"^\s*Stream #0:.*?: (Video|Audio): (.*)$", input_info, re.MULTILINE)
-    for kind, line in streams:
-        start = re.search(r", start (-?[\d.]+)", line)
-        starts[kind].append(Fraction(start[1] if start else 0) - Fraction(begin[1]))
-    # One picture is read alone, all sounds together.
-    return next(iter(starts["Video"]), zero), min(starts["Audio"], default=zero)
+    if container.startswith(_REBASED) and begin is not None:
+        pictures, sounds = (
+            [start - Fraction(begin[1]) for _, start in tracks[kind].values()]
+            for kind in ("Video", "Audio")
+        )
+        # One picture is read alone, all sounds together.
+        picture_start, sound_start = next(iter(pictures), zero), min(sounds, default=zero)
+    begins = max(picture_start + first_time, zero)
+    return Soundtrack(path, codecs, begins, None, sound_start, subtitles)
 
 
 def _parse_colour(path: Path, info: str, rows: int, pixels: str) -> VideoColour:

@@ -14,8 +14,7 @@ from statistics import median
 
 from exwarp_cli.io.ffmpeg import FfmpegError, FfmpegReader, run_ffmpeg
 
-# ffmpeg's flags of packets: decoding can start at it; an edit list hides it.
-KEY, DISCARD = 1, 4
+KEY, DISCARD = 1, 4  # ffmpeg's flags of packets: decoding can start at it; an edit list hides it
 
 # Rates that are meant; each also 1000/1001 times as fast, as television has it.
 WHOLE_RATES = (8, 10, 12, 12.5, 15, 16, 18, 20, 24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
@@ -164,7 +163,10 @@ def read_packets(path: Path) -> Packets:
 
 
 def parse_packets(listed: str) -> Packets:
-    """Read the lines of ffmpeg's format ``framecrc``; raises FfmpegError without any packet."""
+    """Read the lines of ffmpeg's format ``framecrc``; raises FfmpegError without any packet.
+
+    Packets are sorted by the time of showing, without those that are not shown or not decodable.
+    """
     tick = Fraction(1)
     packets: list[_Packet] = []
     for line in listed.splitlines():
@@ -177,11 +179,7 @@ def parse_packets(listed: str) -> Packets:
             packets.append(_Packet(time, decoding, bool(flags & KEY), bool(flags & DISCARD)))
     if not packets:
         raise FfmpegError("it has no frames")
-    return _sort_packets(_fill_times(packets), tick)
-
-
-def _sort_packets(packets: list[_Packet], tick: Fraction) -> Packets:
-    """Sort packets by the time of showing, without those that are not shown or not decodable."""
+    packets = _fill_times(packets)
     shown = [packet for packet in packets if not packet.is_hidden]
     times = [packet.time for packet in shown if packet.time is not None]
     if len(times) < len(shown) or 1 - len(set(times)) / len(times) > MAX_REPEATED:
@@ -189,9 +187,7 @@ def _sort_packets(packets: list[_Packet], tick: Fraction) -> Packets:
     # What is shown before the first key frame needs frames that were cut away. That key frame may
     # itself be hidden: a clip trimmed without re-encoding starts inside a group of pictures.
     start = next((p.time for p in packets if p.is_key and p.time is not None), min(times))
-    order = sorted(
-        (p.time, place) for place, p in enumerate(shown) if p.time is not None and p.time >= start
-    )
+    order = sorted((time, place) for place, time in enumerate(times) if time >= start)
     stamps = tuple(time for time, _ in order)
     positions = tuple(place for _, place in order)
     keys = tuple(index for index, place in enumerate(positions) if shown[place].is_key)
@@ -214,21 +210,19 @@ def _fill_times(packets: list[_Packet]) -> list[_Packet]:
     filled: list[_Packet] = []
     for packet in packets:
         if packet.time is None:
-            time = _find_gap(times, step, packet.decoding) if filled else times[0] - step
+            time = times[0] - step
+            if filled:
+                # The first free time that is not before the time of decoding.
+                decoding = packet.decoding
+                earliest = times[0] if decoding is None else decoding - step // 2
+                latest = earliest + MAX_REORDERED * step
+                end = time if time >= earliest else times[-1] + step
+                gaps = (a + step for a, b in pairwise(times) if 2 * (b - a) >= 3 * step)
+                time = next((gap for gap in gaps if earliest <= gap <= latest), end)
             insort(times, time)
             packet = replace(packet, time=time, is_certain=False)
         filled.append(packet)
     return filled
-
-
-def _find_gap(times: Sequence[int], step: int, decoding: int | None) -> int:
-    """Return the first free time that is not before the time of decoding."""
-    earliest = times[0] if decoding is None else decoding - step // 2
-    latest = earliest + MAX_REORDERED * step
-    for a, b in pairwise(times):
-        if 2 * (b - a) >= 3 * step and earliest <= a + step <= latest:
-            return a + step
-    return times[0] - step if times[0] - step >= earliest else times[-1] + step
 
 
 def _spread_equal_times(times: Sequence[int]) -> list[int]:
@@ -284,7 +278,7 @@ def find_pacing(packets: Packets, header_rate: Fraction | None) -> Pacing:
     likely = _standard_rates_near(typical, tick)
     # A mean far off that of most frames shows that frames are missing, or too many.
     means = (nearest_standard_rate(mean), mean.limit_denominator(1001))
-    drifting = means if _is_near(mean, typical) else ()
+    drifting = means if abs(mean - typical) <= SNAP * typical else ()
     nearest = sorted(likely, key=lambda rate: abs(rate - mean))
     for rate in (*standard, *nearest, nearest_standard_rate(typical), *drifting):
         if all(abs(time * rate - place) < Fraction(1, 2) for place, time in enumerate(seconds)):
@@ -292,11 +286,16 @@ def find_pacing(packets: Packets, header_rate: Fraction | None) -> Pacing:
     # With half of the frames missing, only the shorter steps are those of the rate.
     short = _standard_rates_near(1 / steps[len(steps) // 10], tick)
     fine = [rate for rate in short if tick * rate <= FINE_TICK]
-    rate = (
-        _rate_of_most_frames(seconds, tick, likely)
-        or _rate_of_most_frames(seconds, tick, fine)
-        or nearest_standard_rate(typical)
-    )
+    rate = nearest_standard_rate(typical)
+    for rates in (likely, fine):
+        shares = [
+            sum(abs(time * rate - round(time * rate)) <= tick * rate for time in seconds)
+            / len(seconds)
+            for rate in rates
+        ]
+        if max(shares, default=0) >= MIN_AT_INSTANTS:
+            rate = rates[shares.index(max(shares))]
+            break
     instants = range(round(seconds[-1] * rate) + 1)
     half = 1 / (2 * rate)
     shown = tuple(bisect_right(seconds, place / rate + half) - 1 for place in instants)
@@ -306,7 +305,7 @@ def find_pacing(packets: Packets, header_rate: Fraction | None) -> Pacing:
 def nearest_standard_rate(rate: Fraction) -> Fraction:
     """Return the standard rate that a measured one is near to, else the rate itself, simplified."""
     best = min(_STANDARD_RATES, key=lambda standard: abs(standard - rate))
-    return best if _is_near(best, rate) else rate.limit_denominator(1001)
+    return best if abs(best - rate) <= SNAP * rate else rate.limit_denominator(1001)
 
 
 def _standard_rates_near(rate: Fraction, tick: Fraction) -> list[Fraction]:
@@ -314,23 +313,6 @@ def _standard_rates_near(rate: Fraction, tick: Fraction) -> list[Fraction]:
     # Times in milliseconds have a median of 42 at 24 fps, which would be 23.8.
     tolerance = SNAP + tick * rate
     return [s for s in _STANDARD_RATES if abs(s - rate) <= tolerance * s]
-
-
-def _rate_of_most_frames(
-    seconds: Sequence[Fraction], tick: Fraction, rates: Sequence[Fraction]
-) -> Fraction | None:
-    """Return the rate at whose instants nearly all frames lie; None if there is none."""
-
-    def share(rate: Fraction) -> float:
-        places = (time * rate for time in seconds)
-        return sum(abs(p - round(p)) <= tick * rate for p in places) / len(seconds)
-
-    best = max(rates, key=share, default=None)
-    return best if best is not None and share(best) >= MIN_AT_INSTANTS else None
-
-
-def _is_near(a: Fraction, b: Fraction) -> bool:
-    return abs(a - b) <= SNAP * b
 
 
 def first_interlaced(path: Path, packets: Packets, is_indexed: bool) -> Fraction | None:
@@ -388,21 +370,14 @@ def intact_frames(
 
     A frame that is corrupt or missing makes those after it unusable up to the next key frame.
 
-    Parameters
-    ----------
-    ffmpeg
-        Decodes with the options `ON_DAMAGE` and writes every frame.
-    size
-        Bytes of a frame.
-    packets
-        Of the file.
-    begin
-        Index of the frame whose time is ffmpeg's 0; 0 for the start of the file.
-    rate
-        Frames per second, where the packets have no times.
+    `ffmpeg` decodes with the options `ON_DAMAGE` and writes every frame, of `size` bytes. `begin`
+    is the index of the frame whose time is ffmpeg's 0; 0 for the start of the file. `rate` counts
+    where the packets have no times.
     """
     expected, is_usable, zero = begin, True, None
-    waiting = _WaitingFrames(packets)
+    # Frames that may build on frames shown after them: index, bytes, and the last frame that each
+    # may build on. Without times a B-frame has None there: it waits for the next that is none.
+    waiting: deque[tuple[int, bytes, int | None]] = deque()
     for frame, data in _decoded_frames(ffmpeg, size):
         zero = frame.time if zero is None else zero
         if packets.times:
@@ -412,53 +387,31 @@ def intact_frames(
             index = round((frame.time - zero) * rate)
         if index is None or index < expected:
             continue  # shown before the first frame that is wanted
-        waiting.drop(range(expected, index + frame.is_corrupt))
+        waiting = _without_dependents(waiting, packets, range(expected, index + frame.is_corrupt))
         is_usable = not frame.is_corrupt and (frame.is_key or (is_usable and index == expected))
         expected = index + 1
         if is_usable:
-            waiting.append(index, data, frame.is_b_frame)
-        yield from waiting.take_settled(index, frame.is_b_frame)
-    waiting.drop(range(expected, packets.count))
-    for index, data, _ in waiting.frames:
+            last = None if frame.is_b_frame else index
+            waiting.append((index, data, packets.last_needed(index) if packets.times else last))
+        while waiting:
+            settled, data, needed = waiting[0]
+            if frame.is_b_frame if needed is None else needed > index:
+                break
+            waiting.popleft()
+            yield settled, data
+    for index, data, _ in _without_dependents(waiting, packets, range(expected, packets.count)):
         yield index, data
 
 
-class _WaitingFrames:
-    """Intact frames that wait, as they may build on frames that are shown after them.
-
-    `frames` has index, bytes, and the last frame that each may build on. Without times a B-frame
-    has None there: it waits for the next frame that is none.
-    """
-
-    def __init__(self, packets: Packets) -> None:
-        self._packets = packets
-        self.frames: deque[tuple[int, bytes, int | None]] = deque()
-
-    def append(self, index: int, data: bytes, is_b_frame: bool) -> None:
-        if self._packets.times:
-            needed: int | None = self._packets.last_needed(index)
-        else:
-            needed = None if is_b_frame else index
-        self.frames.append((index, data, needed))
-
-    def drop(self, damaged: range) -> None:
-        """Drop the frames that may build on damaged ones."""
-        is_before = self._packets.is_decoded_before
-        self.frames = deque(
-            (index, data, needed)
-            for index, data, needed in self.frames
-            if not any(needed is None or is_before(broken, index) for broken in damaged)
-        )
-
-    def take_settled(self, index: int, is_b_frame: bool) -> Iterator[tuple[int, bytes]]:
-        """Yield the frames that build on no frame after `index`."""
-        while self.frames:
-            first, data, needed = self.frames[0]
-            must_wait = is_b_frame if needed is None else needed > index
-            if must_wait:
-                return
-            self.frames.popleft()
-            yield first, data
+def _without_dependents(
+    waiting: deque[tuple[int, bytes, int | None]], packets: Packets, damaged: range
+) -> deque[tuple[int, bytes, int | None]]:
+    """Return the waiting frames that build on no damaged one."""
+    return deque(
+        (index, data, needed)
+        for index, data, needed in waiting
+        if not any(needed is None or packets.is_decoded_before(i, index) for i in damaged)
+    )
 
 
 def _decoded_frames(ffmpeg: FfmpegReader, size: int) -> Iterator[tuple[_DecodedFrame, bytes]]:

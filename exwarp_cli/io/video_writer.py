@@ -31,8 +31,7 @@ from exwarp_cli.io.ffmpeg import (
 )
 from exwarp_cli.io.files import ResourceOwner, atomic_path
 
-# ffmpeg's name of the container by file suffix.
-CONTAINERS = {".mp4": "mp4", ".mov": "mov"}
+CONTAINERS = {".mp4": "mp4", ".mov": "mov"}  # ffmpeg's name of the container by file suffix
 
 # Constant rate factor of libx264 and libx265, 0 to 51: at 16 the eye sees no difference from the
 # frames.
@@ -82,11 +81,8 @@ CODECS: Mapping[str, Codec] = {
 # Subtitles whose styles the two containers have no room for.
 STYLED_SUBTITLES = frozenset({"ass", "ssa"})
 
-# Kinds of tracks, as ffmpeg's options call them.
-SOUND, SUBTITLES = "a", "s"
-
-# Frames per second that a timecode track of MP4 and QuickTime can count.
-MAX_TIMECODE_RATE = 255
+SOUND, SUBTITLES = "a", "s"  # kinds of tracks, as ffmpeg's options call them
+MAX_TIMECODE_RATE = 255  # frames per second that a timecode track of MP4 and QuickTime can count
 
 _COPY = "copy"
 _TIMECODE = re.compile(r"(\d\d):(\d\d):(\d\d)([:;.])(\d+)")
@@ -120,21 +116,17 @@ class Timecode:
         count = (60 * minutes + seconds) * own_base + frames
         if drops:  # some in each minute but every tenth
             count -= own_base // 15 * (minutes - minutes // 10)
-        return _format_timecode(int((count + self.later) * rate / self.rate), base, drops)
-
-
-def _format_timecode(count: int, base: int, drops: bool) -> str:
-    """Return the timecode after `count` frames since midnight, at `base` frames per second."""
-    if drops:
-        dropped = base // 15
-        tens, remainder = divmod(count, 600 * base - 9 * dropped)
-        # The first of ten minutes drops nothing.
-        minutes = 1 + (remainder - 60 * base) // (60 * base - dropped)
-        count += dropped * (9 * tens + (0 if remainder < 60 * base else minutes))
-    seconds, frames = divmod(count, base)
-    hours, seconds = divmod(seconds % _DAY_S, 3600)
-    sign = ";" if drops else ":"
-    return f"{hours:02}:{seconds // 60:02}:{seconds % 60:02}{sign}{frames:02}"
+        count = int((count + self.later) * rate / self.rate)
+        if drops:
+            dropped = base // 15
+            tens, remainder = divmod(count, 600 * base - 9 * dropped)
+            # The first of ten minutes drops nothing.
+            minutes = 1 + (remainder - 60 * base) // (60 * base - dropped)
+            count += dropped * (9 * tens + (0 if remainder < 60 * base else minutes))
+        seconds, frames = divmod(count, base)
+        hours, seconds = divmod(seconds % _DAY_S, 3600)
+        sign = ";" if drops else ":"
+        return f"{hours:02}:{seconds // 60:02}:{seconds % 60:02}{sign}{frames:02}"
 
 
 @dataclass(frozen=True)
@@ -144,12 +136,6 @@ class Track:
     kind: str  # `SOUND` or `SUBTITLES`
     index: int  # among the tracks of its kind, from 0
     codec: str  # by ffmpeg's name
-
-    @property
-    def name(self) -> str:
-        """Its name in messages, counted from 1."""
-        kind = "sound" if self.kind == SOUND else "subtitle"
-        return f"{kind} track {self.index + 1} ({self.codec})"
 
 
 # Tracks that go into the new video, each with the encoder's name and options.
@@ -169,11 +155,6 @@ class Soundtrack:
     subtitles: tuple[str, ...] = ()  # codecs of its subtitles, by ffmpeg's names
 
     @property
-    def delay(self) -> Fraction:
-        """Seconds of silence to put before it."""
-        return max(self.begins - self.start, Fraction(0))
-
-    @property
     def tracks(self) -> tuple[Track, ...]:
         """Its tracks, sound first."""
         kinds = ((SOUND, self.codecs), (SUBTITLES, self.subtitles))
@@ -189,8 +170,8 @@ class Soundtrack:
         options = ["-ss", f"{float(self.start):.6f}"] if self.start > 0 else []
         if self.length is not None:
             options += ["-t", f"{float(self.length):.6f}"]
-        if self.delay:
-            options += ["-itsoffset", f"{float(self.delay):.6f}"]
+        if self.begins > self.start:  # silence goes before it
+            options += ["-itsoffset", f"{float(self.begins - self.start):.6f}"]
         return [*options, "-i", f"file:{self.path}"]
 
 
@@ -219,12 +200,8 @@ def require_container(path: Path) -> None:
 def find_codec(name: str, path: Path) -> Codec:
     """Return the codec of a name out of `VIDEO_CODECS` for a video.
 
-    Raises
-    ------
-    UsageError
-        For another name, and where the container has no room for it.
-    InstallationError
-        When ffmpeg cannot encode with it.
+    Raises UsageError for another name, and where the container has no room for it. Raises
+    InstallationError when ffmpeg cannot encode with it.
     """
     if name not in CODECS:
         raise UsageError(f"--video-codec {name} is not one of {', '.join(CODECS)}")
@@ -234,12 +211,8 @@ def find_codec(name: str, path: Path) -> Codec:
             f"{codec.title} does not go into {path}; name the video .mov, or choose another "
             "--video-codec"
         )
-    if codec is not CODECS[_H264]:  # which every build has
-        _try_encoder(codec)
-    return codec
-
-
-def _try_encoder(codec: Codec) -> None:
+    if codec is CODECS[_H264]:  # which every build has
+        return codec
     source = RAW_INPUT_16.format(width=64, height=64, rate=1).split()
     encoder = ("-c:v", codec.encoder, *codec.options, "-pix_fmt", codec.pixels)
     try:
@@ -249,6 +222,7 @@ def _try_encoder(codec: Codec) -> None:
             f"ffmpeg cannot encode {codec.title} by {codec.encoder}: {error}; reinstall the "
             "package imageio-ffmpeg, unset IMAGEIO_FFMPEG_EXE, or choose --video-codec h264"
         ) from error
+    return codec
 
 
 def read_video_note(path: Path) -> str | None:
@@ -407,15 +381,26 @@ def plan_tracks(sound: Soundtrack, container: str) -> tuple[EncodedTracks, tuple
 
     Returns the tracks that go along, and a sentence for each one that is not copied.
     """
-    first = [(track, _encoders(track, container)[0]) for track in sound.tracks]
-    if not first or _can_encode(sound, first, container):  # nearly always: it is read once
-        encoded = first
-    else:
+    encoded = [(track, _encoders(track, container)[0]) for track in sound.tracks]
+    if encoded and not _can_encode(sound, encoded, container):  # rarely: else it is read once
         choices = [(track, _choose_encoder(sound, track, container)) for track in sound.tracks]
         encoded = [(track, encoder) for track, encoder in choices if encoder is not None]
-    encoders = dict(encoded)
-    remarks = (_remark(sound, track, encoders.get(track), container) for track in sound.tracks)
-    return encoded, tuple(filter(None, remarks))
+    encoders, remarks = dict(encoded), []
+    for track in sound.tracks:
+        kind, encoder = "sound" if track.kind == SOUND else "subtitle", encoders.get(track)
+        name = f"{kind} track {track.index + 1} ({track.codec}) of {sound.path}"
+        if encoder is None:
+            fits_mov = container == "mp4" and _choose_encoder(sound, track, "mov") is not None
+            better = "; a video named .mov can hold it" if fits_mov else ""
+            why = "as it cannot be copied or encoded again"
+            remarks.append(f"{name} is left out of the video, {why}{better}")
+        elif track.kind == SUBTITLES and track.codec in STYLED_SUBTITLES:
+            remarks.append(f"{name} keeps its text alone")
+        elif track.kind == SOUND and encoder != (_COPY,):
+            is_usual = track.codec in COPIED_AUDIO[container]
+            why = "it is damaged" if is_usual else f"players of .{container} do not know it"
+            remarks.append(f"{name} is encoded again as {encoder[0]}, since {why}")
+    return encoded, tuple(remarks)
 
 
 def _encoders(track: Track, container: str) -> list[tuple[str, ...]]:
@@ -429,10 +414,8 @@ def _encoders(track: Track, container: str) -> list[tuple[str, ...]]:
 
 
 def _choose_encoder(sound: Soundtrack, track: Track, container: str) -> tuple[str, ...] | None:
-    for encoder in _encoders(track, container):
-        if _can_encode(sound, [(track, encoder)], container):
-            return encoder
-    return None
+    encoders = _encoders(track, container)
+    return next((e for e in encoders if _can_encode(sound, [(track, e)], container)), None)
 
 
 def _can_encode(sound: Soundtrack, tracks: EncodedTracks, container: str) -> bool:
@@ -455,21 +438,3 @@ def _track_options(tracks: EncodedTracks, source: int) -> list[str]:
         options += ["-map", f"{source}:{track.kind}:{track.index}", f"-c:{place}", encoder]
         options += [f"-b:{place}", *rate] if rate else []
     return options
-
-
-def _remark(
-    sound: Soundtrack, track: Track, encoder: tuple[str, ...] | None, container: str
-) -> str | None:
-    """Return the message about a track that is not copied; None if it needs none."""
-    name = f"{track.name} of {sound.path}"
-    if encoder is None:
-        fits_mov = container == "mp4" and _choose_encoder(sound, track, "mov") is not None
-        better = "; a video named .mov can hold it" if fits_mov else ""
-        return f"{name} is left out of the video, as it cannot be copied or encoded again{better}"
-    if track.kind == SUBTITLES:
-        return f"{name} keeps its text alone" if track.codec in STYLED_SUBTITLES else None
-    if encoder == (_COPY,):
-        return None
-    is_usual = track.codec in COPIED_AUDIO[container]
-    why = "it is damaged" if is_usual else f"players of .{container} do not know it"
-    return f"{name} is encoded again as {encoder[0]}, since {why}"

@@ -23,15 +23,13 @@ from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.exr.header import Channel, Part
 from exwarp_cli.io.frame_names import NamePattern
 
-# What --view takes for every view.
-ALL = "all"
+ALL = "all"  # what --view takes for every view
 
 _LEFT_RIGHT = ("left", "right")
 _TOKEN = re.compile(r"(%[Vv])")
 _GROUPS = {"%V": r"(?P<V>[^./\\_ -]+)", "%v": r"(?P<v>[^./\\_ -])"}
 _NUMBER = r"-?[0-9]+"
-# The view that comes first where nothing else tells.
-_RANK = {"left": 0, "l": 1}
+_RANK = {"left": 0, "l": 1}  # the view that comes first where nothing else tells
 _LETTERS = {"l": "left", "r": "right"}
 
 
@@ -137,8 +135,16 @@ def expand_view(spec: str, wanted: str | None) -> tuple[str, str, tuple[str, ...
 def _find_views(spec: str) -> dict[str, str]:
     """Return the texts in place of the tokens by view: its name, or its letter alone."""
     has_name = "%V" in spec
+    # Texts, tokens of views, and "#" for the frame number.
+    path = Path(spec)
+    pieces = re.split(_TOKEN, str(path))
+    if (pattern := NamePattern.parse(path.name)) is not None:
+        folder = f"{path.parent}{os.sep}".replace(2 * os.sep, os.sep)
+        folder = "" if path.parent == Path() else folder
+        pieces = re.split(_TOKEN, folder + pattern.base)
+        pieces += ["#", *re.split(_TOKEN, pattern.suffix)]
     wildcard, expression = "", ""
-    for piece in _pieces(spec):
+    for piece in pieces:
         group = _GROUPS.get(piece)
         if group is not None:
             # A repeated token stands for the same text.
@@ -147,10 +153,10 @@ def _find_views(spec: str) -> dict[str, str]:
             expression += _NUMBER if piece == "#" else re.escape(piece)
         wildcard += "*" if group is not None or piece == "#" else escape(piece)
     views: dict[str, str] = {}
-    pattern = Path(wildcard)
-    paths = Path(pattern.anchor).glob(str(pattern.relative_to(pattern.anchor)))
-    for path in sorted(map(str, paths)):
-        match = re.fullmatch(expression, path)
+    anchor = Path(wildcard).anchor
+    paths = Path(anchor).glob(str(Path(wildcard).relative_to(anchor)))
+    for found in sorted(map(str, paths)):
+        match = re.fullmatch(expression, found)
         if match is None:
             continue
         tokens = match.groupdict()
@@ -158,16 +164,6 @@ def _find_views(spec: str) -> dict[str, str]:
         if text.startswith(tokens.get("v", "")):
             views.setdefault(text if has_name else _LETTERS.get(text, text), text)
     return views
-
-
-def _pieces(spec: str) -> list[str]:
-    """Split a pattern into texts, tokens of views, and "#" for the frame number."""
-    path = Path(spec)
-    pattern = NamePattern.parse(path.name)
-    if pattern is None:
-        return re.split(_TOKEN, str(path))
-    folder = "" if path.parent == Path() else f"{path.parent}{os.sep}".replace(2 * os.sep, os.sep)
-    return [*re.split(_TOKEN, folder + pattern.base), "#", *re.split(_TOKEN, pattern.suffix)]
 
 
 def _split_view(channel: Channel, part: Part, views: tuple[str, ...]) -> tuple[str, str]:

@@ -25,18 +25,15 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, NamedTuple
 
-from exwarp_cli.domain.network_api import TIME_INPUT, NetworkInterface
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.runtime.read_registry import report_reading
 
 # Limit of a file in Protocol Buffers, and more than any other file that is read whole.
 MAX_BYTES = 2**31 - 1
 
-# Beside the shipped models: SHA-256 by file name.
-CHECKSUMS = "checksums.json"
+CHECKSUMS = "checksums.json"  # beside the shipped models: SHA-256 by file name
 
 STRIDE_KEY, INTERFACE_KEY = "exwarp.stride", "exwarp.interface"
-DEFAULT_STRIDE, MAX_STRIDE = 8, 256
 
 # Fields that may contain a tensor, by message.
 NESTED_MESSAGES: Mapping[str, Mapping[int, str]] = {
@@ -60,8 +57,7 @@ NESTED_MESSAGES: Mapping[str, Mapping[int, str]] = {
 RAW_DATA, EXTERNAL_DATA, DATA_LOCATION = 9, 13, 14
 EXTERNAL = 1
 
-# Depth of nested messages that a reader of Protocol Buffers follows.
-MAX_DEPTH = 100
+MAX_DEPTH = 100  # depth of nested messages that a reader of Protocol Buffers follows
 
 VARINT, EIGHT_BYTES, LENGTH_DELIMITED, FOUR_BYTES = 0, 1, 2, 5
 _FIXED_SIZES = {EIGHT_BYTES: 8, FOUR_BYTES: 4}
@@ -95,20 +91,16 @@ def read_model(path: Path | None, shipped: str, option: str) -> tuple[Path, byte
     Raises InputError if the file is missing or unreadable, or if the checksum of a shipped model
     is missing or differs; the message then names the option by which to use another model.
     """
-    if path is None:
-        path = shipped_folder() / shipped
-        return path, _read_shipped(path, option)
-    try:
-        return path, read_file_bytes(path)
-    except FileNotFoundError as error:
-        raise InputError(f"there is no model {path}; check the path") from error
-    except OSError as error:
-        raise InputError(
-            f"cannot read the model {path}: {error.strerror}; check the path and its rights"
-        ) from error
-
-
-def _read_shipped(path: Path, option: str) -> bytes:
+    if path is not None:
+        try:
+            return path, read_file_bytes(path)
+        except FileNotFoundError as error:
+            raise InputError(f"there is no model {path}; check the path") from error
+        except OSError as error:
+            raise InputError(
+                f"cannot read the model {path}: {error.strerror}; check the path and its rights"
+            ) from error
+    path = shipped_folder() / shipped
     try:
         data = path.read_bytes()
         expected = json.loads((path.parent / CHECKSUMS).read_bytes())[path.name]
@@ -122,78 +114,7 @@ def _read_shipped(path: Path, option: str) -> bytes:
             f"the model {path} is not the one that came with ExWarp, its checksum differs; install "
             f"ExWarp again, or name this model with {option}"
         )
-    return data
-
-
-def require_interface(path: Path, metadata: Mapping[str, str], interface: NetworkInterface) -> None:
-    """Refuse a network whose metadata state another version of its interface."""
-    stated = metadata.get(INTERFACE_KEY, interface.version)
-    if stated != interface.version:
-        raise LayoutError(
-            f"{path} was made for the interface {stated}, and this is {interface.version}; "
-            "use a model for this version of ExWarp"
-        )
-
-
-def stated_stride(path: Path, metadata: Mapping[str, str]) -> int:
-    """Return the number that height and width must be multiples of."""
-    text = metadata.get(STRIDE_KEY, str(DEFAULT_STRIDE))
-    if not text.isdecimal() or not 1 <= int(text) <= MAX_STRIDE:
-        raise LayoutError(
-            f"{path} states {STRIDE_KEY} = {text!r} in its metadata; state a whole number "
-            f"from 1 to {MAX_STRIDE}"
-        )
-    return int(text)
-
-
-def require_nodes(
-    path: Path,
-    inputs: Mapping[str, Any],
-    outputs: Mapping[str, Any],
-    interface: NetworkInterface,
-) -> None:
-    """Refuse a network whose inputs or outputs, onnxruntime's nodes by name, do not fit.
-
-    Raises LayoutError, which names the first misfit.
-    """
-    names = (*interface.inputs, TIME_INPUT)
-    if foreign := [name for name in inputs if name not in names]:
-        raise LayoutError(
-            f"{path} has the input {foreign[0]!r}, which ExWarp does not give; export it "
-            f"with inputs out of {', '.join(names)}"
-        )
-    if missing := [name for name in interface.required if name not in inputs]:
-        raise LayoutError(
-            f"{path} lacks the input {missing[0]!r}; export it with inputs out of "
-            f"{', '.join(names)}"
-        )
-    if list(outputs) != [interface.output]:
-        raise LayoutError(
-            f"{path} has the output {', '.join(outputs) or 'none'}; export it with one output, "
-            f"named {interface.output}"
-        )
-    for name, node in inputs.items():
-        shape = (1,) if name == TIME_INPUT else (1, interface.inputs[name], None, None)
-        _require_shape(path, node, "input", shape)
-    _require_shape(path, outputs[interface.output], "output", (1, interface.made, None, None))
-
-
-def _require_shape(path: Path, node: Any, kind: str, shape: tuple[int | None, ...]) -> None:
-    """Refuse another shape than this one, in which None is a size that the network leaves free."""
-    declared = list(node.shape)
-    fits = len(declared) == len(shape)
-    for axis, (size, wanted) in enumerate(zip(declared, shape, strict=False)):
-        if isinstance(size, int):
-            fits = fits and size == wanted
-        elif wanted is not None:
-            # The network's first run shows the size of an output or a batch that is left free.
-            fits = fits and (kind == "output" or axis == 0)
-    if node.type != "tensor(float)" or not fits:
-        raise LayoutError(
-            f"{path} has the {kind} {node.name!r} as {node.type} {shape_text(declared)} where "
-            f"ExWarp needs tensor(float) {shape_text(shape)} with any height and width; "
-            "export it so"
-        )
+    return path, data
 
 
 def shape_text(shape: Sequence[Any]) -> str:
@@ -275,9 +196,28 @@ class _Weights:
 
     def _external_bytes(self, entries: Mapping[str, str]) -> memoryview:
         location = entries.get("location", "")
-        content = self._read(location)
-        begin = self._byte_count(entries, "offset", 0)
-        end = begin + self._byte_count(entries, "length", max(0, len(content) - begin))
+        if location not in self.files:
+            path = self._path_of(location)
+            try:
+                self.files[location] = memoryview(read_file_bytes(path))
+            except OSError as error:
+                raise InputError(
+                    f"{self._path} keeps weights in {path}, which cannot be read: "
+                    f"{error.strerror}; copy that file along, or save the model with its weights "
+                    "inside"
+                ) from error
+        content = self.files[location]
+        numbers: dict[str, int] = {}
+        for key in ("offset", "length"):
+            text = entries.get(key, "0")
+            if not (text.isascii() and text.isdecimal() and len(text) < 20):
+                raise DamagedFileError(
+                    f"{self._path} keeps weights in another file at {key} {text[:40]!r}, which is "
+                    "no number of bytes; export it again"
+                )
+            numbers[key] = int(text)
+        begin = numbers["offset"]
+        end = begin + numbers["length"] if "length" in entries else max(begin, len(content))
         if end > len(content):
             raise DamagedFileError(
                 f"{self._path.parent / location}, where {self._path.name} keeps weights, has "
@@ -290,28 +230,6 @@ class _Weights:
                 "smaller network"
             )
         return content[begin:end]
-
-    def _byte_count(self, entries: Mapping[str, str], key: str, default: int) -> int:
-        text = entries.get(key, str(default))
-        if not (text.isascii() and text.isdecimal() and len(text) < 20):
-            raise DamagedFileError(
-                f"{self._path} keeps weights in another file at {key} {text[:40]!r}, which is no "
-                "number of bytes; export it again"
-            )
-        return int(text)
-
-    def _read(self, location: str) -> memoryview:
-        if location not in self.files:
-            path = self._path_of(location)
-            try:
-                self.files[location] = memoryview(read_file_bytes(path))
-            except OSError as error:
-                raise InputError(
-                    f"{self._path} keeps weights in {path}, which cannot be read: "
-                    f"{error.strerror}; copy that file along, or save the model with its weights "
-                    "inside"
-                ) from error
-        return self.files[location]
 
     def _path_of(self, location: str) -> Path:
         """Return the path of a file in the model's folder; LayoutError for one elsewhere."""

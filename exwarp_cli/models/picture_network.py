@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,14 +25,7 @@ from exwarp_cli.domain.network_api import (
     cut_tiles,
 )
 from exwarp_cli.errors import InputError, LayoutError
-from exwarp_cli.models.model_file import (
-    STRIDE_KEY,
-    read_model,
-    require_interface,
-    require_nodes,
-    shape_text,
-    stated_stride,
-)
+from exwarp_cli.models.model_file import INTERFACE_KEY, STRIDE_KEY, read_model, shape_text
 from exwarp_cli.models.session import OnnxNetwork
 from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.frame_pool import pool
@@ -39,25 +33,21 @@ from exwarp_cli.runtime.frame_pool import pool
 SHIPPED_EXTRAPOLATOR = "extrapolator.onnx"
 SHIPPED_LOOKAHEAD = "lookahead.onnx"
 
+DEFAULT_STRIDE, MAX_STRIDE = 8, 256
+
 # Pixels of a picture that a network gets whole; a larger one is cut into tiles. The shipped
 # extrapolator takes 560 bytes a pixel while it runs.
 MAX_PIXELS = 2**20
 
-# Largest colour of an answer: coded as log(1 + x), it is near float32's limit.
-MAX_ENCODED = 80.0
-
-# By which the sum of weights may miss 1, and a weight 0.
-WEIGHT_TOLERANCE = 1e-3
+MAX_ENCODED = 80.0  # largest colour of an answer: coded as log(1 + x), it is near float32's limit
+WEIGHT_TOLERANCE = 1e-3  # by which the sum of weights may miss 1, and a weight 0
 
 # Sides in pixels of the pictures on which the reach is measured. The shipped extrapolator sees 96
 # pixels far. A network that sees farther than half of the second picture is not worth cutting up.
 REACH_SIDES = (384, 1024)
 MIN_REACH_CELLS = 7
 
-# Largest difference between a picture and a part of it that is rounding.
-ROUNDING = 1e-5
-
-Run = Callable[[Mapping[str, Float32]], Float32]
+ROUNDING = 1e-5  # largest difference between a picture and a part of it that is rounding
 
 
 def load_extrapolator(path: Path | None, threads: int | None, device: str) -> OnnxExtrapolator:
@@ -83,23 +73,29 @@ def load_lookahead(path: Path | None, threads: int | None, device: str) -> OnnxL
 
 
 class PictureNetwork(OnnxNetwork):
-    """A network with a `NetworkInterface`, run on tiles of a picture."""
+    """A network with a `NetworkInterface`, run on tiles of a picture; parameters as its base."""
 
-    def __init__(
-        self, path: Path, data: bytes, threads: int, device: str, interface: NetworkInterface
-    ) -> None:
+    _interface: NetworkInterface
+
+    def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
         super().__init__(path, data, threads, device)
-        self._interface = interface
-        self._stride = stated_stride(self.path, self._metadata)
+        stride = self._metadata.get(STRIDE_KEY, str(DEFAULT_STRIDE))
+        if not stride.isdecimal() or not 1 <= int(stride) <= MAX_STRIDE:
+            raise LayoutError(
+                f"{path} states {STRIDE_KEY} = {stride!r} in its metadata; state a whole number "
+                f"from 1 to {MAX_STRIDE}"
+            )
+        # The number that the height and width of its inputs are multiples of.
+        self.stride = int(stride)
         self._buffer: Float32 | None = None
 
     def answers(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
         """Yield each tile and the planes that are kept of its answer, float32 [C, h, w]."""
         height, width = inputs.shape
-        rows, columns = (-(-pixels // self._stride) * self._stride for pixels in inputs.shape)
+        rows, columns = (-(-pixels // self.stride) * self.stride for pixels in inputs.shape)
         tiles: tuple[Tile, ...] = ((TileSpan(0, rows, 0, rows), TileSpan(0, columns, 0, columns)),)
         if rows * columns > MAX_PIXELS and self._reach is not None:
-            tiles = cut_tiles((rows, columns), self._stride, self._reach, MAX_PIXELS)
+            tiles = cut_tiles((rows, columns), self.stride, self._reach, MAX_PIXELS)
         for number, (down, across) in enumerate(tiles, start=1):
             shape = (self._interface.channels, down.end - down.begin, across.end - across.begin)
             # One buffer serves all tiles of a size. When it went back to the pool in between, it
@@ -109,23 +105,81 @@ class PictureNetwork(OnnxNetwork):
             if buffer is None or buffer.shape != shape:
                 buffer = pool.empty(shape, np.float32)
             part = inputs.part(down.seen, across.seen, buffer)
+            pictures = part.pictures
+            seen = next(iter(pictures.values())).shape[1:]
+            below, right = (-size % self.stride for size in seen)
+            if below or right:
+                padding = ((0, 0), (0, below), (0, right))
+                pictures = {name: np.pad(p, padding, mode="edge") for name, p in pictures.items()}
             is_last = 1 < number == len(tiles)
-            answer = self._run_padded(part.pictures, part.time, is_last)
+            answer = self._run(pictures, part.time, is_last)
+            size = (seen[0] + below, seen[1] + right)
+            pixels, expected = f"{size[1]}x{size[0]} pixels", (1, self._interface.made, *size)
+            if answer.shape != expected:
+                raise LayoutError(
+                    f"{self.path} gives {shape_text(answer.shape)} for {pixels}; export it so that "
+                    f"it gives {shape_text(expected)}"
+                )
+            self._require_values(answer, pixels)
             self._buffer = None if is_last else buffer
-            kept = answer[:, down.inside, across.inside]
+            kept = answer[0, :, down.inside, across.inside]
             # The last tiles reach beyond a picture whose size is no multiple of the stride.
             yield (down, across), kept[:, : height - down.first, : width - across.first]
 
     def judge(self) -> None:
         """Refuse a network that does not fit, by what it declares and by running it once."""
         interface = self._interface
-        require_interface(self.path, self._metadata, interface)
-        require_nodes(self.path, self.inputs, self.outputs, interface)
+        stated = self._metadata.get(INTERFACE_KEY, interface.version)
+        if stated != interface.version:
+            raise LayoutError(
+                f"{self.path} was made for the interface {stated}, and this is "
+                f"{interface.version}; use a model for this version of ExWarp"
+            )
+        names = (*interface.inputs, TIME_INPUT)
+        if foreign := [name for name in self.inputs if name not in names]:
+            raise LayoutError(
+                f"{self.path} has the input {foreign[0]!r}, which ExWarp does not give; export it "
+                f"with inputs out of {', '.join(names)}"
+            )
+        if missing := [name for name in interface.required if name not in self.inputs]:
+            raise LayoutError(
+                f"{self.path} lacks the input {missing[0]!r}; export it with inputs out of "
+                f"{', '.join(names)}"
+            )
+        if list(self.outputs) != [interface.output]:
+            raise LayoutError(
+                f"{self.path} has the output {', '.join(self.outputs) or 'none'}; export it with "
+                f"one output, named {interface.output}"
+            )
+        for name, node in self.inputs.items():
+            shape = (1,) if name == TIME_INPUT else (1, interface.inputs[name], None, None)
+            self._require_shape(node, "input", shape)
+        output = self.outputs[interface.output]
+        self._require_shape(output, "output", (1, interface.made, None, None))
         # Odd multiples, so that a network which needs more than it states fails here.
-        shape = (5 * self._stride, 7 * self._stride)
-        planes = {name: np.zeros((n, *shape), np.float32) for name, n in interface.inputs.items()}
+        sides = (5 * self.stride, 7 * self.stride)
+        planes = {name: np.zeros((n, *sides), np.float32) for name, n in interface.inputs.items()}
         for _ in self.answers(NetworkPictures(planes, 0.5)):
             pass
+
+    def _require_shape(self, node: Any, kind: str, shape: tuple[int | None, ...]) -> None:
+        """Refuse another shape than this one, in which None is a size that the network leaves free.
+
+        `node` is onnxruntime's.
+        """
+        fits = len(node.shape) == len(shape)
+        for axis, (size, wanted) in enumerate(zip(node.shape, shape, strict=False)):
+            if isinstance(size, int):
+                fits = fits and size == wanted
+            elif wanted is not None:
+                # The network's first run shows the size of an output or a batch that is left free.
+                fits = fits and (kind == "output" or axis == 0)
+        if node.type != "tensor(float)" or not fits:
+            raise LayoutError(
+                f"{self.path} has the {kind} {node.name!r} as {node.type} {shape_text(node.shape)} "
+                f"where ExWarp needs tensor(float) {shape_text(shape)} with any height and width; "
+                "export it so"
+            )
 
     def _require_values(self, answer: Float32, pixels: str) -> None:
         """Refuse impossible values in an answer [1, C, H, W] for so many `pixels`."""
@@ -133,27 +187,42 @@ class PictureNetwork(OnnxNetwork):
 
     @cached_property
     def _reach(self) -> int | None:
-        return _measure_reach(
-            lambda pictures: self._run(pictures, 0.5)[0], self._stride, self._interface.inputs
-        )
+        """How far away one input pixel may change the answer, a multiple of the stride, in pixels.
 
-    def _run_padded(self, pictures: Mapping[str, Float32], time: float, is_last: bool) -> Float32:
-        """Run the network on pictures of any size, padded to its stride; return [C, H, W]."""
-        height, width = next(iter(pictures.values())).shape[1:]
-        below, right = -height % self._stride, -width % self._stride
-        if below or right:
-            padding = ((0, 0), (0, below), (0, right))
-            pictures = {name: np.pad(p, padding, mode="edge") for name, p in pictures.items()}
-        answer = self._run(pictures, time, is_last)
-        height, width = height + below, width + right
-        expected = (1, self._interface.made, height, width)
-        if answer.shape != expected:
-            raise LayoutError(
-                f"{self.path} gives {shape_text(answer.shape)} for {width}x{height} pixels; "
-                f"export it so that it gives {shape_text(expected)}"
-            )
-        self._require_values(answer, f"{width}x{height} pixels")
-        return np.asarray(answer[0])
+        None where the network sees too far, all of the picture (global pools, normalisation by the
+        picture's own mean), or the place in the picture.
+
+        The network is run. NaN that is put in comes out wherever it is seen, as convolutions,
+        pools, gates and sums propagate it. Where NaN is swallowed (some maxima) or the place
+        counts, a picture and a part of it differ, which is tried as well.
+        """
+        stride = self.stride
+        for most in REACH_SIDES:
+            cells = max(MIN_REACH_CELLS, most // stride) // 2 * 2 + 1
+            side, middle = cells * stride, cells // 2
+            rng = np.random.default_rng(side)
+            pictures = {
+                name: rng.random((count, side, side), dtype=np.float32)
+                for name, count in self._interface.inputs.items()
+            }
+            cell = slice(middle * stride, (middle + 1) * stride)
+            spoilt = {name: planes.copy() for name, planes in pictures.items()}
+            for planes in spoilt.values():
+                planes[:, cell, cell] = np.nan
+            reached = np.isnan(self._run(spoilt, 0.5)[0]).any(axis=0)
+            margin = int(np.abs(np.argwhere(reached) // stride - middle).max(initial=0))
+            if margin >= middle:
+                continue
+            # A part of the picture has to give what the picture gives there, but for the margin.
+            part = slice(stride, side - stride)
+            parts = {name: planes[:, part, part] for name, planes in pictures.items()}
+            inner = slice((1 + margin) * stride, side - (1 + margin) * stride)
+            expected = self._run(pictures, 0.5)[0][:, inner, inner]
+            answer = self._run(parts, 0.5)[0]
+            kept = slice(margin * stride, answer.shape[-1] - margin * stride)
+            if np.abs(answer[:, kept, kept] - expected).max() <= ROUNDING:
+                return margin * stride
+        return None
 
     def _run(self, pictures: Mapping[str, Float32], time: float, is_last: bool = False) -> Float32:
         """Run the network on pictures [C, H, W] by input, H and W multiples of its stride."""
@@ -166,19 +235,18 @@ class PictureNetwork(OnnxNetwork):
         if TIME_INPUT in self.inputs:
             feeds[TIME_INPUT] = np.array([time], np.float32)
         advice = (
-            f"export it with any height and width that are multiples of {self._stride}, or state "
+            f"export it with any height and width that are multiples of {self.stride}, or state "
             f"another {STRIDE_KEY} in its metadata"
         )
         output = self._interface.output
-        answer = self._answer(output, feeds, (height, width), self._stride, advice, is_last)
+        answer = self._answer(output, feeds, (height, width), self.stride, advice, is_last)
         return np.asarray(answer)
 
 
 class OnnxExtrapolator(PictureNetwork):
     """An extrapolator that is ready to run; parameters as for `OnnxNetwork`."""
 
-    def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
-        super().__init__(path, data, threads, device, EXTRAPOLATOR_INTERFACE)
+    _interface = EXTRAPOLATOR_INTERFACE
 
     def __call__(self, inputs: ExtrapolatorInputs) -> Float32:
         """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""
@@ -199,19 +267,16 @@ class OnnxExtrapolator(PictureNetwork):
 class OnnxLookAhead(PictureNetwork):
     """A network that weighs candidates for each pixel; parameters as for `OnnxNetwork`."""
 
+    _interface = LOOKAHEAD_INTERFACE
     name = LOOKAHEAD
     card_checksum: str | None = None  # it has no card
-
-    def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
-        super().__init__(path, data, threads, device, LOOKAHEAD_INTERFACE)
 
     def reaches(self, time: float | Fraction) -> bool:
         """Return True: it makes a frame at any time."""
         return True
 
-    def weigh(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
-        """Yield the weights of each tile of a slot: float32 [CANDIDATES, h, w]."""
-        return self.answers(inputs)
+    # Yields the weights of each tile of a slot: float32 [CANDIDATES, h, w].
+    weigh = PictureNetwork.answers
 
     def _require_values(self, answer: Float32, pixels: str) -> None:
         sums = answer.sum(axis=1)
@@ -220,44 +285,3 @@ class OnnxLookAhead(PictureNetwork):
                 f"{self.path} gives weights for {pixels} that are NaN, negative or do not add up "
                 "to 1; use another model"
             )
-
-
-def _measure_reach(run: Run, stride: int, channels: Mapping[str, int]) -> int | None:
-    """Return the reach of a network, pixels: how far away one input pixel may change its answer.
-
-    A multiple of `stride`. None where the network sees too far, all of the picture (global pools,
-    normalisation by the picture's own mean), or the place in the picture.
-
-    The network is run. NaN that is put in comes out wherever it is seen, as convolutions, pools,
-    gates and sums propagate it. Where NaN is swallowed (some maxima) or the place counts, a picture
-    and a part of it differ, which is tried as well.
-    """
-    for side in REACH_SIDES:
-        cells = max(MIN_REACH_CELLS, side // stride) // 2 * 2 + 1
-        side = cells * stride
-        rng = np.random.default_rng(side)
-        pictures = {
-            name: rng.random((count, side, side), dtype=np.float32)
-            for name, count in channels.items()
-        }
-        middle = cells // 2
-        cell = slice(middle * stride, (middle + 1) * stride)
-        spoilt = {name: planes.copy() for name, planes in pictures.items()}
-        for planes in spoilt.values():
-            planes[:, cell, cell] = np.nan
-        reached = np.isnan(run(spoilt)).any(axis=0)
-        margin = int(np.abs(np.argwhere(reached) // stride - middle).max(initial=0))
-        if margin < middle and _is_local(run, pictures, stride, margin):
-            return margin * stride
-    return None
-
-
-def _is_local(run: Run, pictures: Mapping[str, Float32], stride: int, margin: int) -> bool:
-    """True if a part of a picture gives what the picture gives there, but for a margin."""
-    side = next(iter(pictures.values())).shape[-1]
-    part = slice(stride, side - stride)
-    inner = slice((1 + margin) * stride, side - (1 + margin) * stride)
-    expected = run(pictures)[:, inner, inner]
-    answer = run({name: np.ascontiguousarray(p[:, part, part]) for name, p in pictures.items()})
-    kept = slice(margin * stride, answer.shape[-1] - margin * stride)
-    return bool(np.abs(answer[:, kept, kept] - expected).max() <= ROUNDING)

@@ -22,8 +22,9 @@ import json
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -50,8 +51,7 @@ PAPER = "paper"
 MOST_BYTES = 1 << 26
 MOST_OF_ALL = 1 << 28
 
-# Column of the states: Q16.16 integers with spaces between.
-STATE_COLUMN = "inputs"
+STATE_COLUMN = "inputs"  # column of the states: Q16.16 integers with spaces between
 # Columns that identify the decision of a row, where a table has them.
 IDENTITY_COLUMNS = ("frame", "key", "slot", "node")
 
@@ -144,12 +144,6 @@ def load_policy(path: Path | None, shipped: str = SHIPPED_POLICY) -> PolicyFile:
             f"{path} is truncated, damaged or no policy file; check the path, or train the policy "
             "again"
         ) from error
-    metadata = _metadata(path, arrays)
-    checksum = hashlib.sha256(data).hexdigest()
-    return PolicyFile(path, checksum, _network(path, arrays), metadata, _floats(path, arrays))
-
-
-def _metadata(path: Path, arrays: dict[str, Array]) -> dict[str, Any]:
     try:
         metadata = json.loads(_array(path, arrays, "metadata", np.uint8).tobytes().decode("utf-8"))
     except (ValueError, RecursionError) as error:
@@ -158,17 +152,15 @@ def _metadata(path: Path, arrays: dict[str, Array]) -> dict[str, Any]:
         raise _misfit(path, "its metadata are no JSON object")
     if metadata.get("format") != FORMAT:
         raise _misfit(path, f"its format is {metadata.get('format')!r}, not {FORMAT}")
-    return metadata
-
-
-def _floats(path: Path, arrays: dict[str, Array]) -> Floats:
-    pairs = []
-    for k in range(_layer_count(arrays, "w")):
+    network = _network(path, arrays)
+    floats = []
+    for k in takewhile(lambda k: f"w{k}" in arrays, count()):
         weights, biases = (_array(path, arrays, f"{name}{k}", np.float32) for name in "wb")
         if weights.ndim != 2 or biases.shape != weights.shape[:1]:
             raise _misfit(path, f"w{k} and b{k} do not fit together")
-        pairs.append((weights, biases))
-    return tuple(pairs)
+        floats.append((weights, biases))
+    checksum = hashlib.sha256(data).hexdigest()
+    return PolicyFile(path, checksum, network, metadata, tuple(floats))
 
 
 def _network(path: Path, arrays: dict[str, Array]) -> QuantisedMlp:
@@ -179,7 +171,7 @@ def _network(path: Path, arrays: dict[str, Array]) -> QuantisedMlp:
 
     try:
         layers = []
-        for k in range(_layer_count(arrays, "weights")):
+        for k in takewhile(lambda k: f"weights{k}" in arrays, count()):
             weights = _array(path, arrays, f"weights{k}", np.int8)
             biases = _array(path, arrays, f"biases{k}", np.int32)
             is_hidden = f"multipliers{k}" in arrays
@@ -188,13 +180,6 @@ def _network(path: Path, arrays: dict[str, Array]) -> QuantisedMlp:
         return QuantisedMlp(requantisation("input_multipliers", "input_shifts"), tuple(layers))
     except ValueError as error:  # of its own checks of ranges
         raise _misfit(path, str(error)) from error
-
-
-def _layer_count(arrays: dict[str, Array], name: str) -> int:
-    count = 0
-    while f"{name}{count}" in arrays:
-        count += 1
-    return count
 
 
 def _array(path: Path, arrays: dict[str, Array], name: str, dtype: type) -> Array:
@@ -273,9 +258,24 @@ def read_states(path: Path, size: int) -> tuple[StateRow, ...]:
     Raises InputError if the file cannot be read, LayoutError if there is no column `STATE_COLUMN`,
     no state, or a cell holds something else.
     """
+    rows = []
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = tuple(_state_rows(path, csv.DictReader(file), size))
+            table = csv.DictReader(file)
+            columns = table.fieldnames or []
+            if STATE_COLUMN not in columns:
+                raise LayoutError(
+                    f"{path} has no column '{STATE_COLUMN}'; give a table of exwarp features, or "
+                    "frames.csv of a run with a learned policy"
+                )
+            for number, cells in enumerate(table, 1):
+                text: Any = cells[STATE_COLUMN]
+                if text and text.strip():
+                    state = _parse_state(f"{path}, line {table.line_num}", text, size)
+                    identity = {
+                        name: cells[name] or "" for name in IDENTITY_COLUMNS if name in columns
+                    }
+                    rows.append(StateRow(number, table.line_num, identity, state))
     except OSError as error:
         raise InputError(
             f"cannot read {path}: {error.strerror}; check the path and its rights"
@@ -288,22 +288,7 @@ def read_states(path: Path, size: int) -> tuple[StateRow, ...]:
         raise LayoutError(
             f"{path} has no row with '{STATE_COLUMN}'; give one of a run with a learned policy"
         )
-    return rows
-
-
-def _state_rows(path: Path, table: csv.DictReader[str], size: int) -> Iterator[StateRow]:
-    columns = table.fieldnames or []
-    if STATE_COLUMN not in columns:
-        raise LayoutError(
-            f"{path} has no column '{STATE_COLUMN}'; give a table of exwarp features, or "
-            "frames.csv of a run with a learned policy"
-        )
-    for number, cells in enumerate(table, 1):
-        text: Any = cells[STATE_COLUMN]
-        if text and text.strip():
-            state = _parse_state(f"{path}, line {table.line_num}", text, size)
-            identity = {name: cells[name] or "" for name in IDENTITY_COLUMNS if name in columns}
-            yield StateRow(number, table.line_num, identity, state)
+    return tuple(rows)
 
 
 def _parse_state(cell: str, text: str, size: int) -> npt.NDArray[np.int32]:

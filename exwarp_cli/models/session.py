@@ -7,12 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from exwarp_cli.errors import (
-    DamagedFileError,
-    LayoutError,
-    MissingExtraError,
-    OutOfMemoryError,
-)
+from exwarp_cli.errors import DamagedFileError, LayoutError, MissingExtraError, OutOfMemoryError
 from exwarp_cli.models.model_file import embed_weights
 from exwarp_cli.runtime.read_registry import report_reading
 from exwarp_cli.standard_streams import silence_libraries
@@ -179,22 +174,19 @@ def _failures() -> tuple[type[Exception], ...]:
 def _reason(error: Exception) -> str:
     """Return the first line of onnxruntime's message, without its codes and source lines."""
     line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-    text = _without_source_line(_CODES.split(line)[-1]).strip().rstrip(".")
+    text = _CODES.split(line)[-1]
+    if match := _SOURCE_LINE.search(text):
+        # The function after it is a name or, behind an absolute path, a signature.
+        function_and_message = text[match.end() :]
+        message = function_and_message.partition(" ")[2]
+        if match[0].startswith("/"):
+            message, depth = "", 0
+            for index, character in enumerate(function_and_message):
+                depth += (character == "(") - (character == ")")
+                if character == ")" and depth == 0:
+                    message = function_and_message[index + 1 :].removeprefix(" const")
+                    break
+        text = message or text
+    text = text.strip().rstrip(".")
     half = LONGEST_REASON // 2
     return text if len(text) <= LONGEST_REASON else f"{text[:half]} … {text[-half:]}"
-
-
-def _without_source_line(text: str) -> str:
-    """Remove ``FILE.cc:LINE FUNCTION`` from a message; FUNCTION is a name or a signature."""
-    match = _SOURCE_LINE.search(text)
-    if match is None:
-        return text
-    message = text[match.end() :]
-    if not match[0].startswith("/"):
-        return message.partition(" ")[2] or text
-    depth = 0
-    for index, character in enumerate(message):
-        depth += (character == "(") - (character == ")")
-        if character == ")" and depth == 0:
-            return message[index + 1 :].removeprefix(" const") or text
-    return text

@@ -17,8 +17,7 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.display_colour import to_display
-from exwarp_cli.io.ffmpeg_filters import (
-    EncodedVmafStream,
+from exwarp_cli.io.ffmpeg import (
     VmafStream,
     compute_vmaf,
     require_vmaf_size,
@@ -334,7 +333,7 @@ class SequenceScorer(ResourceOwner):
     """Takes pairs one by one, and scores the whole sequence at the end; a context manager."""
 
     notes: tuple[str, ...] = ()  # what a reader of the numbers should know at the end, sentences
-    _vmaf: VmafStream | EncodedVmafStream | None = None
+    _vmaf: VmafStream | None = None
 
     def _open(self, stack: ExitStack) -> None:
         if self._vmaf is not None:
@@ -402,7 +401,7 @@ class ExtranetScorer(SequenceScorer):
         cut = ENDS_LEFT_OUT if count > SHORTEST_CUT else 0
         self._video = range(cut, count - cut)
         self._generated = generated
-        self._vmaf = EncodedVmafStream() if "vmaf" in names else None
+        self._vmaf = VmafStream(is_encoded=True) if "vmaf" in names else None
         self._scores: list[Score] = []
         self._counted = 0
 

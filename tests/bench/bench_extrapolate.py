@@ -17,7 +17,7 @@ import numpy as np
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
 from exwarp_cli.domain.network_api import TIME_INPUT, Extrapolator, NetworkInputs
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.models.model_file import shipped_folder, stated_stride
+from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.models.session import open_session
 from exwarp_cli.synthesis.history import older_key_frames
@@ -49,12 +49,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _row_bands.set_threads(options.threads)
     network = load_extrapolator(options.model, options.threads, "cpu")
     path = options.model or shipped_folder() / "extrapolator.onnx"
-    bare, stride = _session(path, options.threads)
+    bare = _session(path, options.threads)
     ratios: dict[str, Ratio] = {}
     for setting in ("key", "slot"):
         times: dict[str, list[float]] = {name: [] for name in (BARE, *PARTS)}
         for _ in range(options.rounds + 1):
-            _round(setting, network, bare, stride, times)
+            _round(setting, network, bare, network.stride, times)
         measured = {name: taken[1:] for name, taken in times.items()}  # the first one compiles
         whole = [sum(parts) for parts in zip(*(measured[p] for p in PARTS), strict=True)]
         named = {WHOLE: whole, **{name: measured[name] for name in PARTS}}
@@ -66,15 +66,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return goals.finish(goals.table("extrapolate", title, BARE, ratios, GOALS), options)
 
 
-def _session(path: Path, threads: int) -> tuple[Bare, int]:
-    """Return what runs the network alone, with the settings of the product, and its stride."""
+def _session(path: Path, threads: int) -> Bare:
+    """Return what runs the network alone, with the settings of the product."""
     session = open_session(path, path.read_bytes(), threads, "cpu")
     known = {node.name for node in session.get_inputs()}
 
     def work(fed: Fed) -> object:
         return session.run(None, {name: made for name, made in fed.items() if name in known})
 
-    return work, stated_stride(path, session.get_modelmeta().custom_metadata_map)
+    return work
 
 
 def _padded(inputs: NetworkInputs, stride: int) -> Fed:

@@ -1,7 +1,7 @@
 """Frame interpolators that see colour only: ffmpeg's minterpolate and OpenCV's DIS optical flow.
 
 Both get what suits them best of the variants that were tried on the example: minterpolate as
-`exwarp_cli.io.ffmpeg_filters` tells; DIS at its finest scale (PSNR 22.23 dB against 22.18) and
+`exwarp_cli.io.ffmpeg` tells; DIS at its finest scale (PSNR 22.23 dB against 22.18) and
 blended in sRGB (22.23 against 22.11 in linear light).
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.io import ffmpeg_filters as ffmpeg
+from exwarp_cli.io import ffmpeg
 from exwarp_cli.metrics.display import PEAK, encode_display
 
 F32 = npt.NDArray[np.float32]

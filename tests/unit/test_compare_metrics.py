@@ -13,7 +13,7 @@ from exwarp_cli.domain.metric import METRICS, Threshold, parse_metrics, parse_th
 from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.errors import InputError, QualityError, UsageError
 from exwarp_cli.io.display_colour import to_display
-from exwarp_cli.io.ffmpeg_filters import EncodedVmafStream, compute_vmaf
+from exwarp_cli.io.ffmpeg import VmafStream, compute_vmaf
 from exwarp_cli.metrics import extranet_scores
 from exwarp_cli.metrics.temporal import display_error
 from exwarp_cli.pipeline.evaluation import Comparison, evaluate
@@ -175,7 +175,7 @@ def test_the_preset_counts_generated_frames(tmp_path: Path, headers: bool) -> No
         assert frame.score.psnr_db == (expected.psnr_db if expected else None)
         assert frame.score.ssim == (expected.ssim if expected else None)
         assert (frame.score.vmaf is None) == (n <= 4 or n > 10)
-    with EncodedVmafStream() as stream:
+    with VmafStream(is_encoded=True) as stream:
         for n in range(5, 11):
             stream.write(to_display(truth[n]), to_display(made[n]))
         values = stream.close()

@@ -146,7 +146,6 @@ class TestReading:
     def test_from_the_header(self, tmp_path):
         found = self.manifest(tmp_path / "a.exr", Style())
         assert found == Manifest(IDS)
-        assert found.names() == {surface_id(bits): name for name, bits in IDS.items()}
 
     @pytest.mark.parametrize(
         ("sidecar", "place"),

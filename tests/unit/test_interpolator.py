@@ -135,12 +135,22 @@ class TestPadding:
         expected = ShoulderCurve.of("srgb", before, after).decode(blurred / 9)
         np.testing.assert_allclose(found, expected, atol=2e-6)
 
-    def test_black_is_black_in_any_range(self, load):
+    def test_black_is_black_in_any_range(self, load, monkeypatch):
         padding = {"multiple": 8, "mode": "zero"}
         network = load(first_frame(), padding=padding, range=[-1, 1])
+        fed: dict[str, np.ndarray] = {}
+        true = network._answer
+
+        def answer(output: str, feeds: Any, size: Any, stride: int, advice: str) -> Any:
+            fed.update(feeds)
+            return true(output, feeds, size, stride, advice)
+
+        monkeypatch.setattr(network, "_answer", answer)
         white = np.ones((5, 5, 3), np.float32)
-        given = network._padded(white)
-        assert (given[:5, :5] == 1).all() and (given[5:] == -1).all()
+        network(white, white, 0.5)
+        given = fed["img0"][0]
+        np.testing.assert_allclose(given[:, :5, :5], 1, atol=1e-6)
+        assert (given[:, 5:] == -1).all()
 
 
 class TestHighDynamicRange:

@@ -13,8 +13,7 @@ import pytest
 from onnx import TensorProto
 
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, OutputExistsError
-from exwarp_cli.models.interpolator import SHAPES, begin_card, load_interpolator
-from exwarp_cli.models.interpolator_card import SCHEMA, parse_card
+from exwarp_cli.models.interpolator import SCHEMA, SHAPES, begin_card, load_interpolator, parse_card
 from tests.unit.tiny_interpolators import (
     CARDS,
     PAIR,

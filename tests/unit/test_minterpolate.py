@@ -9,8 +9,8 @@ import pytest
 
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.errors import OutputError
-from exwarp_cli.io import ffmpeg_filters as module
-from exwarp_cli.io.ffmpeg_filters import minterpolate
+from exwarp_cli.io import ffmpeg as module
+from exwarp_cli.io.ffmpeg import minterpolate
 from exwarp_cli.metrics.display import encode_display
 
 STEP = 8
@@ -100,7 +100,12 @@ def test_a_failing_ffmpeg_is_quoted(tmp_path: Path, monkeypatch, script, said):
 
 
 def test_frames_at_other_instants_are_noticed(monkeypatch):
-    true = module._run_minterpolate
-    monkeypatch.setattr(module, "_run_minterpolate", lambda frames: true(frames)[1:])
+    true = module.run_ffmpeg
+
+    def without_the_first(options, data):
+        made, info = true(options, data)
+        return made[picture(0)[..., :3].size :], info
+
+    monkeypatch.setattr(module, "run_ffmpeg", without_the_first)
     with pytest.raises(OutputError, match="not at the instants"):
         minterpolate(None, picture(0), picture(1))

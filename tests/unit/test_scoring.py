@@ -10,7 +10,7 @@ import pytest
 
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.io.display_colour import to_display
-from exwarp_cli.io.ffmpeg_filters import compute_vmaf
+from exwarp_cli.io.ffmpeg import compute_vmaf
 from exwarp_cli.metrics.registry import score_frame
 from exwarp_cli.metrics.temporal import display_error
 from exwarp_cli.pipeline.scoring import IntervalScores, flicker_of, steps_of, vmaf_of

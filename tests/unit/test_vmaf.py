@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import InputError, LayoutError
-from exwarp_cli.io.ffmpeg_filters import MIN_VMAF_SIZE, EncodedVmafStream, VmafStream, compute_vmaf
+from exwarp_cli.io.ffmpeg import MIN_VMAF_SIZE, VmafStream, compute_vmaf
 
 INTERVALS = 3
 
@@ -72,7 +72,7 @@ def test_an_interval_alone_has_the_scores_of_the_whole_sequence() -> None:
 def test_the_published_procedure_is_of_encoded_videos() -> None:
     truth = panned(6, (33, 47))
     test = noisy(truth, 25)
-    with EncodedVmafStream() as stream:
+    with VmafStream(is_encoded=True) as stream:
         for pair in zip(truth, test, strict=True):
             stream.write(*pair)
         found = stream.close()
@@ -80,7 +80,7 @@ def test_the_published_procedure_is_of_encoded_videos() -> None:
     plain = compute_vmaf(truth, test)
     assert found != plain
     assert np.mean(found) == pytest.approx(np.mean(plain), abs=25)
-    with EncodedVmafStream() as stream:
+    with VmafStream(is_encoded=True) as stream:
         for frame in truth:
             stream.write(frame, frame)
         assert min(stream.close()[1:]) > 99
@@ -88,7 +88,7 @@ def test_the_published_procedure_is_of_encoded_videos() -> None:
 
 def test_no_frames_no_scores() -> None:
     assert compute_vmaf([], []) == []
-    with EncodedVmafStream() as stream:
+    with VmafStream(is_encoded=True) as stream:
         assert stream.close() == []
 
 
@@ -105,9 +105,11 @@ def test_a_missing_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         compute_vmaf(panned(1), panned(1))
 
 
-@pytest.mark.parametrize("stream", [VmafStream, EncodedVmafStream])
+@pytest.mark.parametrize("is_encoded", [False, True])
 @pytest.mark.parametrize("frames", [1, 60])
-def test_a_failing_ffmpeg_is_quoted(tmp_path: Path, monkeypatch, stream, frames: int) -> None:
+def test_a_failing_ffmpeg_is_quoted(
+    tmp_path: Path, monkeypatch, is_encoded: bool, frames: int
+) -> None:
     fake = tmp_path / "ffmpeg"
     fake.write_text("#!/bin/sh\necho '[libvmaf @ 0x1] could not load the model' >&2\nexit 1\n")
     fake.chmod(0o755)
@@ -116,7 +118,8 @@ def test_a_failing_ffmpeg_is_quoted(tmp_path: Path, monkeypatch, stream, frames:
     temporary.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(temporary))
     frame = np.zeros((64, 64, 3), np.uint8)
-    with pytest.raises(InputError, match="ffmpeg says 'could not load the model'"), stream() as run:
+    message = "ffmpeg says 'could not load the model'"
+    with pytest.raises(InputError, match=message), VmafStream(is_encoded) as run:
         for _ in range(frames):
             run.write(frame, frame)
         run.close()

@@ -11,7 +11,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper
 
-from exwarp_cli.models.interpolator_card import SCHEMA
+from exwarp_cli.models.interpolator import SCHEMA
 from tests.unit.tiny_models import model, save
 
 FLOAT = TensorProto.FLOAT

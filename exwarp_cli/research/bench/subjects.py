@@ -15,7 +15,7 @@ from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, UsageError
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
-from exwarp_cli.io.ffmpeg_filters import minterpolate, require_vmaf_size
+from exwarp_cli.io.ffmpeg import minterpolate, require_vmaf_size
 from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.io.sequences import find_sequence
