@@ -60,14 +60,6 @@ def _bin_of(value: float, low: float, high: float) -> int:
     return min(max(k, 0), BINS - 1)
 
 
-@device_function
-def _count_channel(values: F32, mask: B8, low: float, high: float, counts: I64) -> None:
-    for i in range(values.shape[0]):
-        for j in range(values.shape[1]):
-            if mask[i, j] and abs(values[i, j]) < np.float32(np.inf):
-                counts[_bin_of(np.float64(values[i, j]), low, high)] += 1
-
-
 @ParallelKernel
 def count_histograms(
     values: F32,  # [H, W, C]
@@ -85,7 +77,12 @@ def count_histograms(
             counts[strip, c, :] = 0
             low, high = ranges[c, 0], ranges[c, 1]
             if low < high:
-                _count_channel(values[rows, :, c], mask[rows], low, high, counts[strip, c])
+                channel, counted, bins = values[rows, :, c], mask[rows], counts[strip, c]
+                for i in range(counted.shape[0]):
+                    for j in range(counted.shape[1]):
+                        value = channel[i, j]
+                        if counted[i, j] and abs(value) < np.float32(np.inf):
+                            bins[_bin_of(np.float64(value), low, high)] += 1
 
 
 class ValueDistribution:

@@ -271,21 +271,6 @@ def ray_march_visible(
 
 
 @device_function
-def _write_weights(
-    squared: int, far: F32, wanted: F64, known: B8, steps: I16, weights: F64
-) -> None:
-    """Write the weights of the pixels that a row's holes see in one direction."""
-    for n in range(weights.size):
-        away = np.float64(steps[n])
-        most = max(np.float64(far[n]), wanted[n])
-        ratio = min(np.float64(far[n]), wanted[n]) / most if most > 0 else 1.0
-        similarity = ratio * ratio
-        similarity = similarity * similarity if known[n] else similarity
-        weight = (similarity + MIN_WEIGHT) / (away * away * np.float64(squared))
-        weights[n] = weight if away > 0 else 0.0
-
-
-@device_function
 def _add_seen(
     row: tuple[int, int, int],  # index of the row, pixels of a step, and C
     columns: I32,  # [N], as `steps` and `weights`
@@ -339,7 +324,15 @@ def _fill_row(
     for way in range(len(DIRECTIONS)):
         dy, dx = DIRECTIONS[way]
         away = steps[way][begin:end]
-        _write_weights(dy * dy + dx * dx, far[way], wanted, known, away, weights)
+        squared, seen = np.float64(dy * dy + dx * dx), far[way]
+        for n in range(count):
+            steps_away, visible = np.float64(away[n]), np.float64(seen[n])
+            most = max(visible, wanted[n])
+            ratio = min(visible, wanted[n]) / most if most > 0 else 1.0
+            similarity = ratio * ratio
+            similarity = similarity * similarity if known[n] else similarity
+            weight = (similarity + MIN_WEIGHT) / (steps_away * steps_away * squared)
+            weights[n] = weight if steps_away > 0 else 0.0
         origin = (at, dy * width + dx, channels)
         _add_seen(origin, columns, away, weights, pixels, sums, totals)
     for n in range(count):

@@ -231,29 +231,6 @@ def _add_pair(total: F32, weight: np.float32, a: F32, sign: np.float32, b: F32) 
         total[i] += weight * (b[i] + sign * a[i])
 
 
-@device_function
-def _filter_down(plane: F32, row: int, number: int, line: F32) -> None:
-    """Filter a plane [H, W] downwards at one row into a line [W + 2 HALO]."""
-    width, last = plane.shape[1], plane.shape[0] - 1
-    inner = line[HALO : HALO + width]
-    weights, sign = _WEIGHTS[number], _SIGNS[number]
-    _scale_line(weights[0], plane[row], inner)
-    for k in range(1, _COUNTS[number]):
-        above, below = plane[max(row - k, 0)], plane[min(row + k, last)]
-        _add_pair(inner, weights[k], above, sign, below)
-    line[:HALO] = inner[0]
-    line[HALO + width :] = inner[width - 1]
-
-
-@device_function
-def _filter_along(line: F32, number: int, out: F32) -> None:
-    """Filter a line [W + 2 HALO] along the row into [W]."""
-    weights, sign = _WEIGHTS[number], _SIGNS[number]
-    _scale_line(weights[0], line[HALO:], out)
-    for k in range(1, _COUNTS[number]):
-        _add_pair(out, weights[k], line[HALO - k :], sign, line[HALO + k :])
-
-
 # Planes of what is seen: lightness, red-green, blue-yellow, strength of edges and of points.
 PERCEIVED_PLANES = 5
 
@@ -326,14 +303,25 @@ def write_perceived(
     band: Band,
 ) -> None:
     """Write what a viewer sees of an image (sections 4.1.1, 4.1.2 and 4.2.1)."""
-    width = planes.shape[2]
+    last, width = planes.shape[1] - 1, planes.shape[2]
     line = np.empty(width + 2 * HALO, np.float32)
+    inner = line[HALO : HALO + width]
     filtered = np.empty((_PASSES.shape[0], width), np.float32)
     for row in band_range(planes.shape[1], band):
         for n in range(_PASSES.shape[0]):
-            plane, down, along = _PASSES[n, 0], _PASSES[n, 1], _PASSES[n, 2]
-            _filter_down(planes[plane], row, down, line)
-            _filter_along(line, along, filtered[n])
+            plane, down, along = planes[_PASSES[n, 0]], _PASSES[n, 1], _PASSES[n, 2]
+            _scale_line(_WEIGHTS[down, 0], plane[row], inner)
+            for k in range(1, _COUNTS[down]):
+                above, below = plane[max(row - k, 0)], plane[min(row + k, last)]
+                _add_pair(inner, _WEIGHTS[down, k], above, _SIGNS[down], below)
+            line[:HALO] = inner[0]
+            line[HALO + width :] = inner[width - 1]
+            out = filtered[n]
+            _scale_line(_WEIGHTS[along, 0], line[HALO:], out)
+            for k in range(1, _COUNTS[along]):
+                _add_pair(
+                    out, _WEIGHTS[along, k], line[HALO - k :], _SIGNS[along], line[HALO + k :]
+                )
         _write_lab_row(filtered, row, perceived)
         _write_lengths(filtered[4], filtered[5], perceived[3, row])
         _write_lengths(filtered[6], filtered[7], perceived[4, row])
@@ -465,16 +453,6 @@ def _blur_columns(x: F32, y: F32, row: int, halo: int, sums: F64) -> None:
 
 
 @device_function
-def _reflect_ends(line: F64, width: int, channels: int) -> None:
-    for p in range(SSIM_RADIUS):
-        left = (_mirror_index(p - SSIM_RADIUS, width) + SSIM_RADIUS) * channels
-        right = (_mirror_index(p + width, width) + SSIM_RADIUS) * channels
-        for c in range(channels):
-            line[p * channels + c] = line[left + c]
-            line[(p + width + SSIM_RADIUS) * channels + c] = line[right + c]
-
-
-@device_function
 def _blur_row(line: F64, s: int, out: F64) -> None:
     """Blur a line whose samples of one channel are s apart."""
     a, b, c, d, e = line, line[s:], line[2 * s :], line[3 * s :], line[4 * s :]
@@ -489,17 +467,23 @@ def _blur_row(line: F64, s: int, out: F64) -> None:
 @ParallelKernel
 def _write_ssim(x: F32, y: F32, channels: int, out: F32, band: Band) -> None:
     height, span = x.shape
-    halo = SSIM_RADIUS * channels
+    width, halo = span // channels, SSIM_RADIUS * channels
     sums, means = np.empty((4, span + 2 * halo)), np.empty((4, span))
     for row in band_range(height, band):
         _blur_columns(x, y, row, halo, sums)
         for j in range(4):
-            _reflect_ends(sums[j], span // channels, channels)
-            _blur_row(sums[j], channels, means[j])
+            line = sums[j]
+            for p in range(SSIM_RADIUS):
+                left = (_mirror_index(p - SSIM_RADIUS, width) + SSIM_RADIUS) * channels
+                right = (_mirror_index(p + width, width) + SSIM_RADIUS) * channels
+                for c in range(channels):
+                    line[p * channels + c] = line[left + c]
+                    line[(p + width + SSIM_RADIUS) * channels + c] = line[right + c]
+            _blur_row(line, channels, means[j])
         mean_x, mean_y, squares, products = means[0], means[1], means[2], means[3]
-        line = out[row]
-        for i in range(line.size):
+        similarity = out[row]
+        for i in range(similarity.size):
             product = mean_x[i] * mean_y[i]
             powers = mean_x[i] * mean_x[i] + mean_y[i] * mean_y[i]
             top = (2.0 * product + SSIM_C1) * (2.0 * (products[i] - product) + SSIM_C2)
-            line[i] = np.float32(top / ((powers + SSIM_C1) * (squares[i] - powers + SSIM_C2)))
+            similarity[i] = np.float32(top / ((powers + SSIM_C1) * (squares[i] - powers + SSIM_C2)))

@@ -255,22 +255,6 @@ def resample(
 COLOUR_CHANNELS = 3  # channels with a curve
 
 
-@inline
-def _srgb_code(linear: np.float32) -> np.float32:
-    size = abs(linear)
-    curved = np.float32(1.055) * size ** np.float32(1 / 2.4) - np.float32(0.055)
-    code = np.float32(12.92) * size if size <= np.float32(0.0031308) else curved
-    return -code if linear < 0 else code
-
-
-@inline
-def _linear_value(code: np.float32) -> np.float32:
-    size = abs(code)
-    curved = ((size + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
-    linear = size / np.float32(12.92) if size <= np.float32(0.04045) else curved
-    return -linear if code < 0 else linear
-
-
 @ParallelKernel
 def encode_srgb(pixels: F32, out: F32, band: Band) -> None:
     """Write the sRGB codes of scene-linear pixels [H, W, C]; alpha is copied."""
@@ -278,7 +262,13 @@ def encode_srgb(pixels: F32, out: F32, band: Band) -> None:
         line, codes = pixels[i], out[i]
         for j in range(line.shape[0]):
             for c in range(line.shape[1]):
-                codes[j, c] = _srgb_code(line[j, c]) if c < COLOUR_CHANNELS else line[j, c]
+                value = line[j, c]
+                if c < COLOUR_CHANNELS:
+                    size = abs(value)
+                    curved = np.float32(1.055) * size ** np.float32(1 / 2.4) - np.float32(0.055)
+                    code = np.float32(12.92) * size if size <= np.float32(0.0031308) else curved
+                    value = -code if value < 0 else code
+                codes[j, c] = value
 
 
 @ParallelKernel
@@ -288,4 +278,10 @@ def decode_srgb(codes: F32, out: F32, band: Band) -> None:
         line, pixels = codes[i], out[i]
         for j in range(line.shape[0]):
             for c in range(line.shape[1]):
-                pixels[j, c] = _linear_value(line[j, c]) if c < COLOUR_CHANNELS else line[j, c]
+                value = line[j, c]
+                if c < COLOUR_CHANNELS:
+                    size = abs(value)
+                    curved = ((size + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
+                    linear = size / np.float32(12.92) if size <= np.float32(0.04045) else curved
+                    value = -linear if value < 0 else linear
+                pixels[j, c] = value

@@ -263,24 +263,12 @@ def _splat_patch(
 
 
 @device_function
-def _list_landings(place: I32, order: I32) -> int:
-    """List the targets that exist in `order` [2 N + 1], and return their number."""
-    count, length = place.size // 2, np.int64(0)
-    for n in range(count):
-        order[np.uint64(length)] = n
-        length += np.int64(place[n] != NO_TARGET)
-        order[np.uint64(length)] = count + n
-        length += np.int64(place[count + n] != NO_TARGET)
-    return int(length)
-
-
-@device_function
 def _splat_span(
     start: tuple[int, int],  # as `motion`, `size`: see `_write_places`
     motion: Motion,
     depth: F32,  # [N]
     size: tuple[int, int, int],
-    buffers: tuple[Landings, I32],  # `landings` of `_write_places`, `order` of `_list_landings`
+    buffers: tuple[Landings, I32],  # `landings` of `_write_places`; [2 N + 1]: targets that exist
     field: F32,  # [2 W R], the target rows
     near: F32,  # [W R]
 ) -> None:
@@ -288,7 +276,13 @@ def _splat_span(
     (line, across, down), (landings, order) = motion, buffers
     place, found_x, found_y = landings
     _write_places(start, motion, size, landings)
-    for k in range(_list_landings(place, order)):
+    count, length = depth.size, np.int64(0)
+    for j in range(count):
+        order[np.uint64(length)] = j
+        length += np.int64(place[j] != NO_TARGET)
+        order[np.uint64(length)] = count + j
+        length += np.int64(place[count + j] != NO_TARGET)
+    for k in range(length):
         target = np.uint64(order[k])
         n = np.uint64(target if target < depth.size else target - np.uint64(depth.size))
         # Strictly nearer wins, so an equal depth keeps the earlier source pixel, whatever the
