@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION
-from exwarp_cli.accelerator.mlp import QuantisedMlp, check_states
+from exwarp_cli.accelerator.mlp import MAX_ACTIVATION, QuantisedMlp, check_states
 from exwarp_cli.kernels._compile import inline, kernel
 from exwarp_cli.kernels.array_types import I8, I32, I64
 

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.accelerator import verilog as verilog_files
-from exwarp_cli.accelerator.fixed_point import ONE
+from exwarp_cli import accelerator
 from exwarp_cli.accelerator.mac_array import (
     MacArray,
     Schedule,
@@ -24,7 +23,7 @@ from exwarp_cli.accelerator.mac_array import (
     resident_words,
     schedule,
 )
-from exwarp_cli.accelerator.mlp import PAPER_SIZES, Inference, QuantisedMlp, infer_reference
+from exwarp_cli.accelerator.mlp import ONE, PAPER_SIZES, Inference, QuantisedMlp, infer_reference
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.io.files import atomic_write_text, make_folder
@@ -420,7 +419,7 @@ def design(
         "scales": [_scales(texts, array, core) for core in cores],
         "biases": [texts[f"core{core}_bias.hex"].split() for core in cores],
     }
-    folder = resources.files(verilog_files)
+    folder = resources.files(accelerator).joinpath("verilog")
     files = {name: folder.joinpath(name).read_text(encoding="utf-8") for name in SOURCES}
     for core in cores:
         for name, words in memories.items():  # all as deep as the fullest core's, the first

@@ -23,9 +23,8 @@ from exwarp_cli.io.generated_frames import read_facts
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot import Shot, open_shot
 from exwarp_cli.io.video_reader import is_clip
-from exwarp_cli.metrics import extranet_scores
 from exwarp_cli.metrics.display import round_display
-from exwarp_cli.metrics.registry import score_frame
+from exwarp_cli.metrics.registry import score_frame, score_like_extranet
 from exwarp_cli.metrics.temporal import compare_with_previous, display_error, frame_flicker
 from exwarp_cli.pipeline.motion_convention import find_motion
 from exwarp_cli.synthesis.motion_fields import field_between, reproject, settle_motion
@@ -175,7 +174,7 @@ class MetricScorer(SequenceScorer):
 
 
 class ExtranetScorer(SequenceScorer):
-    """Scores as ExtraNet's release takes them: see `exwarp_cli.metrics.extranet_scores`.
+    """Scores as ExtraNet's release takes them: see `exwarp_cli.metrics.registry`.
 
     VMAF is of H.264 videos of both sequences, rendered frames included.
 
@@ -215,7 +214,7 @@ class ExtranetScorer(SequenceScorer):
         is_different = bool((truth != test).any())
         counts = is_different if self._generated is None else self._generated[index]
         self._counted += counts
-        values = extranet_scores.score_like_extranet(pair.truth, pair.test) if counts else Score()
+        values = score_like_extranet(pair.truth, pair.test) if counts else Score()
         self._scores.append(
             Score(
                 psnr_db=values.psnr_db if "psnr_db" in self._names else None,

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli import __version__
-from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION, from_fixed
 from exwarp_cli.accelerator.mac_array import COMPARE_CYCLES, PAPER_LATENCY_NS, Schedule
+from exwarp_cli.accelerator.mlp import MAX_ACTIVATION, from_fixed
 from exwarp_cli.domain.decision import CHOICES, FEATURES
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import ranges

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from exwarp_cli.accelerator.fixed_point import (
+from exwarp_cli.accelerator.mlp import (
     MAX_MULTIPLIER,
     MAX_SHIFT,
     ONE,

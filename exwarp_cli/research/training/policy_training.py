@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.accelerator.fixed_point import to_fixed
-from exwarp_cli.accelerator.mlp import QuantisedMlp
+from exwarp_cli.accelerator.mlp import QuantisedMlp, to_fixed
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.errors import DamagedFileError, InputError

@@ -19,8 +19,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from exwarp_cli.accelerator.fixed_point import to_fixed
-from exwarp_cli.accelerator.mlp import QuantisedMlp
+from exwarp_cli.accelerator.mlp import QuantisedMlp, to_fixed
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.tiles import REWARP, TILE_STATE
