@@ -60,7 +60,6 @@ class Trace:
     """One inference with all intermediate values, and its schedule on the paper's machine."""
 
     row: StateRow
-    network: QuantisedMlp
     inference: Inference
     schedule: Schedule
 
@@ -83,24 +82,22 @@ def clock_of(text: str, option: str = "--clock") -> float:
     return hertz
 
 
-def bytes_of(text: str) -> int:
-    """Parse a size, as ``16KB`` or ``16384``; K is 1024. Raises UsageError."""
-    match = _BYTES.fullmatch(text.strip())
-    if match is None or len(match[1]) > 15:
-        raise UsageError(f"--cache {text} is no size; give one as 16KB or 16384")
-    return int(match[1]) * _UNITS[match[2].lower()]
-
-
 def machine(cores: int, macs: int, cache: str, port: int) -> MacArray:
-    """Return a machine with a cache for each core and a port of some bytes a cycle; see `MacArray`.
+    """Return a machine with a port of some bytes a cycle; see `MacArray`.
+
+    `cache` is that of each core, as ``16KB`` or ``16384``; K is 1024.
 
     Raises
     ------
     UsageError
         For a cache that is no size, or 0.
     """
+    match = _BYTES.fullmatch(cache.strip())
+    if match is None or len(match[1]) > 15:
+        raise UsageError(f"--cache {cache} is no size; give one as 16KB or 16384")
+    size = int(match[1]) * _UNITS[match[2].lower()]
     try:
-        return MacArray(cores, macs, cache_bytes=bytes_of(cache), port_bytes=port)
+        return MacArray(cores, macs, cache_bytes=size, port_bytes=port)
     except ValueError as error:
         raise UsageError(f"--cache {cache} does not do: {error}; give a larger one") from error
 
@@ -151,7 +148,7 @@ def trace_row(table: Path, policy: Path | None, number: int | None) -> Trace:
     network = load_policy(policy).network
     row = _select(table, network, number)[0]
     inference = infer_reference(network, row.state)
-    return Trace(row, network, inference, schedule(MacArray(), network.sizes))
+    return Trace(row, inference, schedule(MacArray(), network.sizes))
 
 
 def _select(table: Path, network: QuantisedMlp, number: int | None) -> tuple[StateRow, ...]:
@@ -238,8 +235,8 @@ def export(
     vectors: int,
     seed: int,
     overwrite: bool,
-    array: MacArray | None = None,
-    verilog: bool = False,
+    array: MacArray,
+    verilog: bool,
 ) -> list[Path]:
     """Write a policy's parameters and test vectors as hex files; return the files.
 
@@ -249,8 +246,6 @@ def export(
         None for the one that comes with ExWarp.
     vectors, seed
         How many test vectors, and of which random numbers.
-    array
-        The machine; None for the paper's.
     verilog
         Whether to write its design too, with a test bench.
 
@@ -263,7 +258,6 @@ def export(
     UsageError
         When the design cannot be such a machine.
     """
-    array = array or MacArray()
     source = load_policy(policy)
     network = source.network
     about = ABOUT + DESIGN if verilog else ABOUT
@@ -305,7 +299,13 @@ def hex_files(array: MacArray, network: QuantisedMlp, states: I32) -> dict[str, 
     scales = [la.requantisation for la in network.layers if la.requantisation is not None]
     for core in range(array.cores):
         own = slice(core, None, array.cores)
-        texts[f"core{core}_weights.hex"] = _lines(_weight_words(array, network, core))
+        texts[f"core{core}_weights.hex"] = _lines(
+            word[::-1].tobytes().hex()  # the first weight in the lowest bits
+            for layer in network.layers
+            for word in np.pad(
+                layer.weights[own], ((0, 0), (0, -layer.fan_in % array.macs))
+            ).reshape(-1, array.macs)
+        )
         texts[f"core{core}_bias.hex"] = "".join(_hex(la.biases[own]) for la in network.layers)
         texts[f"core{core}_multiplier.hex"] = "".join(_hex(s.multipliers[own]) for s in scales)
         texts[f"core{core}_shift.hex"] = "".join(_hex(s.shifts[own]) for s in scales)
@@ -319,15 +319,6 @@ def hex_files(array: MacArray, network: QuantisedMlp, states: I32) -> dict[str, 
     for k, activations in enumerate(inference.activations):
         texts[f"vectors_layer{k}_activation.hex"] = _hex(activations)
     return texts
-
-
-def _weight_words(array: MacArray, network: QuantisedMlp, core: int) -> Iterator[str]:
-    """Yield a core's words of weights, the first weight in the lowest bits."""
-    for layer in network.layers:
-        own = layer.weights[core :: array.cores]
-        filled = np.pad(own, ((0, 0), (0, -layer.fan_in % array.macs)))
-        for word in filled.reshape(-1, array.macs):
-            yield word[::-1].tobytes().hex()
 
 
 def _addresses(array: MacArray, network: QuantisedMlp, core: int) -> list[dict[str, int | None]]:
