@@ -47,7 +47,7 @@ def command(
     from exwarp_cli.pipeline.decide import features
     from exwarp_cli.pipeline.progress import reporting
     from exwarp_cli.report.command_text import FEATURE_COLUMNS, feature_cells, features_document
-    from exwarp_cli.report.csv_tables import format_csv
+    from exwarp_cli.report.schema import format_csv
 
     use_threads(threads)
     with reporting(progress, results_on_stdout=True) as reporter:

@@ -16,8 +16,7 @@ from exwarp_cli.domain.decision import CHOICES, FEATURES
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import pluralise
-from exwarp_cli.report.csv_tables import format_cell, format_csv
-from exwarp_cli.report.schema import run_document
+from exwarp_cli.report.schema import format_cell, format_csv, run_document
 
 # Types alone: each of these brings what its command needs, and the others do without.
 if TYPE_CHECKING:

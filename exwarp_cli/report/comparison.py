@@ -15,14 +15,6 @@ from exwarp_cli.io.footage import close_sequences
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.view_transform import find_display_look, find_view_transform
 from exwarp_cli.pipeline.evaluation import ComparedFrame, Comparison, read_display
-from exwarp_cli.report.csv_tables import (
-    FIRST_SCORES,
-    LATER_COLUMNS,
-    escape_formula,
-    first_score_cells,
-    format_csv,
-    later_score_cells,
-)
 from exwarp_cli.report.gallery import Album
 from exwarp_cli.report.html import (
     BY_FIELD,
@@ -44,7 +36,17 @@ from exwarp_cli.report.html import (
     worst_tables,
 )
 from exwarp_cli.report.plots import Labels, draw_lines
-from exwarp_cli.report.schema import mean_scores, replace_nonfinite, score_values
+from exwarp_cli.report.schema import (
+    FIRST_SCORES,
+    LATER_COLUMNS,
+    escape_formula,
+    first_score_cells,
+    format_csv,
+    later_score_cells,
+    mean_scores,
+    replace_nonfinite,
+    score_values,
+)
 from exwarp_cli.report.sentences import format_percent
 
 SCHEMA = "exwarp.compare/1"

@@ -26,11 +26,11 @@ from exwarp_cli.report.folder import (
     REPORT_FILE,
     RUN_FILE,
     chunk_reports,
+    parse_run,
     prepare_report,
     write_report,
 )
 from exwarp_cli.report.gallery import merge_albums
-from exwarp_cli.report.run_file import parse_run
 from exwarp_cli.report.schema import SCHEMA, run_document
 
 # Characters of a value in a message.

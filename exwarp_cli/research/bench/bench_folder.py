@@ -9,10 +9,9 @@ from exwarp_cli.accelerator.mac_array import MacArray, schedule
 from exwarp_cli.accelerator.mlp import PAPER_SIZES
 from exwarp_cli.io.files import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.pipeline.progress import Progress
-from exwarp_cli.report.csv_tables import escape_formula, format_csv
 from exwarp_cli.report.folder import PAGE_FILE
 from exwarp_cli.report.html import render
-from exwarp_cli.report.schema import to_json
+from exwarp_cli.report.schema import escape_formula, format_csv, to_json
 from exwarp_cli.research.bench.bench_document import (
     Document,
     bench_document,
