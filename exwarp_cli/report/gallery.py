@@ -128,14 +128,10 @@ class Album:
 
     def to_plain(self) -> dict[str, Any]:
         """Return the object of the module's text but what pages add; equal pictures appear once."""
-        indices: dict[int, int] = {}
-        pictures: list[Picture] = []
+        pictures: dict[int, tuple[int, Picture]] = {}  # each with its index, by identity
 
         def index(picture: Picture) -> int:
-            if id(picture) not in indices:
-                indices[id(picture)] = len(pictures)
-                pictures.append(picture)
-            return indices[id(picture)]
+            return pictures.setdefault(id(picture), (len(pictures), picture))[0]
 
         frames = []
         for _, shown in sorted(self.frames.items()):
@@ -164,7 +160,7 @@ class Album:
             "before": self.before,
             "after": self.after,
             "start": self.start,
-            "images": [picture.to_plain() for picture in pictures],
+            "images": [picture.to_plain() for _, picture in pictures.values()],
             "frames": frames,
         }
 
@@ -226,8 +222,7 @@ class Gallery:
         self._key_of = {
             number: group[0] for group in groups for number in group if number in self._chosen
         }
-        self.album.room = bytes_per_picture(len(self._chosen) + 1, self._sources)
-        self.album.longest = longest_side(len(self._chosen))
+        self.album.room, self.album.longest = limit_pictures(len(self._chosen), self._sources)
 
     def wants(self, number: int, score: Score | None, risk: Risk | None = None) -> bool:
         """Return whether to keep a frame: chosen, or the worst so far, which replaces the last."""
@@ -289,17 +284,18 @@ def merge_albums(
     unreadable = []
     for file, asked in zip(files, numbers, strict=True):
         try:
-            there = [int(frame["number"]) for frame in _read_album(file)["frames"]]
+            shown = json.loads(file.read_text(encoding="utf-8"))["frames"]
+            there = [int(frame["number"]) for frame in shown]
         except _NOT_AN_ALBUM:
             unreadable.append(file)
         else:
             file_of |= dict.fromkeys((number for number in there if number in asked), file)
 
     chosen = _choose_frames(run, file_of)
-    room, longest = bytes_per_picture(len(chosen) + 1), longest_side(len(chosen))
+    room, longest = limit_pictures(len(chosen))
     frames: dict[int, Shown] = {}
     for file in dict.fromkeys(file_of[number] for number in sorted(chosen)):
-        plain = _read_album(file)
+        plain = json.loads(file.read_text(encoding="utf-8"))
         try:
             wanted = {number for number in chosen if file_of[number] == file}
             frames |= {shown.number: shown for shown in _read_frames(plain, wanted, room, longest)}
@@ -314,11 +310,6 @@ _NOT_AN_ALBUM = (
     *(ArithmeticError, AttributeError, LookupError, OSError, RecursionError, TypeError),
     ValueError,
 )
-
-
-def _read_album(file: Path) -> dict[str, Any]:
-    album: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return album
 
 
 def _read_frames(
@@ -395,14 +386,13 @@ def choose_groups(groups: Sequence[Sequence[int]]) -> list[int]:
     return sorted({*evenly_spaced(count, spread), *range(first, first + limit - spread)})
 
 
-def longest_side(frames: int) -> int:
-    """Return the longest side of the pictures of so many frames, pixels."""
-    return LONGEST_OF_MANY if frames > MANY_FRAMES else LONGEST
+def limit_pictures(frames: int, sources: int = 2) -> tuple[int, int]:
+    """Return the bytes and the longest side, pixels, of the pictures of so many chosen frames.
 
-
-def bytes_per_picture(frames: int, sources: int = 2) -> int:
-    """Return the bytes that a picture may take: errors of all sources but the truth take half."""
-    return min(PICTURE_BYTES, int(BUDGET / ((1.5 * sources - 0.5) * max(frames, 1))))
+    Errors of all sources but the truth take half the bytes, and the worst frame comes on top.
+    """
+    room = min(PICTURE_BYTES, int(BUDGET / ((1.5 * sources - 0.5) * (frames + 1))))
+    return room, LONGEST_OF_MANY if frames > MANY_FRAMES else LONGEST
 
 
 def evenly_spaced(count: int, limit: int) -> list[int]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.report.gallery import BUDGET, PICTURE_BYTES, TRUTH, Album
-from exwarp_cli.report.html import Block, Number, Page, Section, Table, Text, Viewer
+from exwarp_cli.report.html import Block, Number, Page, Section, Table, Viewer
 from exwarp_cli.report.schema import mean
 from exwarp_cli.report.sentences import format_percent, format_time
 from exwarp_cli.research.bench.bench_document import Document, describe_benchmark
@@ -63,7 +63,7 @@ def bench_page(benchmark: Benchmark, document: Document, albums: Sequence[Album]
     viewers: list[Block] = []
     for i, (label, album) in enumerate(zip(sequence_labels(document), albums, strict=True)):
         if album.frames:
-            viewers += [Text(label)] if len(albums) > 1 else []
+            viewers += [label] if len(albums) > 1 else []
             viewers.append(Viewer(album, f"viewer-{i}"))
     return Page(
         "ExWarp benchmark",
@@ -85,7 +85,7 @@ def _blocks(benchmark: Benchmark, document: Document, table: BenchTable) -> list
     labels = sequence_labels(document)
     if table.name not in LONG or len(labels) == 1:
         return [*blocks, _page_table(table.title, table, table.rows, table.note)]
-    blocks.append(Text(f"{table.title}. {table.note}"))
+    blocks.append(f"{table.title}. {table.note}")
     groups: list[list[Row]] = []
     before = None
     for row in table.rows:
