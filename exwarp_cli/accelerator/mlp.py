@@ -85,11 +85,6 @@ def requantise_half_up(
     return np.asarray((product + half) >> places)
 
 
-def saturate(values: npt.ArrayLike, low: int, high: int) -> I64:
-    """Clamp to `low` … `high`; int64 of the same shape."""
-    return np.asarray(np.clip(np.asarray(values, np.int64), np.int64(low), np.int64(high)))
-
-
 @dataclass(frozen=True, eq=False)
 class Requantisation:
     """Factors ``multiplier / 2**shift``, one for every input or neuron.
@@ -115,7 +110,7 @@ class Requantisation:
     def __call__(self, values: I32) -> I8:
         """Return activations: the values [..., n] times the factors, within 0 … 127."""
         scaled = requantise_half_up(values, self.multipliers, self.shifts)
-        return saturate(scaled, 0, MAX_ACTIVATION).astype(np.int8)
+        return np.clip(scaled, 0, MAX_ACTIVATION).astype(np.int8)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import Timeline, ranges
 from exwarp_cli.errors import MotionError, UsageError
 from exwarp_cli.io.channel_map import channel_map_text, write_channel_map
-from exwarp_cli.io.channels import ChannelRef, Layout, Role
+from exwarp_cli.io.channels import ChannelRef, Role
 from exwarp_cli.io.cryptomatte import Cryptomatte, Manifest
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.exr.header import Part
@@ -199,8 +199,3 @@ def unused_channels(shot: Shot) -> list[ChannelRef]:
     """Return the channels without a role, with those of Cryptomattes, in the order of the files."""
     used = {ref for refs in shot.layout.roles.values() for ref in refs}
     return [ref for ref in shot.every if ref not in used]
-
-
-def missing_roles(layout: Layout) -> list[Role]:
-    """Return the roles without a channel."""
-    return [role for role in Role if role not in layout]

@@ -16,7 +16,7 @@ from exwarp_cli.domain.decision import CHOICES, FEATURES
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import pluralise
-from exwarp_cli.report.schema import format_cell, format_csv, run_document
+from exwarp_cli.report.schema import format_cell, run_document
 
 # Types alone: each of these brings what its command needs, and the others do without.
 if TYPE_CHECKING:
@@ -152,29 +152,18 @@ def cycles_lines(schedule: Schedule, clock_hz: float) -> list[str]:
     ]
 
 
-def decisions_document(rows: list[Decided]) -> dict[str, Any]:
-    """Return all rows under ``rows``, keys and values as in :func:`decisions_csv`."""
-    header = _decision_columns(rows)
-    return {
-        "schema": DECISIONS_SCHEMA,
-        "version": __version__,
-        "rows": [dict(zip(header, _decision_values(row), strict=True)) for row in rows],
-    }
-
-
-def decisions_csv(rows: list[Decided]) -> str:
-    """Write decisions as CSV text: which row, its outputs, and the choice."""
-    return format_csv(_decision_columns(rows), map(_decision_values, rows))
-
-
-def _decision_columns(rows: list[Decided]) -> tuple[str, ...]:
-    # All rows of a table have the columns of the first.
-    return ("row", *rows[0].row.identity, "output_warp", "output_extrapolate", "decision")
-
-
-def _decision_values(decided: Decided) -> tuple[Any, ...]:
-    row = decided.row
-    return (row.row, *row.identity.values(), *decided.outputs, CHOICES[decided.choice])
+def decision_rows(rows: list[Decided]) -> list[dict[str, Any]]:
+    """Return decisions by the columns of a table: which row, its outputs, and the choice."""
+    return [
+        {
+            "row": decided.row.row,
+            **decided.row.identity,
+            "output_warp": decided.outputs[0],
+            "output_extrapolate": decided.outputs[1],
+            "decision": CHOICES[decided.choice],
+        }
+        for decided in rows
+    ]
 
 
 def trace_document(trace: Trace) -> dict[str, Any]:

@@ -64,11 +64,10 @@ class Shown:
     """One frame of an album; see the module's text for what the fields mean."""
 
     number: int
-    label: str
-    kind: str
-    facts: dict[str, str]
-    pictures: dict[str, Picture]
-    errors: dict[str, Picture]
+    kind: str = ""
+    facts: dict[str, str] = field(default_factory=dict)
+    pictures: dict[str, Picture] = field(default_factory=dict)
+    errors: dict[str, Picture] = field(default_factory=dict)
     holes: Picture | None = None
     risk: Risk | None = None
 
@@ -94,14 +93,14 @@ class Album:
         reference: str | None = None,
         mask: Bool | None = None,
     ) -> Shown:
-        """Encode the pictures of a frame and keep them; `facts` and `label` may be set later.
+        """Encode the pictures of a frame and keep them; `facts` may be set later.
 
         `sources` are float32 [H, W, 3] or more, scene-linear, of one size; `mask` is bool [H, W],
         holes. Errors are those of the other sources against the one named `reference`.
         """
         small = {name: shrink(pixels, self.longest) for name, pixels in sources.items()}
         peak = find_peak(*small.values())
-        shown = Shown(number, f"frame {number}", kind, {}, {}, {})
+        shown = Shown(number, kind)
         for name, pixels in small.items():
             shown.pictures[name] = encode_colour(pixels, peak, self.room)
             if reference is not None and name != reference:
@@ -139,7 +138,7 @@ class Album:
             frames.append(
                 {
                     "number": shown.number,
-                    "label": shown.label,
+                    "label": f"frame {shown.number}",
                     "kind": shown.kind,
                     "facts": shown.facts,
                     "risk": None
@@ -329,12 +328,9 @@ def _read_frames(
     return [
         Shown(
             frame["number"],
-            frame["label"],
-            "",
-            {},
-            {name: picture(i, room) for name, i in frame["pictures"].items()},
-            {name: picture(i, room // 2) for name, i in frame["errors"].items()},
-            None if frame["holes"] is None else picture(frame["holes"], room),
+            pictures={name: picture(i, room) for name, i in frame["pictures"].items()},
+            errors={name: picture(i, room // 2) for name, i in frame["errors"].items()},
+            holes=None if frame["holes"] is None else picture(frame["holes"], room),
         )
         for frame in plain["frames"]
         if frame["number"] in numbers
