@@ -84,9 +84,9 @@ def run(table: Path, policy: Path | None, trace: bool, row: int | None, as_json:
         else:
             click.echo("\n".join(command_text.trace_lines(traced)))
         return
-    rows = command_text.decision_rows(predictor.decide_rows(table, policy, row))
+    rows = predictor.decide_rows(table, policy, row)
     if as_json:
-        schema = command_text.DECISIONS_SCHEMA
+        schema = predictor.DECISIONS_SCHEMA
         print_json({"schema": schema, "version": __version__, "rows": rows})
     else:
         click.echo(format_csv(list(rows[0]), (list(cells.values()) for cells in rows)), nl=False)

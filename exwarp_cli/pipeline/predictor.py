@@ -25,11 +25,13 @@ from exwarp_cli.accelerator.mac_array import (
 )
 from exwarp_cli.accelerator.mlp import ONE, PAPER_SIZES, Inference, QuantisedMlp, infer_reference
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
+from exwarp_cli.domain.decision import CHOICES
 from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.kernels.array_types import I32
 from exwarp_cli.models.policy_files import StateRow, load_policy, read_states
 
+DECISIONS_SCHEMA = "exwarp.policy-decisions/1"
 FORMAT = "exwarp.policy-hex/1"
 MANIFEST = "manifest.json"
 README = "README.txt"
@@ -44,15 +46,6 @@ _CLOCK = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?)\s*([kmg]?)(?:hz)?", re.IGNORECA
 _BYTES = re.compile(r"([0-9]+)\s*([kmg]?)i?b?", re.IGNORECASE)
 _HERTZ = {"": 1.0, "k": 1e3, "m": 1e6, "g": 1e9}
 _UNITS = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30}
-
-
-@dataclass(frozen=True)
-class Decided:
-    """A row of a table, and the policy's decision."""
-
-    row: StateRow  # with the state
-    outputs: tuple[int, int]  # of warping and of extrapolating, int32
-    choice: int  # 0 to warp, 1 to extrapolate
 
 
 @dataclass(frozen=True)
@@ -119,10 +112,11 @@ def cycles(policy: Path | None, cores: int, macs: int, cache: str, port: int = 0
         raise UsageError(f"--cache {cache} does not do: {error}; give a larger one") from error
 
 
-def decide_rows(table: Path, policy: Path | None, number: int | None) -> list[Decided]:
+def decide_rows(table: Path, policy: Path | None, number: int | None) -> list[dict[str, Any]]:
     """Run a policy, or the one of ExWarp for None, on a row of a table, or all rows for None.
 
-    The table is a CSV file; see `exwarp_cli.models.policy_files.read_states`.
+    The table is a CSV file; see `exwarp_cli.models.policy_files.read_states`. The result names the
+    row, the network's outputs, int32, and the choice, by column.
 
     Raises
     ------
@@ -135,7 +129,13 @@ def decide_rows(table: Path, policy: Path | None, number: int | None) -> list[De
     rows = _select(table, network, number)
     outputs, choices = MlpKernel(network).decide_many(np.stack([row.state for row in rows]))
     return [
-        Decided(row, (int(warp), int(extrapolate)), int(choice))
+        {
+            "row": row.row,
+            **row.identity,
+            "output_warp": int(warp),
+            "output_extrapolate": int(extrapolate),
+            "decision": CHOICES[choice],
+        }
         for row, (warp, extrapolate), choice in zip(rows, outputs, choices, strict=True)
     ]
 

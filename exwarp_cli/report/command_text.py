@@ -16,7 +16,7 @@ from exwarp_cli.domain.decision import CHOICES, FEATURES
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import pluralise
-from exwarp_cli.report.schema import format_cell, run_document
+from exwarp_cli.report.schema import run_document
 
 # Types alone: each of these brings what its command needs, and the others do without.
 if TYPE_CHECKING:
@@ -24,15 +24,12 @@ if TYPE_CHECKING:
 
     from exwarp_cli.pipeline.decide import NodeFeatures
     from exwarp_cli.pipeline.dry_run import DryRun, ForeseenFrame
-    from exwarp_cli.pipeline.predictor import Decided, Trace
+    from exwarp_cli.pipeline.predictor import Trace
 
 FEATURES_SCHEMA = "exwarp.features/1"
 CYCLES_SCHEMA = "exwarp.cycles/1"
-DECISIONS_SCHEMA = "exwarp.policy-decisions/1"
 TRACE_SCHEMA = "exwarp.policy-trace/1"
 DRY_RUN_SCHEMA = "exwarp.dry-run/1"
-
-FEATURE_COLUMNS = ("frame", "key", "node", *FEATURES, "distance", "inputs")
 
 # Numbers of each layer that a trace shows to people.
 MAX_NUMBERS = 8
@@ -48,25 +45,16 @@ KINDS = {
 }
 
 
-def feature_cells(observed: NodeFeatures) -> list[str]:
-    """Return a row of `FEATURE_COLUMNS`; `inputs` are integers with spaces between."""
-    *values, inputs = _feature_values(observed)
-    return [*map(format_cell, values), " ".join(map(str, inputs))]
-
-
-def features_document(rows: Iterable[NodeFeatures]) -> dict[str, Any]:
-    """Return all rows under ``rows``, keys as the columns of the CSV; `inputs` is a list."""
+def feature_row(observed: NodeFeatures) -> dict[str, Any]:
+    """Return a row of the table of features, by column."""
     return {
-        "schema": FEATURES_SCHEMA,
-        "version": __version__,
-        "rows": [dict(zip(FEATURE_COLUMNS, _feature_values(row), strict=True)) for row in rows],
+        "frame": observed.frame,
+        "key": observed.key,
+        "node": observed.node,
+        **dict(zip(FEATURES, observed.features.values, strict=True)),
+        "distance": observed.features.distance,
+        "inputs": observed.inputs,
     }
-
-
-def _feature_values(observed: NodeFeatures) -> tuple[Any, ...]:
-    features = observed.features
-    identity = (observed.frame, observed.key, observed.node)
-    return (*identity, *features.values, features.distance, observed.inputs)
 
 
 def cycles_document(schedule: Schedule, clock_hz: float) -> dict[str, Any]:
@@ -149,20 +137,6 @@ def cycles_lines(schedule: Schedule, clock_hz: float) -> list[str]:
         f"would need {schedule.mac_cycles / PAPER_LATENCY_NS:,.0f} GHz for that, so it cannot be a "
         "whole inference on these MACs",
         cache,
-    ]
-
-
-def decision_rows(rows: list[Decided]) -> list[dict[str, Any]]:
-    """Return decisions by the columns of a table: which row, its outputs, and the choice."""
-    return [
-        {
-            "row": decided.row.row,
-            **decided.row.identity,
-            "output_warp": decided.outputs[0],
-            "output_extrapolate": decided.outputs[1],
-            "decision": CHOICES[decided.choice],
-        }
-        for decided in rows
     ]
 
 
