@@ -38,16 +38,9 @@ start in the last of them. Between layers the port waits as the MAC units do.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-
-import numpy as np
-
-from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION, requantise_half_up, saturate
-from exwarp_cli.accelerator.mlp import QuantisedLayer, QuantisedMlp, Requantisation, check_states
-from exwarp_cli.kernels.array_types import I8, I32
 
 BIAS_BYTES = 4
 SCALE_BYTES = 5  # of a multiplier and a shift
@@ -190,22 +183,37 @@ def schedule(array: MacArray, sizes: Sequence[int]) -> Schedule:
         )
     held = [_parameter_bytes(array, sizes, core) for core in range(array.cores)]
     waits = [0] * len(sizes)
+    refills = [[0] * len(sizes) for _ in range(array.cores)]
     if array.port_bytes:
-        waits, refills = _port_traffic(array, sizes)
+        for number, missing in missing_words(array, sizes):
+            waits[number] += max(len(missing) * array.beats - 1, 0)
+            for core, _ in missing:
+                refills[core][number] += array.macs
     else:
-        refills = [
-            _overflow_by_stage([sum(stage) for stage in stages], array.cache_bytes - buffer)
-            for stages, buffer in zip(held, buffers, strict=True)
-        ]
+        for core, stages in enumerate(held):
+            room = array.cache_bytes - buffers[core]
+            for number, needed in enumerate(map(sum, stages)):
+                refills[core][number] = max(needed - room, 0)
+                room -= min(needed, room)
     fill = array.pipeline_stages - 1
     inputs = InputSchedule(sizes[0], array.share(sizes[0], 0), fill, sum(held[0][0]), refills[0][0])
-    layers = tuple(
-        _schedule_layer(array, sizes, number, held[0][number], (waits[number], refills[0][number]))
-        for number in range(1, len(sizes))
-    )
+    layers = []
+    for number, (fan_in, neurons) in enumerate(pairwise(sizes), start=1):
+        macs = array.share(neurons, 0) * array.words(fan_in)
+        after = 1 if number == len(sizes) - 1 else 2
+        useful = fan_in * neurons
+        cycles = macs + fill + after + waits[number]
+        utilisation = useful / (array.cores * array.macs * cycles)
+        layers.append(
+            LayerSchedule(
+                *(fan_in, neurons, macs, fill, after, waits[number], useful, utilisation),
+                *held[0][number],
+                refills[0][number],
+            )
+        )
     totals = [sum(map(sum, stages)) + buffer for stages, buffer in zip(held, buffers, strict=True)]
     refill = tuple(sum(stages) for stages in refills)
-    return Schedule(array, sizes, inputs, layers, buffers[0], tuple(totals), refill)
+    return Schedule(array, sizes, inputs, tuple(layers), buffers[0], tuple(totals), refill)
 
 
 def resident_words(array: MacArray, sizes: Sequence[int]) -> int:
@@ -243,35 +251,6 @@ def missing_words(
                     at[core] += 1
 
 
-def _port_traffic(array: MacArray, sizes: tuple[int, ...]) -> tuple[list[int], list[list[int]]]:
-    waits = [0] * len(sizes)
-    reloaded = [[0] * len(sizes) for _ in range(array.cores)]
-    for layer, missing in missing_words(array, sizes):
-        waits[layer] += max(len(missing) * array.beats - 1, 0)
-        for core, _ in missing:
-            reloaded[core][layer] += array.macs
-    return waits, reloaded
-
-
-def _schedule_layer(
-    array: MacArray,
-    sizes: tuple[int, ...],
-    number: int,
-    held: tuple[int, int, int],
-    refill: tuple[int, int],
-) -> LayerSchedule:
-    fan_in, neurons = sizes[number - 1 : number + 1]
-    macs = array.share(neurons, 0) * array.words(fan_in)
-    fill, after = array.pipeline_stages - 1, 1 if number == len(sizes) - 1 else 2
-    waits, refill_bytes = refill
-    useful = fan_in * neurons
-    utilisation = useful / (array.cores * array.macs * (macs + fill + after + waits))
-    return LayerSchedule(
-        fan_in, neurons, macs, fill, after, waits, useful, utilisation, *held,
-        refill_bytes=refill_bytes,
-    )  # fmt: skip
-
-
 def _parameter_bytes(
     array: MacArray, sizes: tuple[int, ...], core: int
 ) -> list[tuple[int, int, int]]:
@@ -287,189 +266,3 @@ def _buffer_bytes(array: MacArray, sizes: tuple[int, ...], core: int) -> int:
     hidden = [before + after for before, after in pairwise(sizes[:-1])]
     last = sizes[-2] + SUM_BYTES * sizes[-1]
     return SUM_BYTES * array.share(sizes[0], core) + max([*hidden, last])
-
-
-def _overflow_by_stage(stages: list[int], room: int) -> list[int]:
-    missing = []
-    for needed in stages:
-        kept = min(needed, room)
-        room -= kept
-        missing.append(needed - kept)
-    return missing
-
-
-@dataclass(frozen=True)
-class LayerCount:
-    """What was counted in a layer; named as in `LayerSchedule`."""
-
-    mac_cycles: int
-    fill_cycles: int
-    requantise_cycles: int
-    useful_macs: int
-    weight_bytes: int
-
-
-@dataclass(frozen=True, eq=False)
-class Simulation:
-    """One inference on the machine."""
-
-    outputs: I32  # int32 [2]
-    choice: int  # 0 to warp, 1 to extrapolate
-    input_cycles: tuple[int, int]  # multiply and fill cycles of the input stage
-    layers: tuple[LayerCount, ...]
-    cycles: int  # all of them, including the decision
-
-
-@dataclass(frozen=True)
-class _Products:
-    """The operands of one core's MAC units, on their way through the pipeline."""
-
-    neuron: int
-    weights: list[int]
-    activations: list[int]
-    first: bool
-    last: bool
-
-
-class _Core:
-    """A core at work on a layer."""
-
-    def __init__(self, array: MacArray, layer: QuantisedLayer, activations: I8, core: int) -> None:
-        self.layer = layer
-        self.todo = deque(_layer_words(array, layer, activations, core))
-        self.pipeline: deque[_Products | None] = deque([None] * array.pipeline_stages)
-        self.accumulator = 0
-        self.summed: tuple[int, int] | None = None  # neuron and sum, for the adder
-        self.biased: tuple[int, int] | None = None  # neuron and sum, for the multiplier
-        self.results: dict[int, int] = {}
-        self.weight_bytes = 0
-
-    def cycle(self) -> tuple[bool, bool]:
-        """Advance by a cycle; return whether products started, and whether the pipeline is busy."""
-        # From the end to the front, so that a unit takes the result of the cycle before.
-        self._multiplier()
-        self._adder()
-        started = bool(self.todo)
-        self.pipeline.appendleft(self.todo.popleft() if started else None)
-        self.pipeline.pop()
-        busy = any(stage is not None for stage in self.pipeline)
-        if started and self.pipeline[0] is not None:
-            self.weight_bytes += len(self.pipeline[0].weights)
-        self._accumulate(self.pipeline[-1])
-        return started, busy
-
-    @property
-    def is_idle(self) -> bool:
-        """True if nothing is left to do."""
-        empty = all(stage is None for stage in self.pipeline)
-        return not self.todo and empty and self.summed is None and self.biased is None
-
-    def _accumulate(self, products: _Products | None) -> None:
-        if products is None:
-            return
-        pairs = zip(products.weights, products.activations, strict=True)
-        total = sum(weight * activation for weight, activation in pairs)
-        self.accumulator = total if products.first else self.accumulator + total
-        if products.last:
-            self.summed = (products.neuron, self.accumulator)
-
-    def _adder(self) -> None:
-        if self.summed is None:
-            return
-        neuron, total = self.summed
-        self.summed = None
-        biased = (neuron, total + int(self.layer.biases[neuron]))
-        if self.layer.requantisation is None:
-            self.results[neuron] = biased[1]
-        else:
-            self.biased = biased
-
-    def _multiplier(self) -> None:
-        if self.biased is None:
-            return
-        assert self.layer.requantisation is not None
-        neuron, total = self.biased
-        self.biased = None
-        self.results[neuron] = _requantise_number(self.layer.requantisation, neuron, total)
-
-
-def simulate(array: MacArray, network: QuantisedMlp, fixed_state: I32) -> Simulation:
-    """Run one inference cycle by cycle, of a state in Q16.16; caches do not matter here.
-
-    It computes with what the registers hold, and counts cycles, to verify the schedule's outputs
-    and cycles. ValueError: the state is not int32 [n].
-    """
-    state = check_states(network, fixed_state).reshape(network.sizes[0])
-    activations, input_cycles = _simulate_input_stage(array, network.inputs, state)
-    counts = []
-    outputs: list[int] = []
-    for layer in network.layers:
-        outputs, count = _simulate_layer(array, layer, activations)
-        if layer.requantisation is not None:
-            activations = np.array(outputs, np.int8)
-        counts.append(count)
-    cycles = sum(input_cycles) + 1  # the decision
-    cycles += sum(c.mac_cycles + c.fill_cycles + c.requantise_cycles for c in counts)
-    choice = int(outputs[1] - outputs[0] > 0)
-    return Simulation(np.array(outputs, np.int32), choice, input_cycles, tuple(counts), cycles)
-
-
-def _simulate_input_stage(
-    array: MacArray, scale: Requantisation, state: I32
-) -> tuple[I8, tuple[int, int]]:
-    todo = [deque(range(core, state.size, array.cores)) for core in range(array.cores)]
-    pipelines: list[deque[int | None]] = [deque([None] * array.pipeline_stages) for _ in todo]
-    activations = np.zeros(state.size, np.int8)
-    multiplying, filling, left = 0, 0, state.size
-    while left:
-        if any(todo):
-            multiplying += 1
-        else:
-            filling += 1
-        for queue, pipeline in zip(todo, pipelines, strict=True):
-            pipeline.appendleft(queue.popleft() if queue else None)
-            pipeline.pop()
-            done = pipeline[-1]
-            if done is not None:
-                activations[done] = _requantise_number(scale, done, int(state[done]))
-                left -= 1
-    return activations, (multiplying, filling)
-
-
-def _simulate_layer(
-    array: MacArray, layer: QuantisedLayer, activations: I8
-) -> tuple[list[int], LayerCount]:
-    cores = [_Core(array, layer, activations, core) for core in range(array.cores)]
-    starting = filling = after = 0
-    while not all(core.is_idle for core in cores):
-        states = [core.cycle() for core in cores]
-        if any(started for started, _ in states):
-            starting += 1
-        elif any(busy for _, busy in states):
-            filling += 1
-        else:
-            after += 1
-    results: dict[int, int] = {}
-    for core in cores:
-        results |= core.results
-    useful = sum(core.weight_bytes for core in cores)
-    count = LayerCount(starting, filling, after, useful, cores[0].weight_bytes)
-    return [results[neuron] for neuron in range(layer.neurons)], count
-
-
-def _layer_words(
-    array: MacArray, layer: QuantisedLayer, activations: I8, core: int
-) -> list[_Products]:
-    words = []
-    for neuron in range(core, layer.neurons, array.cores):
-        for at in range(0, layer.fan_in, array.macs):
-            last = at + array.macs >= layer.fan_in
-            row = layer.weights[neuron, at : at + array.macs].tolist()
-            values = activations[at : at + array.macs].tolist()
-            words.append(_Products(neuron, row, values, at == 0, last))
-    return words
-
-
-def _requantise_number(scale: Requantisation, place: int, value: int) -> int:
-    wide = requantise_half_up(value, scale.multipliers[place], scale.shifts[place])
-    return int(saturate(wide, 0, MAX_ACTIVATION))

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION
-from exwarp_cli.accelerator.mlp import QuantisedMlp, check_states
+from exwarp_cli.accelerator.mlp import MAX_ACTIVATION, QuantisedMlp, check_states
 from exwarp_cli.kernels._compile import inline, kernel
 from exwarp_cli.kernels.array_types import I8, I32, I64
 
@@ -96,9 +95,23 @@ class MlpKernel:
 
     def __init__(self, network: QuantisedMlp) -> None:
         self.network = network
-        self._packed = _pack_parameters(network)
         self._shape = (network.sizes[0],)
         self._width = max(size + -size % BLOCK_INPUTS for size in network.sizes)
+        weights = [
+            np.pad(layer.weights.T, ((0, -layer.fan_in % BLOCK_INPUTS), (0, 0))).ravel()
+            for layer in network.layers
+        ]
+        constants = np.zeros((3, sum(network.sizes)), np.int32)
+        scales = [network.inputs, *(layer.requantisation for layer in network.layers)]
+        biases = [np.zeros(network.sizes[0], np.int32), *(layer.biases for layer in network.layers)]
+        for name, values in (
+            (MULTIPLIER, [scale.multipliers for scale in scales if scale is not None]),
+            (SHIFT, [scale.shifts for scale in scales if scale is not None]),
+            (BIAS, biases),
+        ):
+            row = np.concatenate(values)
+            constants[name, : row.size] = row
+        self._packed = np.concatenate(weights), constants, np.array(network.sizes, np.int64)
 
     def decide(self, state: I32) -> tuple[tuple[int, int], int]:
         """Run one inference, of a state [n] in Q16.16; ValueError if it is not int32 [n].
@@ -122,20 +135,3 @@ class MlpKernel:
         outputs = np.empty((states.shape[0], 2), np.int32)
         run_network(*self._packed, np.ascontiguousarray(states), self._width, outputs)
         return outputs, np.asarray(outputs[:, 1] > outputs[:, 0]).astype(np.int8)
-
-
-def _pack_parameters(network: QuantisedMlp) -> tuple[I8, I32, I64]:
-    weights = [
-        np.pad(layer.weights.T, ((0, -layer.fan_in % BLOCK_INPUTS), (0, 0))).ravel()
-        for layer in network.layers
-    ]
-    constants = np.zeros((3, sum(network.sizes)), np.int32)
-    scales = [network.inputs, *(layer.requantisation for layer in network.layers)]
-    for name, values in (
-        (MULTIPLIER, [scale.multipliers for scale in scales if scale is not None]),
-        (SHIFT, [scale.shifts for scale in scales if scale is not None]),
-        (BIAS, [np.zeros(network.sizes[0], np.int32), *(layer.biases for layer in network.layers)]),
-    ):
-        row = np.concatenate(values)
-        constants[name, : row.size] = row
-    return np.concatenate(weights), constants, np.array(network.sizes, np.int64)

@@ -143,12 +143,12 @@ def _print_scores(result: Comparison, document: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from exwarp_cli.report.comparison import BASELINE, add_baseline_rows, quality_rows
+    from exwarp_cli.report.comparison import BASELINE, quality_rows
 
     metrics = [metric for metric in METRICS if metric.field in result.measuring.measured]
     table = Table("", *(metric.title for metric in metrics), "frames")
     worst = document["worst"]
-    rows = add_baseline_rows(document, quality_rows(document["quality"]))
+    rows = quality_rows(document)
     rows[f"worst: {worst['frame']}"] = worst | {"frames": 1}
     for name, values in rows.items():
         scores = ((metric, values[metric.field]) for metric in metrics)

@@ -12,8 +12,7 @@ import click
 from exwarp_cli.commands.options import json_option
 
 if TYPE_CHECKING:
-    from exwarp_cli.pipeline.doctor.checkup import CheckResult
-    from exwarp_cli.report.doctor_text import CheckRow
+    from exwarp_cli.pipeline.doctor.checkup import CheckResult, DoctorReport
 
 _STYLES = {"ok": "green", "warning": "yellow", "failed": "bold red", "skipped": "dim"}
 
@@ -36,21 +35,15 @@ def command(ctx: click.Context, verbose: bool, skip_self_test: bool, as_json: bo
     """
     from exwarp_cli.errors import InstallationError
     from exwarp_cli.pipeline.doctor.checkup import run_checks
-    from exwarp_cli.report.doctor_text import (
-        doctor_failures,
-        doctor_heading,
-        doctor_rows,
-        doctor_verdict,
-    )
 
     report = run_checks(not skip_self_test, {"configuration": lambda: _check_configuration(ctx)})
     if as_json:
         # Not by `print_json`, which needs numpy, and that may be what is broken.
         click.echo(json.dumps(report.as_dict(), indent=2))
     else:
-        _print_report(doctor_heading(report), doctor_rows(report, verbose), doctor_verdict(report))
+        _print_report(report, verbose)
     if report.outcome == "failed":
-        raise InstallationError(doctor_failures(report))
+        raise InstallationError(report.failures())
 
 
 def _check_configuration(ctx: click.Context) -> CheckResult:
@@ -80,13 +73,18 @@ def _check_configuration(ctx: click.Context) -> CheckResult:
     return CheckResult(summary, remarks, facts, tuple(lines))
 
 
-def _print_report(heading: str, page: list[CheckRow], verdict: str | None) -> None:
-    """Print the page, in colour and wrapped on a terminal."""
-    from exwarp_cli.report.doctor_text import doctor_lines
-
+def _print_report(report: DoctorReport, verbose: bool) -> None:
+    """Print a page: a row for each check, in colour and wrapped on a terminal."""
+    heading, page, verdict = report.heading(), report.rows(verbose), report.verdict()
     if not sys.stdout.isatty() or find_spec("rich") is None:
+        width = max(len(row.name) for row in page)
+        lines = [heading]
+        for row in page:
+            lines.append(f"{row.outcome:<8} {row.name:<{width}}  {row.found}")
+            below = (*(f"- {text}" for text in row.remarks), *(f"  {text}" for text in row.more))
+            lines += [f"{'':<8} {'':<{width}}  {line}" for line in below]
         # At once, so that a reader who goes after the first lines does not break it off.
-        click.echo("\n".join([heading, *doctor_lines(page), *([verdict] if verdict else [])]))
+        click.echo("\n".join([*lines, *([verdict] if verdict else [])]))
         return
     from rich.console import Console
     from rich.table import Table

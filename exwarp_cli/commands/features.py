@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from exwarp_cli import __version__
 from exwarp_cli.commands.options import (
     json_option,
     print_json,
@@ -46,16 +47,17 @@ def command(
     from exwarp_cli.io.threads import use_threads
     from exwarp_cli.pipeline.decide import features
     from exwarp_cli.pipeline.progress import reporting
-    from exwarp_cli.report.command_text import FEATURE_COLUMNS, feature_cells, features_document
-    from exwarp_cli.report.csv_tables import format_csv
+    from exwarp_cli.report.command_text import FEATURES_SCHEMA, feature_row
+    from exwarp_cli.report.schema import format_cell, format_csv
 
     use_threads(threads)
     with reporting(progress, results_on_stdout=True) as reporter:
-        rows = features(SourceSettings(**source), frames, reporter)
+        rows = map(feature_row, features(SourceSettings(**source), frames, reporter))
         if as_json:
-            print_json(features_document(rows))
+            print_json({"schema": FEATURES_SCHEMA, "version": __version__, "rows": list(rows)})
             return
-        for index, decision in enumerate(rows):
+        for index, row in enumerate(rows):
             if index == 0:  # not before: a sequence that cannot be used gives no table
-                click.echo(format_csv(FEATURE_COLUMNS, ()), nl=False)
-            click.echo(format_csv(feature_cells(decision), ()), nl=False)
+                click.echo(format_csv(list(row), ()), nl=False)
+            row["inputs"] = " ".join(map(str, row["inputs"]))
+            click.echo(format_csv(list(map(format_cell, row.values())), ()), nl=False)

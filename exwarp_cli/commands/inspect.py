@@ -91,14 +91,14 @@ def _print_inspection(inspection: Inspection) -> None:
 
 def _finding_lines(inspection: Inspection, data: Mapping[str, Any]) -> Iterator[str]:
     """Yield what is left out or absent, and how motion and depth are read."""
+    from exwarp_cli.io.channels import Role
     from exwarp_cli.io.shot import alpha_note
     from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors_message
-    from exwarp_cli.pipeline.inspect import missing_roles
 
     shot = inspection.shot
     if (alpha := alpha_note(shot.layout)) is not None:
         yield alpha
-    if missing := missing_roles(shot.layout):
+    if missing := [role for role in Role if role not in shot.layout]:
         incomplete = shot.layout.incomplete
         names = (
             f"{role.value} ({incomplete[role]})" if role in incomplete else role.value

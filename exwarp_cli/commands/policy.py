@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from exwarp_cli import __version__
 from exwarp_cli.commands.options import FILE, HelpfulGroup, json_option, print_json, show
 
 # Cores, or MAC units of a core: a mistyped number must not fill the memory.
@@ -74,6 +75,7 @@ def run(table: Path, policy: Path | None, trace: bool, row: int | None, as_json:
     """
     from exwarp_cli.pipeline import predictor
     from exwarp_cli.report import command_text
+    from exwarp_cli.report.schema import format_csv
 
     if trace:
         traced = predictor.trace_row(table, policy, row)
@@ -84,9 +86,10 @@ def run(table: Path, policy: Path | None, trace: bool, row: int | None, as_json:
         return
     rows = predictor.decide_rows(table, policy, row)
     if as_json:
-        print_json(command_text.decisions_document(rows))
+        schema = predictor.DECISIONS_SCHEMA
+        print_json({"schema": schema, "version": __version__, "rows": rows})
     else:
-        click.echo(command_text.decisions_csv(rows), nl=False)
+        click.echo(format_csv(list(rows[0]), (list(cells.values()) for cells in rows)), nl=False)
 
 
 @command.command("export", short_help="Write hex files for a Verilog test bench.")

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
-import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Bool, Float32, UInt8
+from exwarp_cli.domain.frame import Float32, UInt8
 
 PEAK = 255.0  # largest display value: the metrics' constants are those of 8-bit images
 
@@ -34,23 +30,3 @@ def round_display(pixels: Float32) -> UInt8:
     """Encode as `encode_display`, and round half up to the 8-bit steps of a PNG."""
     steps: UInt8 = np.floor(encode_display(pixels) + np.float32(0.5)).astype(np.uint8)
     return steps
-
-
-@dataclass(frozen=True)
-class MetricMap:
-    """A metric's map for one pair of images."""
-
-    per_pixel: npt.NDArray[np.floating]  # [H, W], finite: what is averaged
-    margin: int = 0  # pixels left out at every edge, unless a mask selects pixels
-    finish: Callable[[float], float] = float  # turns the average into the metric's value
-
-    def overall(self) -> float:
-        """Return the value over all pixels."""
-        height, width = self.per_pixel.shape
-        m = self.margin
-        inner = self.per_pixel[m : height - m, m : width - m]
-        return self.finish(float(inner.mean(dtype=np.float64)))
-
-    def within(self, mask: Bool) -> float:
-        """Return the value over the pixels of a mask, bool [H, W], which is not empty."""
-        return self.finish(float(self.per_pixel[mask].mean(dtype=np.float64)))

@@ -125,10 +125,12 @@ def mean_gradient(pixels: Float32) -> float:
     and for a single pixel.
     """
     height, width = pixels.shape[:2]
+    red, green, blue = (np.float32(weight) for weight in REC_709)
     across = down = 0.0
     for top in range(0, height, ROWS_AT_ONCE):
         # One row more, to reach into the next strip.
-        luma = _luma(pixels[top : top + ROWS_AT_ONCE + 1])
+        display = encode_display(pixels[top : top + ROWS_AT_ONCE + 1])
+        luma: Float32 = red * display[..., 0] + green * display[..., 1] + blue * display[..., 2]
         across += float(np.abs(np.diff(luma[:ROWS_AT_ONCE], axis=1)).sum(dtype=np.float64))
         down += float(np.abs(np.diff(luma, axis=0)).sum(dtype=np.float64))
     gradient: float = across / max(height * (width - 1), 1) + down / max((height - 1) * width, 1)
@@ -156,10 +158,3 @@ def interpolate_gradient(before: float, after: float | None, time: float) -> flo
     `time`: share of the way to the next key frame, 0 to 1.
     """
     return before if after is None else (1 - time) * before + time * after
-
-
-def _luma(pixels: Float32) -> Float32:
-    display = encode_display(pixels)
-    red, green, blue = (np.float32(weight) for weight in REC_709)
-    luma: Float32 = red * display[..., 0] + green * display[..., 1] + blue * display[..., 2]
-    return luma

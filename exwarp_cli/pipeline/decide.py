@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.accelerator.fixed_point import to_fixed
+from exwarp_cli.accelerator.mlp import to_fixed
 from exwarp_cli.domain.decision import (
     CHOICES,
     EXTRAPOLATE,
@@ -34,8 +34,13 @@ from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader, 
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.source import Source, open_source
-from exwarp_cli.policy.features import FrameStatistics, compare
-from exwarp_cli.policy.state import OLDER_KEYS, LearnedPolicy, StateHistory
+from exwarp_cli.policy.state import (
+    OLDER_KEYS,
+    FrameStatistics,
+    LearnedPolicy,
+    StateHistory,
+    compare,
+)
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval, tile_features
 from exwarp_cli.synthesis.methods import CAUSAL, FRAMEWISE, DecisionSource, Method, predict_path

@@ -13,7 +13,7 @@ from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import Timeline, ranges
 from exwarp_cli.errors import MotionError, UsageError
 from exwarp_cli.io.channel_map import channel_map_text, write_channel_map
-from exwarp_cli.io.channels import ChannelRef, Layout, Role
+from exwarp_cli.io.channels import ChannelRef, Role
 from exwarp_cli.io.cryptomatte import Cryptomatte, Manifest
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.exr.header import Part
@@ -44,15 +44,20 @@ class Inspection:
     # Colour and sound of a video or of stills; None for EXR
     pictures: Mapping[str, Any] | None = None
 
-    @property
-    def fps_note(self) -> str | None:
-        """How the rate of frames that are numbered in steps is read; None for others."""
-        return step_note(self.shot.sequence.numbers, self.fps, self.fps_source)
-
     def as_dict(self) -> dict[str, Any]:
         """Return the findings as plain data, for JSON."""
         sequence, layout, finding = self.shot.sequence, self.shot.layout, self.finding
         moving = None if self.shot.ids is None else self.shot.ids.dynamic
+        motion = None
+        if Role.MOTION in layout:
+            names = motion_names(self.shot)
+            motion = {
+                "named": None if layout.guess is None else layout.guess.describe(names),
+                "convention": None if finding is None else finding.convention.describe(names),
+            }
+            measured = ("source", "evidence", "error", "still_error", "runner_up_error")
+            motion |= {key: None if finding is None else getattr(finding, key) for key in measured}
+            motion["problem"] = self.problem
         return {
             "schema": "exwarp.inspect/1",
             "pattern": sequence.pattern,
@@ -61,11 +66,28 @@ class Inspection:
             "naming_note": sequence.version_note,
             "width": self.shot.display.width,
             "height": self.shot.display.height,
-            "fps": {"base": float(self.fps), "source": self.fps_source, "note": self.fps_note},
+            "fps": {
+                "base": float(self.fps),
+                "source": self.fps_source,
+                # How the rate of frames that are numbered in steps is read.
+                "note": step_note(sequence.numbers, self.fps, self.fps_source),
+            },
             "producer": layout.producer,
             "views": list(self.shot.views),
             "view": self.shot.view or None,
-            "parts": [_part(part) for part in self.parts],
+            "parts": [
+                {
+                    "name": part.name,
+                    "view": part.view,
+                    "views": list(part.views),
+                    "deep": part.deep,
+                    "tiled": part.tiled,
+                    "data_window": list(part.data_window.corners),
+                    "display_window": list(part.display_window.corners),
+                    "channels": {channel.raw_name: channel.pixel_type for channel in part.channels},
+                }
+                for part in self.parts
+            ],
             "aovs": {aov: member.pattern for aov, member in self.shot.aovs.items()},
             "roles": {
                 role.value: [channel_label(ref) for ref in refs]
@@ -74,12 +96,19 @@ class Inspection:
             "channels": dict(self.types),
             "depth_kind": self.shot.depth.kind.value if Role.DEPTH in layout else None,
             "depth_evidence": self.shot.depth.evidence or None,
-            "cryptomattes": [_matte(matte, manifest) for matte, manifest in self.cryptomattes],
+            "cryptomattes": [
+                {
+                    "name": matte.name,
+                    "aov": matte.aov or None,
+                    "kind": matte.kind.name.lower(),
+                    "names": sorted(manifest.ids),
+                    "problem": manifest.problem or None,
+                }
+                for matte, manifest in self.cryptomattes
+            ],
             "dynamic": None if moving is None else list(moving.names),
             "pictures": self.pictures,
-            "motion": None
-            if Role.MOTION not in layout
-            else _motion(self.shot, finding, self.problem),
+            "motion": motion,
         }
 
 
@@ -102,7 +131,13 @@ def inspect(settings: SourceSettings) -> Inspection:
     Timeline.of(shot.sequence.numbers)
     require_one_size(shot, shot.sequence.numbers)
     shot, _ = read_ids(settings.dynamic, shot, None)
-    parts, types = _read_headers(shot)
+    types: dict[str, str] = {}
+    parts: tuple[Part, ...] = ()
+    for aov, path in shot.files(shot.first).items():
+        header = shot.headers.read(path)
+        parts = parts or header.parts
+        for name, channel in shot.channels(header.parts, aov).items():
+            types[channel_label(ChannelRef(aov, name))] = channel.pixel_type
     finding, problem = None, None
     try:
         finding = find_motion(shot, settings.motion)
@@ -133,10 +168,12 @@ def save_channel_map(inspection: Inspection, path: Path, overwrite: bool) -> Non
             "leave it out"
         )
     layout = shot.layout
-    channels = {
-        role: tuple(channel_label(_as_opened(ref)) for ref in refs)
-        for role, refs in layout.roles.items()
-    }
+
+    def name_in_file(ref: ChannelRef) -> str:
+        # Also where colour comes from another sequence.
+        return channel_label(replace(ref, aov="") if ref.aov == MAIN else ref)
+
+    channels = {role: tuple(map(name_in_file, refs)) for role, refs in layout.roles.items()}
     motion = None
     if finding is not None and finding.source != "untested":
         motion = finding.convention.describe(motion_names(shot))
@@ -147,81 +184,17 @@ def save_channel_map(inspection: Inspection, path: Path, overwrite: bool) -> Non
         "depth_kind": None if shot.depth.kind is DepthKind.UNKNOWN else shot.depth.kind.value,
     }
     about = shot.aovs.get(MAIN, shot.sequence).pattern
-    unused = [channel_label(_as_opened(ref)) for ref in unused_channels(shot) if _in_map(shot, ref)]
+    # What the table [channels] of a map can name: [aovs] names the others, and where it names the
+    # colour, also the main file.
+    aovs = {aov.role.value for aov in shot.aov_files}
+    if any(aov.role is Role.COLOUR for aov in shot.aov_files):
+        aovs.add("")
+    unused = [name_in_file(ref) for ref in unused_channels(shot) if ref.aov not in aovs]
     text = channel_map_text(about, texts, channels, shot.aov_files, unused)
     write_channel_map(path, text, overwrite)
-
-
-def _as_opened(ref: ChannelRef) -> ChannelRef:
-    """Return a channel by its name in the file, also where colour comes from another sequence."""
-    return replace(ref, aov="") if ref.aov == MAIN else ref
-
-
-def _in_map(shot: Shot, ref: ChannelRef) -> bool:
-    """Return whether the table [channels] of a map can name a channel."""
-    # [aovs] names the others, and where it names the colour, also the main file.
-    has_colour_file = any(aov.role is Role.COLOUR for aov in shot.aov_files)
-    is_in_aov = ref.aov in {aov.role.value for aov in shot.aov_files}
-    return not is_in_aov and not (has_colour_file and not ref.aov)
-
-
-def _read_headers(shot: Shot) -> tuple[tuple[Part, ...], dict[str, str]]:
-    """Return the parts of the first frame's main file, and types of all channels by name."""
-    types: dict[str, str] = {}
-    parts: tuple[Part, ...] = ()
-    for aov, path in shot.files(shot.first).items():
-        header = shot.headers.read(path)
-        channels = shot.channels(header.parts, aov)
-        parts = parts or header.parts
-        types |= {
-            channel_label(ChannelRef(aov, name)): c.pixel_type for name, c in channels.items()
-        }
-    return parts, types
 
 
 def unused_channels(shot: Shot) -> list[ChannelRef]:
     """Return the channels without a role, with those of Cryptomattes, in the order of the files."""
     used = {ref for refs in shot.layout.roles.values() for ref in refs}
     return [ref for ref in shot.every if ref not in used]
-
-
-def missing_roles(layout: Layout) -> list[Role]:
-    """Return the roles without a channel."""
-    return [role for role in Role if role not in layout]
-
-
-def _matte(matte: Cryptomatte, manifest: Manifest) -> dict[str, Any]:
-    return {
-        "name": matte.name,
-        "aov": matte.aov or None,
-        "kind": matte.kind.name.lower(),
-        "names": sorted(manifest.ids),
-        "problem": manifest.problem or None,
-    }
-
-
-def _part(part: Part) -> dict[str, Any]:
-    return {
-        "name": part.name,
-        "view": part.view,
-        "views": list(part.views),
-        "deep": part.deep,
-        "tiled": part.tiled,
-        "data_window": list(part.data_window.corners),
-        "display_window": list(part.display_window.corners),
-        "channels": {channel.raw_name: channel.pixel_type for channel in part.channels},
-    }
-
-
-def _motion(shot: Shot, finding: MotionFinding | None, problem: str | None) -> dict[str, Any]:
-    guess, names = shot.layout.guess, motion_names(shot)
-    return {
-        "named": None if guess is None else guess.describe(names),
-        "convention": None if finding is None else finding.convention.describe(names),
-        "source": None if finding is None else finding.source,
-        "evidence": None if finding is None else finding.evidence,
-        "error": None if finding is None else finding.error,
-        "still_error": None if finding is None else finding.still_error,
-        "runner_up_error": None if finding is None else finding.runner_up_error,
-        "problem": problem,
-    }

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.accelerator import verilog as verilog_files
-from exwarp_cli.accelerator.fixed_point import ONE
+from exwarp_cli import accelerator
 from exwarp_cli.accelerator.mac_array import (
     MacArray,
     Schedule,
@@ -24,13 +23,15 @@ from exwarp_cli.accelerator.mac_array import (
     resident_words,
     schedule,
 )
-from exwarp_cli.accelerator.mlp import PAPER_SIZES, Inference, QuantisedMlp, infer_reference
+from exwarp_cli.accelerator.mlp import ONE, PAPER_SIZES, Inference, QuantisedMlp, infer_reference
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
+from exwarp_cli.domain.decision import CHOICES
 from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.kernels.array_types import I32
 from exwarp_cli.models.policy_files import StateRow, load_policy, read_states
 
+DECISIONS_SCHEMA = "exwarp.policy-decisions/1"
 FORMAT = "exwarp.policy-hex/1"
 MANIFEST = "manifest.json"
 README = "README.txt"
@@ -48,20 +49,10 @@ _UNITS = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30}
 
 
 @dataclass(frozen=True)
-class Decided:
-    """A row of a table, and the policy's decision."""
-
-    row: StateRow  # with the state
-    outputs: tuple[int, int]  # of warping and of extrapolating, int32
-    choice: int  # 0 to warp, 1 to extrapolate
-
-
-@dataclass(frozen=True)
 class Trace:
     """One inference with all intermediate values, and its schedule on the paper's machine."""
 
     row: StateRow
-    network: QuantisedMlp
     inference: Inference
     schedule: Schedule
 
@@ -84,24 +75,22 @@ def clock_of(text: str, option: str = "--clock") -> float:
     return hertz
 
 
-def bytes_of(text: str) -> int:
-    """Parse a size, as ``16KB`` or ``16384``; K is 1024. Raises UsageError."""
-    match = _BYTES.fullmatch(text.strip())
-    if match is None or len(match[1]) > 15:
-        raise UsageError(f"--cache {text} is no size; give one as 16KB or 16384")
-    return int(match[1]) * _UNITS[match[2].lower()]
-
-
 def machine(cores: int, macs: int, cache: str, port: int) -> MacArray:
-    """Return a machine with a cache for each core and a port of some bytes a cycle; see `MacArray`.
+    """Return a machine with a port of some bytes a cycle; see `MacArray`.
+
+    `cache` is that of each core, as ``16KB`` or ``16384``; K is 1024.
 
     Raises
     ------
     UsageError
         For a cache that is no size, or 0.
     """
+    match = _BYTES.fullmatch(cache.strip())
+    if match is None or len(match[1]) > 15:
+        raise UsageError(f"--cache {cache} is no size; give one as 16KB or 16384")
+    size = int(match[1]) * _UNITS[match[2].lower()]
     try:
-        return MacArray(cores, macs, cache_bytes=bytes_of(cache), port_bytes=port)
+        return MacArray(cores, macs, cache_bytes=size, port_bytes=port)
     except ValueError as error:
         raise UsageError(f"--cache {cache} does not do: {error}; give a larger one") from error
 
@@ -123,10 +112,11 @@ def cycles(policy: Path | None, cores: int, macs: int, cache: str, port: int = 0
         raise UsageError(f"--cache {cache} does not do: {error}; give a larger one") from error
 
 
-def decide_rows(table: Path, policy: Path | None, number: int | None) -> list[Decided]:
+def decide_rows(table: Path, policy: Path | None, number: int | None) -> list[dict[str, Any]]:
     """Run a policy, or the one of ExWarp for None, on a row of a table, or all rows for None.
 
-    The table is a CSV file; see `exwarp_cli.models.policy_files.read_states`.
+    The table is a CSV file; see `exwarp_cli.models.policy_files.read_states`. The result names the
+    row, the network's outputs, int32, and the choice, by column.
 
     Raises
     ------
@@ -139,7 +129,13 @@ def decide_rows(table: Path, policy: Path | None, number: int | None) -> list[De
     rows = _select(table, network, number)
     outputs, choices = MlpKernel(network).decide_many(np.stack([row.state for row in rows]))
     return [
-        Decided(row, (int(warp), int(extrapolate)), int(choice))
+        {
+            "row": row.row,
+            **row.identity,
+            "output_warp": int(warp),
+            "output_extrapolate": int(extrapolate),
+            "decision": CHOICES[choice],
+        }
         for row, (warp, extrapolate), choice in zip(rows, outputs, choices, strict=True)
     ]
 
@@ -152,7 +148,7 @@ def trace_row(table: Path, policy: Path | None, number: int | None) -> Trace:
     network = load_policy(policy).network
     row = _select(table, network, number)[0]
     inference = infer_reference(network, row.state)
-    return Trace(row, network, inference, schedule(MacArray(), network.sizes))
+    return Trace(row, inference, schedule(MacArray(), network.sizes))
 
 
 def _select(table: Path, network: QuantisedMlp, number: int | None) -> tuple[StateRow, ...]:
@@ -239,8 +235,8 @@ def export(
     vectors: int,
     seed: int,
     overwrite: bool,
-    array: MacArray | None = None,
-    verilog: bool = False,
+    array: MacArray,
+    verilog: bool,
 ) -> list[Path]:
     """Write a policy's parameters and test vectors as hex files; return the files.
 
@@ -250,8 +246,6 @@ def export(
         None for the one that comes with ExWarp.
     vectors, seed
         How many test vectors, and of which random numbers.
-    array
-        The machine; None for the paper's.
     verilog
         Whether to write its design too, with a test bench.
 
@@ -264,7 +258,6 @@ def export(
     UsageError
         When the design cannot be such a machine.
     """
-    array = array or MacArray()
     source = load_policy(policy)
     network = source.network
     about = ABOUT + DESIGN if verilog else ABOUT
@@ -306,7 +299,13 @@ def hex_files(array: MacArray, network: QuantisedMlp, states: I32) -> dict[str, 
     scales = [la.requantisation for la in network.layers if la.requantisation is not None]
     for core in range(array.cores):
         own = slice(core, None, array.cores)
-        texts[f"core{core}_weights.hex"] = _lines(_weight_words(array, network, core))
+        texts[f"core{core}_weights.hex"] = _lines(
+            word[::-1].tobytes().hex()  # the first weight in the lowest bits
+            for layer in network.layers
+            for word in np.pad(
+                layer.weights[own], ((0, 0), (0, -layer.fan_in % array.macs))
+            ).reshape(-1, array.macs)
+        )
         texts[f"core{core}_bias.hex"] = "".join(_hex(la.biases[own]) for la in network.layers)
         texts[f"core{core}_multiplier.hex"] = "".join(_hex(s.multipliers[own]) for s in scales)
         texts[f"core{core}_shift.hex"] = "".join(_hex(s.shifts[own]) for s in scales)
@@ -320,15 +319,6 @@ def hex_files(array: MacArray, network: QuantisedMlp, states: I32) -> dict[str, 
     for k, activations in enumerate(inference.activations):
         texts[f"vectors_layer{k}_activation.hex"] = _hex(activations)
     return texts
-
-
-def _weight_words(array: MacArray, network: QuantisedMlp, core: int) -> Iterator[str]:
-    """Yield a core's words of weights, the first weight in the lowest bits."""
-    for layer in network.layers:
-        own = layer.weights[core :: array.cores]
-        filled = np.pad(own, ((0, 0), (0, -layer.fan_in % array.macs)))
-        for word in filled.reshape(-1, array.macs):
-            yield word[::-1].tobytes().hex()
 
 
 def _addresses(array: MacArray, network: QuantisedMlp, core: int) -> list[dict[str, int | None]]:
@@ -420,7 +410,7 @@ def design(
         "scales": [_scales(texts, array, core) for core in cores],
         "biases": [texts[f"core{core}_bias.hex"].split() for core in cores],
     }
-    folder = resources.files(verilog_files)
+    folder = resources.files(accelerator).joinpath("verilog")
     files = {name: folder.joinpath(name).read_text(encoding="utf-8") for name in SOURCES}
     for core in cores:
         for name, words in memories.items():  # all as deep as the fullest core's, the first

@@ -388,7 +388,7 @@ class MetricScorer(SequenceScorer):
 
 
 class ExtranetScorer(SequenceScorer):
-    """Scores as ExtraNet's release takes them: see `exwarp_cli.metrics.extranet_scores`.
+    """Scores as ExtraNet's release takes them: see `exwarp_cli.metrics.registry`.
 
     VMAF is of H.264 videos of both sequences, rendered frames included. `names` are out of psnr_db,
     ssim and vmaf, `count` is how many frames come. `generated` says of each whether it counts in
@@ -407,7 +407,7 @@ class ExtranetScorer(SequenceScorer):
 
     def add(self, pair: Pair) -> None:
         """Score the next pair if it counts, and append it to the videos."""
-        from exwarp_cli.metrics.extranet_scores import score_like_extranet  # see above
+        from exwarp_cli.metrics.registry import score_like_extranet  # see above
 
         index = len(self._scores)
         truth, test = round_display(pair.truth), round_display(pair.test)

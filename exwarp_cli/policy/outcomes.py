@@ -90,17 +90,11 @@ def clocked_returns(
     dropped: Sequence[int],
 ) -> F64:
     """Return the undiscounted sum of rewards along each path, float64 [6] (section IV-C1)."""
-    names = list(PATHS)
     sums = DROP_PENALTY * np.asarray(dropped, np.float64)
     for i, path in enumerate(PATHS.values()):
         for node, choice in path.choices.items():
             slot = NODE_SLOTS[node] - 1
-            rival = names.index(_rival(node, choice))
-            sums[i] += (quality[i, slot] - quality[rival, slot]).sum()
+            # Exactly one way leads to a node, so any path with its other choice is equal up to it.
+            rivals = [other.choices.get(node, choice) != choice for other in PATHS.values()]
+            sums[i] += (quality[i, slot] - quality[rivals.index(True), slot]).sum()
     return np.asarray(sums)
-
-
-def _rival(node: str, choice: str) -> str:
-    """Return the name of a path with the other choice at a node."""
-    # Exactly one way leads to a node, so both paths are equal up to it.
-    return next(name for name, path in PATHS.items() if path.choices.get(node, choice) != choice)

@@ -1,10 +1,11 @@
 """The states that decisions are made in, and the policies that decide (paper, section IV-C).
 
-A state is S = (E, T): six features of an instant, each scaled to 0 … 1, and the node as five
-numbers, one of them 1. The network's 44 inputs are the current state and three earlier ones, newest
-first; the oldest is repeated where there are fewer. For a frame, those are the earlier nodes of the
-key interval, then node d1 of the key frames before. For a tile, only the nodes of the key interval
-count, so that any part of a sequence is decided alike.
+A state is S = (E, T): six features of an instant, from its G-buffer and the one before ("List of
+features"), each scaled to 0 … 1, and the node as five numbers, one of them 1. The network's 44
+inputs are the current state and three earlier ones, newest first; the oldest is repeated where
+there are fewer. For a frame, those are the earlier nodes of the key interval, then node d1 of the
+key frames before. For a tile, only the nodes of the key interval count, so that any part of a
+sequence is decided alike.
 """
 
 from __future__ import annotations
@@ -16,8 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.accelerator.fixed_point import to_fixed
-from exwarp_cli.accelerator.mlp import QuantisedMlp
+from exwarp_cli.accelerator.mlp import QuantisedMlp, to_fixed
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import (
     CHOICES,
@@ -32,10 +32,24 @@ from exwarp_cli.domain.decision import (
     find_path,
     walk_tree,
 )
+from exwarp_cli.domain.frame import Bool, GBuffer, Int32
 from exwarp_cli.domain.tiles import TILE_FEATURES, TilePlan
 from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.kernels.connected_components import measure_component_areas
+from exwarp_cli.kernels.frame_statistics import (
+    ValueDistribution,
+    block_means,
+    earth_movers_distances,
+    positive_median,
+)
 
 F64 = npt.NDArray[np.float64]
+
+BLOCK = 16  # side of the blocks whose mean motion has the variance, pixels
+
+# Objects smaller than this share of the frame, or than this many pixels, are not counted: leaves
+# and sparks would outnumber what matters for warping.
+MIN_AREA, MIN_PIXELS = 1e-4, 4
 
 STATE_COUNT = 4  # the current one and three before
 
@@ -55,6 +69,109 @@ PRECEDING_NODES = {
     )
     for node in NODES
 }
+
+
+class FrameStatistics:
+    """The statistics of an instant's geometry that are compared with another instant's."""
+
+    def __init__(self, gbuffer: GBuffer) -> None:
+        self.window = gbuffer.window
+        self.shown: Bool = ~gbuffer.background  # pixels that show a surface
+        self.normals, self.positions = (
+            None if part is None else ValueDistribution(part, self.shown)
+            for part in (gbuffer.normal, gbuffer.position)
+        )
+        self._parts = gbuffer.depth, gbuffer.normal, gbuffer.position
+
+    def are_of(self, gbuffer: GBuffer) -> bool:
+        """Return whether they were computed from these very arrays."""
+        parts = gbuffer.depth, gbuffer.normal, gbuffer.position
+        return all(own is part for own, part in zip(self._parts, parts, strict=True))
+
+
+def observe(now: GBuffer, before: GBuffer | None, span: int) -> Features:
+    """Return the features of an instant; see `compare`, which reuses statistics."""
+    earlier = None if before is None else FrameStatistics(before)
+    return compare(now, FrameStatistics(now), earlier, span)
+
+
+def compare(
+    now: GBuffer, statistics: FrameStatistics, before: FrameStatistics | None, span: int
+) -> Features:
+    """Return the features of an instant, per slot.
+
+    `statistics` are those of `now`, whose stencil may be filled in from elsewhere; missing parts
+    give 0. `before` are those of the instant before, on the same window; without them, at the
+    first, earth mover's distances are 0. `span` is the number of slots between the two instants,
+    which the motion vectors span too: 1 with G-buffers of every slot, 4 with those of key frames.
+
+    ValueError: the windows differ, or the span is not positive.
+    """
+    # Background counts for nothing but the resolution.
+    if span < 1:
+        raise ValueError(f"features span {span} slots; give 1 or more")
+    if before is not None and before.window != now.window:
+        raise ValueError(f"features of {now.window} cannot be compared with {before.window}")
+    emd_normal, emd_position = 0.0, 0.0
+    if before is not None:
+        emd_normal, emd_position = (
+            0.0 if a is None or b is None else float(earth_movers_distances(a, b).mean())
+            for a, b in (
+                (before.normals, statistics.normals),
+                (before.positions, statistics.positions),
+            )
+        )
+    var_x, var_y = _motion_variances(now, statistics.shown)
+    return Features(
+        objects=0 if now.stencil is None else count_objects(now.stencil),
+        emd_normal=emd_normal / span,
+        emd_position=emd_position / span,
+        var_x=var_x / span**2,
+        var_y=var_y / span**2,
+        width=now.window.width,
+        height=now.window.height,
+        distance=_median_distance(now, statistics.shown),
+    )
+
+
+def count_objects(stencil: Int32) -> int:
+    """Return N_d: the connected areas of one id above 0, of at least MIN_AREA and MIN_PIXELS."""
+    areas = np.empty(stencil.size + 1, np.int64)
+    count = measure_component_areas(stencil, areas)
+    least = max(MIN_AREA * stencil.size, MIN_PIXELS)
+    return int((areas[1:count] >= least).sum())
+
+
+def _median_distance(gbuffer: GBuffer, shown: Bool) -> float:
+    """Return the median distance from the camera, scene units; 0 when unknown."""
+    median = np.float64(0)
+    with np.errstate(over="ignore"):
+        if gbuffer.depth is not None:
+            median = np.float64(positive_median(gbuffer.depth, shown))
+        elif gbuffer.position is not None:
+            # The median distance of the positions from their mean: the camera's place is unknown,
+            # but the extent of the visible scene grows with the distance.
+            places = gbuffer.position[shown].astype(np.float64)
+            places = places[np.isfinite(places).all(axis=-1)]
+            if len(places):
+                away = np.linalg.norm(places - places.mean(axis=0), axis=-1)
+                median = np.median(away, overwrite_input=True)
+    return float(median) if math.isfinite(median) else 0.0
+
+
+def _motion_variances(gbuffer: GBuffer, shown: Bool) -> tuple[float, float]:
+    """Return Var_x and Var_y, over the whole span, of the means of blocks."""
+    motion = gbuffer.to_next if gbuffer.to_previous is None else gbuffer.to_previous
+    if motion is None:
+        return 0.0, 0.0
+    height, width = shown.shape
+    means = np.empty((-(-height // BLOCK), -(-width // BLOCK), 2))
+    block_means(motion, shown, BLOCK, means)
+    block_values = means[~np.isnan(means[..., 0])]
+    if not len(block_values):
+        return 0.0, 0.0
+    var_x, var_y = block_values.var(axis=0)
+    return float(var_x), float(var_y)
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli import __version__
-from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION, from_fixed
 from exwarp_cli.accelerator.mac_array import COMPARE_CYCLES, PAPER_LATENCY_NS, Schedule
+from exwarp_cli.accelerator.mlp import MAX_ACTIVATION, from_fixed
 from exwarp_cli.domain.decision import CHOICES, FEATURES
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import pluralise
-from exwarp_cli.report.csv_tables import format_cell, format_csv
 from exwarp_cli.report.schema import run_document
 
 # Types alone: each of these brings what its command needs, and the others do without.
@@ -25,15 +24,12 @@ if TYPE_CHECKING:
 
     from exwarp_cli.pipeline.decide import NodeFeatures
     from exwarp_cli.pipeline.dry_run import DryRun, ForeseenFrame
-    from exwarp_cli.pipeline.predictor import Decided, Trace
+    from exwarp_cli.pipeline.predictor import Trace
 
 FEATURES_SCHEMA = "exwarp.features/1"
 CYCLES_SCHEMA = "exwarp.cycles/1"
-DECISIONS_SCHEMA = "exwarp.policy-decisions/1"
 TRACE_SCHEMA = "exwarp.policy-trace/1"
 DRY_RUN_SCHEMA = "exwarp.dry-run/1"
-
-FEATURE_COLUMNS = ("frame", "key", "node", *FEATURES, "distance", "inputs")
 
 # Numbers of each layer that a trace shows to people.
 MAX_NUMBERS = 8
@@ -49,25 +45,16 @@ KINDS = {
 }
 
 
-def feature_cells(observed: NodeFeatures) -> list[str]:
-    """Return a row of `FEATURE_COLUMNS`; `inputs` are integers with spaces between."""
-    *values, inputs = _feature_values(observed)
-    return [*map(format_cell, values), " ".join(map(str, inputs))]
-
-
-def features_document(rows: Iterable[NodeFeatures]) -> dict[str, Any]:
-    """Return all rows under ``rows``, keys as the columns of the CSV; `inputs` is a list."""
+def feature_row(observed: NodeFeatures) -> dict[str, Any]:
+    """Return a row of the table of features, by column."""
     return {
-        "schema": FEATURES_SCHEMA,
-        "version": __version__,
-        "rows": [dict(zip(FEATURE_COLUMNS, _feature_values(row), strict=True)) for row in rows],
+        "frame": observed.frame,
+        "key": observed.key,
+        "node": observed.node,
+        **dict(zip(FEATURES, observed.features.values, strict=True)),
+        "distance": observed.features.distance,
+        "inputs": observed.inputs,
     }
-
-
-def _feature_values(observed: NodeFeatures) -> tuple[Any, ...]:
-    features = observed.features
-    identity = (observed.frame, observed.key, observed.node)
-    return (*identity, *features.values, features.distance, observed.inputs)
 
 
 def cycles_document(schedule: Schedule, clock_hz: float) -> dict[str, Any]:
@@ -151,31 +138,6 @@ def cycles_lines(schedule: Schedule, clock_hz: float) -> list[str]:
         "whole inference on these MACs",
         cache,
     ]
-
-
-def decisions_document(rows: list[Decided]) -> dict[str, Any]:
-    """Return all rows under ``rows``, keys and values as in :func:`decisions_csv`."""
-    header = _decision_columns(rows)
-    return {
-        "schema": DECISIONS_SCHEMA,
-        "version": __version__,
-        "rows": [dict(zip(header, _decision_values(row), strict=True)) for row in rows],
-    }
-
-
-def decisions_csv(rows: list[Decided]) -> str:
-    """Write decisions as CSV text: which row, its outputs, and the choice."""
-    return format_csv(_decision_columns(rows), map(_decision_values, rows))
-
-
-def _decision_columns(rows: list[Decided]) -> tuple[str, ...]:
-    # All rows of a table have the columns of the first.
-    return ("row", *rows[0].row.identity, "output_warp", "output_extrapolate", "decision")
-
-
-def _decision_values(decided: Decided) -> tuple[Any, ...]:
-    row = decided.row
-    return (row.row, *row.identity.values(), *decided.outputs, CHOICES[decided.choice])
 
 
 def trace_document(trace: Trace) -> dict[str, Any]:

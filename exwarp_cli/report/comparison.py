@@ -7,7 +7,7 @@ from typing import Any
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.decision import CHOICES
-from exwarp_cli.domain.metric import GENERATED, Threshold
+from exwarp_cli.domain.metric import GENERATED
 from exwarp_cli.domain.results import Score
 from exwarp_cli.domain.settings import SRGB_VIEW
 from exwarp_cli.errors import QualityError, UsageError
@@ -16,14 +16,6 @@ from exwarp_cli.io.footage import close_sequences
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.pipeline.evaluation import ComparedFrame, Comparison
 from exwarp_cli.pipeline.ground_truth import read_display
-from exwarp_cli.report.csv_tables import (
-    FIRST_SCORES,
-    LATER_COLUMNS,
-    escape_formula,
-    first_score_cells,
-    format_csv,
-    later_score_cells,
-)
 from exwarp_cli.report.gallery import Album
 from exwarp_cli.report.html import (
     BY_FIELD,
@@ -33,9 +25,8 @@ from exwarp_cli.report.html import (
     Page,
     Section,
     Table,
-    Text,
+    Viewer,
     file_name,
-    frames_section,
     measured_metrics,
     metric_plots,
     metric_text,
@@ -45,7 +36,17 @@ from exwarp_cli.report.html import (
     worst_tables,
 )
 from exwarp_cli.report.plots import Labels, draw_lines
-from exwarp_cli.report.schema import mean_scores, replace_nonfinite, score_values
+from exwarp_cli.report.schema import (
+    FIRST_SCORES,
+    LATER_COLUMNS,
+    escape_formula,
+    first_score_cells,
+    format_csv,
+    later_score_cells,
+    mean_scores,
+    replace_nonfinite,
+    score_values,
+)
 from exwarp_cli.report.sentences import format_percent
 
 SCHEMA = "exwarp.compare/1"
@@ -136,21 +137,17 @@ def format_comparison_csv(result: Comparison) -> str:
     return format_csv(COLUMNS, rows)
 
 
-def quality_rows(quality: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Name the blocks of a comparison's `quality` in the order of a table's rows.
+def quality_rows(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Name the blocks of a comparison's quality in the order of a table's rows.
 
-    Parts that no header names are left out; "all pixels" and "holes" are always there.
+    Parts that no header names are left out; "all pixels" and "holes" are always there. The
+    baseline's rows stand before the test's, with the names of both; without one there are no names.
     """
+    quality = document["quality"]
     parts = {"generated": quality["generated"], "repeated": quality["dropped"]}
     parts |= {f"made by {name}": block for name, block in quality["by_decision"].items()}
     parts = {name: block for name, block in parts.items() if block["frames"]}
-    return {"all pixels": quality["all"], **parts, "holes": quality["holes"]}
-
-
-def add_baseline_rows(
-    document: dict[str, Any], rows: dict[str, dict[str, Any]]
-) -> dict[str, dict[str, Any]]:
-    """Put the baseline's rows before the test's, with the names of both; none without one."""
+    rows = {"all pixels": quality["all"], **parts, "holes": quality["holes"]}
     if BASELINE not in document:
         return rows
     quality = document[BASELINE]["quality"]
@@ -162,13 +159,23 @@ def add_baseline_rows(
 
 def _judge_limits(result: Comparison) -> list[dict[str, Any]]:
     """Judge every limit of a comparison; ``value`` is None where it was not measured."""
-    verdicts = []
+    frames, verdicts = result.frames, []
     for limit in result.measuring.thresholds:
-        value = _limited_value(result, limit)
+        name = limit.metric.field
+        scores = [frame.score for frame in frames]
+        if limit.scope == "holes":
+            value = mean_scores(frame.hole_score for frame in frames)[name]
+        elif limit.scope == GENERATED:
+            value = mean_scores(frame.score for frame in frames if frame.origin.generated)[name]
+        elif limit.scope == "all":
+            value = mean_scores(scores)[name]
+        else:
+            values = [number for score in scores if (number := getattr(score, name)) is not None]
+            value = max(values, key=limit.metric.badness, default=None)
         verdicts.append(
             {
                 "name": limit.name,
-                "metric": limit.metric.field,
+                "metric": name,
                 "scope": limit.scope,
                 "limit": limit.limit,
                 "fails": limit.option.removeprefix("--fail-"),
@@ -177,20 +184,6 @@ def _judge_limits(result: Comparison) -> list[dict[str, Any]]:
             }
         )
     return verdicts
-
-
-def _limited_value(result: Comparison, limit: Threshold) -> float | None:
-    name, frames = limit.metric.field, result.frames
-    if limit.scope == "holes":
-        return mean_scores(frame.hole_score for frame in frames)[name]
-    if limit.scope == GENERATED:
-        return mean_scores(frame.score for frame in frames if frame.origin.generated)[name]
-    if limit.scope == "all":
-        return mean_scores(frame.score for frame in frames)[name]
-    values: list[float] = [
-        value for frame in frames if (value := getattr(frame.score, name)) is not None
-    ]
-    return max(values, key=limit.metric.badness) if values else None
 
 
 def require_quality(result: Comparison) -> None:
@@ -293,7 +286,7 @@ def compare_page(
         subtitle,
         numbers,
         (
-            frames_section(album),
+            Section("frames", "Frames", [Viewer(album)] if album and album.frames else []),
             Section("quality", "Quality", _quality(result, document, album, base_scores)),
             Section("input", "Input", [_input(document)]),
         ),
@@ -309,11 +302,11 @@ def _quality(
     """Write tables and plots; `base_scores` are the baseline's by the reference's number."""
     numbers = [frame.test for frame in result.frames]
     scores = [frame.score for frame in result.frames]
-    parts = quality_rows(document["quality"])
-    holes_only = parts.pop("holes")
-    if holes_only["frames"]:
-        parts["holes only"] = holes_only
-    parts = add_baseline_rows(document, parts)
+    parts = {
+        f"{name} only" if name.endswith("holes") else name: block
+        for name, block in quality_rows(document).items()
+        if block["frames"] or not name.endswith("holes")
+    }
     blocks: list[Block] = [quality_table("Means over the frames", parts)]
     rows: list[list[Cell]] = []
     for limit in document["thresholds"]:
@@ -326,7 +319,7 @@ def _quality(
     blocks += worst_tables(numbers, scores, album)
     beside = [base_scores.get(frame.reference) for frame in result.frames] if base_scores else []
     blocks += metric_plots(numbers, scores, names=(TEST, BASELINE), beside=beside)
-    blocks += [Text(note) for note in document["notes"]]
+    blocks += document["notes"]
     holes = [None if f.hole_fraction is None else 100 * f.hole_fraction for f in result.frames]
     if len(holes) > 1 and any(share is not None for share in holes):
         labels = Labels(

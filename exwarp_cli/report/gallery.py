@@ -64,11 +64,10 @@ class Shown:
     """One frame of an album; see the module's text for what the fields mean."""
 
     number: int
-    label: str
-    kind: str
-    facts: dict[str, str]
-    pictures: dict[str, Picture]
-    errors: dict[str, Picture]
+    kind: str = ""
+    facts: dict[str, str] = field(default_factory=dict)
+    pictures: dict[str, Picture] = field(default_factory=dict)
+    errors: dict[str, Picture] = field(default_factory=dict)
     holes: Picture | None = None
     risk: Risk | None = None
 
@@ -94,14 +93,14 @@ class Album:
         reference: str | None = None,
         mask: Bool | None = None,
     ) -> Shown:
-        """Encode the pictures of a frame and keep them; `facts` and `label` may be set later.
+        """Encode the pictures of a frame and keep them; `facts` may be set later.
 
         `sources` are float32 [H, W, 3] or more, scene-linear, of one size; `mask` is bool [H, W],
         holes. Errors are those of the other sources against the one named `reference`.
         """
         small = {name: shrink(pixels, self.longest) for name, pixels in sources.items()}
         peak = find_peak(*small.values())
-        shown = Shown(number, f"frame {number}", kind, {}, {}, {})
+        shown = Shown(number, kind)
         for name, pixels in small.items():
             shown.pictures[name] = encode_colour(pixels, peak, self.room)
             if reference is not None and name != reference:
@@ -128,14 +127,10 @@ class Album:
 
     def to_plain(self) -> dict[str, Any]:
         """Return the object of the module's text but what pages add; equal pictures appear once."""
-        indices: dict[int, int] = {}
-        pictures: list[Picture] = []
+        pictures: dict[int, tuple[int, Picture]] = {}  # each with its index, by identity
 
         def index(picture: Picture) -> int:
-            if id(picture) not in indices:
-                indices[id(picture)] = len(pictures)
-                pictures.append(picture)
-            return indices[id(picture)]
+            return pictures.setdefault(id(picture), (len(pictures), picture))[0]
 
         frames = []
         for _, shown in sorted(self.frames.items()):
@@ -143,7 +138,7 @@ class Album:
             frames.append(
                 {
                     "number": shown.number,
-                    "label": shown.label,
+                    "label": f"frame {shown.number}",
                     "kind": shown.kind,
                     "facts": shown.facts,
                     "risk": None
@@ -164,7 +159,7 @@ class Album:
             "before": self.before,
             "after": self.after,
             "start": self.start,
-            "images": [picture.to_plain() for picture in pictures],
+            "images": [picture.to_plain() for _, picture in pictures.values()],
             "frames": frames,
         }
 
@@ -226,8 +221,7 @@ class Gallery:
         self._key_of = {
             number: group[0] for group in groups for number in group if number in self._chosen
         }
-        self.album.room = bytes_per_picture(len(self._chosen) + 1, self._sources)
-        self.album.longest = longest_side(len(self._chosen))
+        self.album.room, self.album.longest = limit_pictures(len(self._chosen), self._sources)
 
     def wants(self, number: int, score: Score | None, risk: Risk | None = None) -> bool:
         """Return whether to keep a frame: chosen, or the worst so far, which replaces the last."""
@@ -289,17 +283,18 @@ def merge_albums(
     unreadable = []
     for file, asked in zip(files, numbers, strict=True):
         try:
-            there = [int(frame["number"]) for frame in _read_album(file)["frames"]]
+            shown = json.loads(file.read_text(encoding="utf-8"))["frames"]
+            there = [int(frame["number"]) for frame in shown]
         except _NOT_AN_ALBUM:
             unreadable.append(file)
         else:
             file_of |= dict.fromkeys((number for number in there if number in asked), file)
 
     chosen = _choose_frames(run, file_of)
-    room, longest = bytes_per_picture(len(chosen) + 1), longest_side(len(chosen))
+    room, longest = limit_pictures(len(chosen))
     frames: dict[int, Shown] = {}
     for file in dict.fromkeys(file_of[number] for number in sorted(chosen)):
-        plain = _read_album(file)
+        plain = json.loads(file.read_text(encoding="utf-8"))
         try:
             wanted = {number for number in chosen if file_of[number] == file}
             frames |= {shown.number: shown for shown in _read_frames(plain, wanted, room, longest)}
@@ -314,11 +309,6 @@ _NOT_AN_ALBUM = (
     *(ArithmeticError, AttributeError, LookupError, OSError, RecursionError, TypeError),
     ValueError,
 )
-
-
-def _read_album(file: Path) -> dict[str, Any]:
-    album: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return album
 
 
 def _read_frames(
@@ -338,12 +328,9 @@ def _read_frames(
     return [
         Shown(
             frame["number"],
-            frame["label"],
-            "",
-            {},
-            {name: picture(i, room) for name, i in frame["pictures"].items()},
-            {name: picture(i, room // 2) for name, i in frame["errors"].items()},
-            None if frame["holes"] is None else picture(frame["holes"], room),
+            pictures={name: picture(i, room) for name, i in frame["pictures"].items()},
+            errors={name: picture(i, room // 2) for name, i in frame["errors"].items()},
+            holes=None if frame["holes"] is None else picture(frame["holes"], room),
         )
         for frame in plain["frames"]
         if frame["number"] in numbers
@@ -395,14 +382,13 @@ def choose_groups(groups: Sequence[Sequence[int]]) -> list[int]:
     return sorted({*evenly_spaced(count, spread), *range(first, first + limit - spread)})
 
 
-def longest_side(frames: int) -> int:
-    """Return the longest side of the pictures of so many frames, pixels."""
-    return LONGEST_OF_MANY if frames > MANY_FRAMES else LONGEST
+def limit_pictures(frames: int, sources: int = 2) -> tuple[int, int]:
+    """Return the bytes and the longest side, pixels, of the pictures of so many chosen frames.
 
-
-def bytes_per_picture(frames: int, sources: int = 2) -> int:
-    """Return the bytes that a picture may take: errors of all sources but the truth take half."""
-    return min(PICTURE_BYTES, int(BUDGET / ((1.5 * sources - 0.5) * max(frames, 1))))
+    Errors of all sources but the truth take half the bytes, and the worst frame comes on top.
+    """
+    room = min(PICTURE_BYTES, int(BUDGET / ((1.5 * sources - 0.5) * (frames + 1))))
+    return room, LONGEST_OF_MANY if frames > MANY_FRAMES else LONGEST
 
 
 def evenly_spaced(count: int, limit: int) -> list[int]:

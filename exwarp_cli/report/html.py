@@ -66,13 +66,6 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Text:
-    """A paragraph."""
-
-    text: str
-
-
-@dataclass(frozen=True)
 class Viewer:
     """An album to look at; `name` is unique in the page: letters, digits and hyphens."""
 
@@ -80,7 +73,7 @@ class Viewer:
     name: str = "viewer"
 
 
-Block = Table | Text | Viewer | Figure
+Block = Table | str | Viewer | Figure  # text is a paragraph
 
 
 @dataclass(frozen=True)
@@ -144,17 +137,16 @@ def _environment() -> Environment:
     return environment
 
 
-def script_json(value: Any) -> Markup:
-    """Write a value as JSON that can stand inside a script element: no ``<``, only ASCII."""
-    text = json.dumps(value, allow_nan=False, separators=(",", ":"))
+def viewer_data(album: Album) -> Markup:
+    """Return what the viewer's script reads; see `exwarp_cli.report.gallery`.
+
+    It can stand inside a script element: no ``<``, only ASCII.
+    """
+    plain = album.to_plain() | {"heat": heat_colours(), "fps": album.fps}
+    text = json.dumps(plain, allow_nan=False, separators=(",", ":"))
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
     return Markup(text)
-
-
-def viewer_data(album: Album) -> Markup:
-    """Return what the viewer's script reads; see `exwarp_cli.report.gallery`."""
-    return script_json(album.to_plain() | {"heat": heat_colours(), "fps": album.fps})
 
 
 @cache
@@ -173,11 +165,6 @@ _NUMBER = re.compile(r"[-+]?[0-9][0-9,]*([.][0-9]+)?( ?(%|dB|ms|s|fps|min|h|MB|K
 def is_number(cell: Cell) -> bool:
     """Return whether a cell of a table reads as a number; None may stand for one."""
     return cell is None or (isinstance(cell, str) and _NUMBER.fullmatch(cell) is not None)
-
-
-def frames_section(album: Album | None) -> Section:
-    """Return the section with the viewer; without blocks if there are no pictures."""
-    return Section("frames", "Frames", [Viewer(album)] if album and album.frames else [])
 
 
 def file_name(pattern: str) -> str:
@@ -212,7 +199,7 @@ def quality_numbers(quality: Mapping[str, Any]) -> list[Number]:
 def quality_table(title: str, blocks: Mapping[str, Mapping[str, Any]], note: str = "") -> Table:
     """Write quality blocks of report.json, a row each; metrics that none has are left out."""
     metrics = measured_metrics(*blocks.values())
-    rows: list[list[Cell]] = [
+    rows = [
         [
             name,
             *(metric_text(m, block.get(m.field)) for m in metrics),

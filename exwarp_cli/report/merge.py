@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from pathlib import Path
@@ -26,11 +26,11 @@ from exwarp_cli.report.folder import (
     REPORT_FILE,
     RUN_FILE,
     chunk_reports,
+    parse_run,
     prepare_report,
     write_report,
 )
 from exwarp_cli.report.gallery import merge_albums
-from exwarp_cli.report.run_file import parse_run
 from exwarp_cli.report.schema import SCHEMA, run_document
 
 # Characters of a value in a message.
@@ -311,8 +311,15 @@ def merge_runs(runs: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSumm
     )
     ordered = [run for run, _ in parts]
     first, first_name = parts[0]
+    common = _common_facts(first)
     for run, name in parts[1:]:
-        _require_parts_of_one_run(first, first_name, run, name)
+        for fact, value in _common_facts(run).items():
+            if value != common[fact]:
+                raise InputError(
+                    f"{first_name} and {name} are no parts of one run: the {fact} is "
+                    f"{_format_value(common[fact])} in the one and {_format_value(value)} in the "
+                    "other; join only what one command did in chunks"
+                )
     files = dict.fromkeys(file for run in ordered for file in run.files)
     left_out = [interval for run in ordered for interval in run.left_out]
     verified = [run.verified for run in ordered]
@@ -342,17 +349,6 @@ def _merge_frames(parts: Sequence[tuple[RunSummary, str]]) -> tuple[FrameRecord,
     return tuple(frame for frame, _ in frames)
 
 
-def _require_parts_of_one_run(a: RunSummary, a_name: str, b: RunSummary, b_name: str) -> None:
-    for name, value_of in REQUIRED_EQUAL.items():
-        first, second = value_of(a), value_of(b)
-        if first != second:
-            raise InputError(
-                f"{a_name} and {b_name} are no parts of one run: the {name} is "
-                f"{_format_value(first)} in the one and {_format_value(second)} in the other; join "
-                "only what one command did in chunks"
-            )
-
-
 def _format_value(value: Any) -> str:
     if isinstance(value, tuple):
         value = ", ".join(map(str, value))
@@ -360,62 +356,49 @@ def _format_value(value: Any) -> str:
     return text if len(text) <= MAX_VALUE else f"{text[: MAX_VALUE - 1]}…"
 
 
-def _key_range(run: RunSummary) -> str:
-    step = f"x{run.input.step}" if run.input.step > 1 else ""
-    return f"{run.input.first}-{run.input.last}{step}"
-
-
-def _evidence(run: RunSummary) -> str | None:
-    """Mask what was measured: other processors differ in its last digits."""
-    evidence = run.input.motion_evidence
-    return None if evidence is None else re.sub(r"\d+\.\d+", "…", evidence)
-
-
-def _extrapolator(run: RunSummary) -> str | None:
-    network = run.extrapolator
-    if network is None:
-        return None
-    colour = "shading alone" if network.demodulated else "whole colour"
-    return f"sha256 {network.sha256} on {network.device}, given {colour}"
-
-
-def _interpolator(run: RunSummary) -> str | None:
-    network = run.interpolator
-    if network is None:
-        return None
-    return (
-        f"{network.name} on {network.device}, sha256 {network.sha256}, card {network.card_sha256}"
-    )
-
-
-def _policy(run: RunSummary) -> str | None:
-    policy = run.policy
-    if policy is None:
-        return None
-    missing = " and ".join(policy.missing) or "nothing"
-    return f"sha256 {policy.sha256} with objects from {policy.objects_from} and {missing} missing"
-
-
-# What all parts of a run have in common, by its name in messages. Paths are left out where a
-# checksum says the same, and so are folders: they are mounted elsewhere on other machines.
-REQUIRED_EQUAL: dict[str, Callable[[RunSummary], Any]] = {
-    "version of ExWarp": lambda run: run.version,
-    "input": lambda run: re.split(r"[/\\]", run.input.pattern)[-1],
-    "range of its key frames": _key_range,
-    "size of its frames": lambda run: f"{run.input.width}x{run.input.height}",
-    "program that wrote it": lambda run: run.input.producer,
-    "source of motion": lambda run: run.input.motion_source,
-    "reading of its vectors": _evidence,
-    "choice of what moves": lambda run: run.input.dynamic,
-    "method": lambda run: run.method,
-    "setting of G-buffers": lambda run: run.setting,
-    "rate of the input": lambda run: f"{run.base_fps} fps ({run.fps_source})",
-    "factor": lambda run: str(run.factor),
-    "network that extrapolates": _extrapolator,
-    "network that interpolates": _interpolator,
-    "policy": _policy,
-    "search for cuts": lambda run: "no" if run.cuts is None else "yes",
-    "choice of views": lambda run: run.views,
-    "choice of layers": lambda run: run.layers,
-    "view transform": lambda run: run.view_transform,
-}
+def _common_facts(run: RunSummary) -> dict[str, Any]:
+    """Return what all parts of a run have in common, by its name in messages."""
+    # Paths are left out where a checksum says the same, and so are folders: they are mounted
+    # elsewhere on other machines.
+    source = run.input
+    facts: dict[str, Any] = {
+        "version of ExWarp": run.version,
+        "input": re.split(r"[/\\]", source.pattern)[-1],
+        "range of its key frames": f"{source.first}-{source.last}",
+        "size of its frames": f"{source.width}x{source.height}",
+        "program that wrote it": source.producer,
+        "source of motion": source.motion_source,
+        "reading of its vectors": source.motion_evidence,
+        "choice of what moves": source.dynamic,
+        "method": run.method,
+        "setting of G-buffers": run.setting,
+        "rate of the input": f"{run.base_fps} fps ({run.fps_source})",
+        "factor": str(run.factor),
+        "network that extrapolates": None,
+        "network that interpolates": None,
+        "policy": None,
+        "search for cuts": "no" if run.cuts is None else "yes",
+        "choice of views": run.views,
+        "choice of layers": run.layers,
+        "view transform": run.view_transform,
+    }
+    if source.step > 1:
+        facts["range of its key frames"] += f"x{source.step}"
+    if source.motion_evidence is not None:
+        # What was measured: other processors differ in its last digits.
+        facts["reading of its vectors"] = re.sub(r"\d+\.\d+", "…", source.motion_evidence)
+    if network := run.extrapolator:
+        colour = "shading alone" if network.demodulated else "whole colour"
+        facts["network that extrapolates"] = (
+            f"sha256 {network.sha256} on {network.device}, given {colour}"
+        )
+    if model := run.interpolator:
+        facts["network that interpolates"] = (
+            f"{model.name} on {model.device}, sha256 {model.sha256}, card {model.card_sha256}"
+        )
+    if policy := run.policy:
+        missing = " and ".join(policy.missing) or "nothing"
+        facts["policy"] = (
+            f"sha256 {policy.sha256} with objects from {policy.objects_from} and {missing} missing"
+        )
+    return facts

@@ -117,16 +117,6 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Panel:
-    """One small scatter plot: a title, its points, and a line such as the correlation."""
-
-    title: str
-    x: Sequence[float]
-    y: Sequence[float]
-    note: str = ""
-
-
-@dataclass(frozen=True)
 class TimelineCell:
     """One cell of a timeline: a kind out of `KINDS`, and the text shown on hover."""
 
@@ -290,22 +280,23 @@ def draw_histogram(
         return _finish(canvas, labels)
 
 
-def draw_scatter(labels: Labels, panels: Sequence[Panel]) -> Figure:
-    """Draw small scatter plots with a common y axis, in rows of `SCATTER_COLUMNS`."""
+def draw_scatter(
+    labels: Labels, panels: Mapping[str, Sequence[float]], y: Sequence[float]
+) -> Figure:
+    """Draw small scatter plots of `y` over each of the panels, in rows of `SCATTER_COLUMNS`."""
     rows = max(math.ceil(len(panels) / SCATTER_COLUMNS), 1)
     columns = min(SCATTER_COLUMNS, max(len(panels), 1))
+    points = thin_out(y)
     with _canvas(0.4 + 1.9 * rows) as canvas:
         grid = canvas.subplots(rows, columns, sharey=True, squeeze=False)
         for axes in grid.flat[len(panels) :]:
             axes.set_visible(False)
-        for i, (panel, axes) in enumerate(zip(panels, grid.flat, strict=False)):
-            points = thin_out(panel.y)
+        for i, ((title, x), axes) in enumerate(zip(panels.items(), grid.flat, strict=False)):
             axes.scatter(
-                [panel.x[j] for j in points], [panel.y[j] for j in points], s=7, alpha=0.55,
+                [x[j] for j in points], [y[j] for j in points], s=7, alpha=0.55,
                 color=COLOURS["c0"], linewidths=0,
             )  # fmt: skip
-            axes.set_title(panel.title)
-            axes.set_xlabel(panel.note)
+            axes.set_title(title)
             if i % SCATTER_COLUMNS == 0:
                 axes.set_ylabel(labels.y)
         return _finish(canvas, labels)

@@ -13,7 +13,7 @@ from typing import Any
 
 from exwarp_cli.domain.decision import LOOKAHEAD, SOFTSPLAT
 from exwarp_cli.domain.results import FrameRecord, RunSummary
-from exwarp_cli.domain.tiles import REASONS, Risk, tile_edges
+from exwarp_cli.domain.tiles import REASONS, tile_edges
 from exwarp_cli.domain.timeline import ranges
 
 MAX_PLACES = 100  # of a list
@@ -120,13 +120,29 @@ def places_of_frame(frame: FrameRecord, size: tuple[int, int]) -> list[Place]:
     risk = frame.risk
     assert risk is not None
     levels = risk.levels
+    across, down = tile_edges(size[0], risk.columns), tile_edges(size[1], risk.rows)
     threshold = max(NOTICEABLE, STANDS_OUT * max(levels))
     bad = {tile for tile, level in enumerate(levels) if level >= threshold}
     places = []
     while bad:
         group = _connected_tiles(bad, risk.columns)
         bad -= group
-        places.append(_place(frame.number, risk, group, size))
+        rows, columns = zip(*(divmod(tile, risk.columns) for tile in group), strict=True)
+        x, y = across[min(columns)], down[min(rows)]
+        squares = [0.0] * len(REASONS)
+        for tile in sorted(group):
+            squares[risk.reasons[tile]] += levels[tile] ** 2
+        places.append(
+            Place(
+                frame=frame.number,
+                error=math.sqrt(sum(squares) / len(group)),
+                x=x,
+                y=y,
+                width=across[max(columns) + 1] - x,
+                height=down[max(rows) + 1] - y,
+                reason=REASONS[squares.index(max(squares))],
+            )
+        )
     return sorted(places, key=lambda place: -place.error)[:MAX_PLACES_OF_FRAME]
 
 
@@ -141,25 +157,6 @@ def _connected_tiles(tiles: set[int], columns: int) -> set[int]:
         neighbours |= {tile + 1 for tile in border if (tile + 1) % columns}
         border = (neighbours & tiles) - group
     return group
-
-
-def _place(number: int, risk: Risk, group: set[int], size: tuple[int, int]) -> Place:
-    across, down = tile_edges(size[0], risk.columns), tile_edges(size[1], risk.rows)
-    levels = risk.levels
-    rows, columns = zip(*(divmod(tile, risk.columns) for tile in group), strict=True)
-    x, y = across[min(columns)], down[min(rows)]
-    squares = [0.0] * len(REASONS)
-    for tile in sorted(group):
-        squares[risk.reasons[tile]] += levels[tile] ** 2
-    return Place(
-        frame=number,
-        error=math.sqrt(sum(squares) / len(group)),
-        x=x,
-        y=y,
-        width=across[max(columns) + 1] - x,
-        height=down[max(rows) + 1] - y,
-        reason=REASONS[squares.index(max(squares))],
-    )
 
 
 def summarise_review(run: RunSummary) -> dict[str, Any] | None:

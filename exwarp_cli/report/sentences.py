@@ -20,20 +20,17 @@ def format_percent(share: float | None, digits: int = 1) -> str | None:
     return None if share is None else f"{share * 100:.{digits}f} %"
 
 
-def format_duration(seconds: float) -> str:
-    """Write a time as people say it: 42.1 s, 13 min, 2 h 5 min."""
+def format_time(seconds: float | None) -> str | None:
+    """Write seconds as people say it: 250 ms, 42.1 s, 13 min, 2 h 5 min; None stays None."""
+    if seconds is None:
+        return None
+    if abs(seconds) < 1:
+        return f"{1000 * seconds:.0f} ms"
     if abs(seconds) < 120:
         return f"{seconds:.1f} s"
     sign = "-" if seconds < 0 else ""
     hours, minutes = divmod(round(abs(seconds) / 60), 60)
     return f"{sign}{hours} h {minutes} min" if hours else f"{sign}{minutes} min"
-
-
-def format_time(seconds: float | None) -> str | None:
-    """Write seconds as `format_duration` does, short ones in ms; None stays None."""
-    if seconds is None:
-        return None
-    return f"{1000 * seconds:.0f} ms" if abs(seconds) < 1 else format_duration(seconds)
 
 
 def format_rendered(frames: Mapping[str, int]) -> str:

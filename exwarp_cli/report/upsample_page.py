@@ -22,11 +22,10 @@ from exwarp_cli.report.html import (
     Page,
     Section,
     Table,
-    Text,
+    Viewer,
     better,
     file_name,
     frame_cell,
-    frames_section,
     metric_plots,
     quality_numbers,
     quality_table,
@@ -116,7 +115,7 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None
         f"{source['width']}x{source['height']}",
         headline(document),
         (
-            frames_section(album),
+            Section("frames", "Frames", [Viewer(album)] if album and album.frames else []),
             Section("review", "Worth a look", _review(run, document, album)),
             Section("quality", "Quality", _quality(run, document, album)),
             Section("decisions", "Decisions", _decisions(run, document["decisions"])),
@@ -214,7 +213,7 @@ def _review(run: RunSummary, document: dict[str, Any], album: Album | None) -> l
     review = document["review"]
     if review is None:
         return []
-    blocks: list[Block] = [Text(f"{PREDICTED} {describe_review(review).capitalize()}.")]
+    blocks: list[Block] = [f"{PREDICTED} {describe_review(review).capitalize()}."]
     errors = [(frame, frame.risk.error) for frame in run.frames if frame.risk is not None]
     if len(errors) > 1:
         numbers = [frame.number for frame, _ in errors]
@@ -228,16 +227,16 @@ def _review(run: RunSummary, document: dict[str, Any], album: Album | None) -> l
         )  # fmt: skip
         worst = numbers.index(review["predicted_error"]["worst_frame"])
         blocks.append(draw_lines(labels, numbers, series, (worst,), _after_cuts(run)))
-    rows: list[list[Cell]] = [
-        [
-            frame_cell(place.frame, album),
-            f"{place.error:.1f}",
-            f"{place.width}x{place.height} at {place.x},{place.y}",
-            place.reason,
+    if places := places_worth_a_look(run)[:MAX_PLACES]:
+        rows: list[list[Cell]] = [
+            [
+                frame_cell(place.frame, album),
+                f"{place.error:.1f}",
+                f"{place.width}x{place.height} at {place.x},{place.y}",
+                place.reason,
+            ]
+            for place in places
         ]
-        for place in places_worth_a_look(run)[:MAX_PLACES]
-    ]
-    if rows:
         columns = ("frame", "predicted error", "pixels", "why")
         blocks.append(Table("Places worth a look", columns, rows, PLACES_NOTE))
     return blocks
@@ -285,10 +284,10 @@ def _quality(run: RunSummary, document: dict[str, Any], album: Album | None) -> 
             series = {metric.title: [value for _, value in pulses]}
             worst = numbers.index(pulse["worst_frame"])
             blocks.append(draw_lines(labels, numbers, series, (worst,), _after_cuts(run)))
-        rows: list[list[Cell]] = [
-            ["mean of the new frames", metric.text(pulse["mean"])],
-            [f"worst, frame {pulse['worst_frame']}", metric.text(pulse["worst"])],
-        ]
+        rows = (
+            ("mean of the new frames", metric.text(pulse["mean"])),
+            (f"worst, frame {pulse['worst_frame']}", metric.text(pulse["worst"])),
+        )
         blocks.append(Table("Sharpness", ("", metric.title), rows, PULSE_NOTE))
     return blocks
 
@@ -330,14 +329,14 @@ def _decisions(run: RunSummary, decisions: dict[str, Any]) -> list[Block]:
     for trial in decisions["gate"] or ():
         by_methods.setdefault(tuple(n for n in trial if n.endswith("_db")), []).append(trial)
     for (cheap, dear), trials in by_methods.items():
-        rows: list[list[Cell]] = [
-            [
+        rows = [
+            (
                 "none" if trial["frame"] is None else str(trial["frame"]),
                 format_number(trial[cheap], 2),
                 format_number(trial[dear], 2),
                 trial["used"],
                 ranges(trial["keys"]),
-            ]
+            )
             for trial in trials
         ]
         titles = (f"{name.removesuffix('_db')}, dB" for name in (cheap, dear))
@@ -345,14 +344,12 @@ def _decisions(run: RunSummary, decisions: dict[str, Any]) -> list[Block]:
         title = "The network on the shot's own key frames"
         blocks.append(Table(title, columns, rows, TRIALS_NOTE))
     if decisions["warp_share"] is not None:
-        nodes: list[list[Cell]] = [
+        nodes = [
             [node, *(format_number(decisions["nodes"][node][choice], 0) for choice in CHOICES)]
             for node in NODES
         ]
         blocks.append(Table("Decisions by node", ("node", *CHOICES), nodes))
-        paths: list[list[Cell]] = [
-            [name, format_number(count, 0)] for name, count in decisions["paths"].items()
-        ]
+        paths = [(name, format_number(count, 0)) for name, count in decisions["paths"].items()]
         title, unit = "key intervals", "intervals"
         if decisions["cost"] is not None:
             title = unit = "tiles"
@@ -411,10 +408,9 @@ def _holes_and_features(run: RunSummary, document: dict[str, Any]) -> list[Block
             "Features that the policy sees", "frame",
             description="The features of each decision's instant, per slot.",
         )  # fmt: skip
-        columns = zip(*(entry.values for _, entry in features), strict=True)
         series = {
-            name: list(map(float, values))
-            for name, values in zip(FEATURES, columns, strict=True)
+            name: [float(entry.values[i]) for _, entry in features]
+            for i, name in enumerate(FEATURES)
             if name != "R"
         }
         blocks.append(draw_series_panels(labels, [number for number, _ in features], series))
@@ -438,7 +434,7 @@ def _timing(run: RunSummary, timing_ms: dict[str, float | None]) -> list[Block]:
         description="Mean milliseconds of each step for each kind of frame, end to end.",
     )  # fmt: skip
     note = "Steps overlap on several threads: reading runs ahead and writing behind."
-    rows: list[list[Cell]] = [[step, format_number(timing_ms[step])] for step in steps]
+    rows = [(step, format_number(timing_ms[step])) for step in steps]
     return [
         draw_stacked_bars(labels, list(groups), parts, note=note),
         Table("Mean of the frames that had the step", ("step", "ms"), rows),
@@ -448,11 +444,12 @@ def _timing(run: RunSummary, timing_ms: dict[str, float | None]) -> list[Block]:
 def _left_out(left_out: list[dict[str, Any]]) -> list[Block]:
     if not left_out:
         return []
-    rows: list[list[Cell]] = [
-        [
-            *(str(interval["key"]), ranges(interval["frames"]), ranges(interval["scores"])),
-            *(ranges(interval["rendered"]), interval["reason"]),
-        ]
+    rows = [
+        (
+            str(interval["key"]),
+            *(ranges(interval[name]) for name in ("frames", "scores", "rendered")),
+            interval["reason"],
+        )
         for interval in left_out
     ]
     title = "Not scored"
@@ -466,13 +463,13 @@ def _left_out(left_out: list[dict[str, Any]]) -> list[Block]:
 def _nonfinite(nonfinite: list[dict[str, Any]]) -> list[Block]:
     if not nonfinite:
         return []
-    view = ["view"] if nonfinite[0]["view"] else []
-    rows: list[list[Cell]] = [
-        [str(entry["key"]), str(entry["slot"]), *([entry["view"]] if entry["view"] else []),
-         entry["channels"], format_number(entry["pixels"], 0)]
+    view = ("view",) if nonfinite[0]["view"] else ()
+    rows = [
+        [*(str(entry[name]) for name in ("key", "slot", *view, "channels")),
+         format_number(entry["pixels"], 0)]
         for entry in nonfinite[:MAX_ROWS]
     ]  # fmt: skip
-    columns = ["key frame", "slot", *view, "channels", "pixels"]
+    columns = ("key frame", "slot", *view, "channels", "pixels")
     return [Table("Not finite in the input", columns, rows, describe_nonfinite(nonfinite))]
 
 
@@ -503,10 +500,10 @@ def _settings(document: dict[str, Any]) -> Table:
     for name in ("extrapolator", "interpolator", "policy"):
         for key, value in (document[name] or {}).items():
             if isinstance(value, bool):
-                rows.append([f"{name} {key}", "yes" if value else "no"])
+                value = "yes" if value else "no"
             elif isinstance(value, list):
-                rows.append([f"{name} {key}", ", ".join(map(str, value)) or "none"])
-            elif value is not None:
+                value = ", ".join(map(str, value)) or "none"
+            if value is not None:
                 rows.append([f"{name} {key}", str(value)])
     if document["view_transform"] != SRGB_VIEW:
         rows.append(["pictures shown by", document["view_transform"]])

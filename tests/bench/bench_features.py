@@ -21,7 +21,7 @@ from scipy.stats import wasserstein_distance
 
 from exwarp_cli.domain.frame import GBuffer, Int32
 from exwarp_cli.kernels import _row_bands, connected_components, frame_statistics
-from exwarp_cli.policy.features import observe
+from exwarp_cli.policy.state import observe
 from exwarp_cli.synthesis.motion_fields import settle_motion
 from tests.bench import goals
 from tests.bench.big_input import FAR

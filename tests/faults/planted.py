@@ -114,7 +114,7 @@ DEFECTS = (
     ),
     Defect(
         "rounding",  # rint rounds half to even
-        "accelerator/fixed_point.py",
+        "accelerator/mlp.py",
         "rounded = whole + (scaled - whole >= 0.5)",
         "rounded = np.rint(scaled)",
         "unit/test_fixed_point.py",

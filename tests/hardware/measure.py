@@ -18,14 +18,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import exwarp_cli.accelerator.verilog as design
+from exwarp_cli import accelerator
 from exwarp_cli.accelerator.mac_array import schedule
 from exwarp_cli.accelerator.mlp import PAPER_SIZES
 from exwarp_cli.io.files import atomic_write_text
 from exwarp_cli.models.policy_files import load_policy
 from tests.hardware.designs import DEFAULT, REFILLED, missing_tools, result, run, write
 
-MEASURED = Path(design.__file__).with_name("measured.json")
+MEASURED = Path(accelerator.__file__).parent / "verilog" / "measured.json"
 PAGE = Path(__file__).parents[2] / "docs" / "hardware.md"
 TEMPLATE = Path(__file__).with_name("page.md")
 LIBRARY = Path("/usr/share/qflow/tech/osu018/osu018_stdcells.lib")

@@ -14,7 +14,7 @@ from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.errors import InputError, QualityError, UsageError
 from exwarp_cli.io.display_colour import to_display
 from exwarp_cli.io.ffmpeg import VmafStream, compute_vmaf
-from exwarp_cli.metrics import extranet_scores
+from exwarp_cli.metrics.registry import score_like_extranet
 from exwarp_cli.metrics.temporal import display_error
 from exwarp_cli.pipeline.evaluation import Comparison, evaluate
 from exwarp_cli.report.comparison import comparison_document, require_quality
@@ -171,7 +171,7 @@ def test_the_preset_counts_generated_frames(tmp_path: Path, headers: bool) -> No
     for frame in found.frames:
         n, kind = frame.test, KINDS[frame.test % 4]
         counts = kind == "generated" or (kind == "dropped" and not headers)
-        expected = extranet_scores.score_like_extranet(truth[n], made[n]) if counts else None
+        expected = score_like_extranet(truth[n], made[n]) if counts else None
         assert frame.score.psnr_db == (expected.psnr_db if expected else None)
         assert frame.score.ssim == (expected.ssim if expected else None)
         assert (frame.score.vmaf is None) == (n <= 4 or n > 10)

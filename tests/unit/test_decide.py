@@ -13,7 +13,7 @@ from exwarp_cli.kernels import frame_statistics
 from exwarp_cli.pipeline import decide
 from exwarp_cli.pipeline.decide import Observer, with_ids
 from exwarp_cli.pipeline.interval_inputs import PolicyObservation
-from exwarp_cli.policy.features import compare, count_objects, observe
+from exwarp_cli.policy.state import compare, count_objects, observe
 from exwarp_cli.synthesis.motion_fields import settle_motion
 from tests.unit.scenes import SKY, town
 

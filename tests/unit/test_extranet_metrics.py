@@ -7,7 +7,7 @@ import pytest
 
 from exwarp_cli.io.display_colour import to_display
 from exwarp_cli.metrics.display import round_display
-from exwarp_cli.metrics.extranet_scores import score_like_extranet, uniform_ssim
+from exwarp_cli.metrics.registry import score_like_extranet, uniform_ssim
 from tests.reference import quality, scikit
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from exwarp_cli.domain.decision import FEATURES, Features
 from exwarp_cli.domain.frame import GBuffer, Window
-from exwarp_cli.policy.features import BLOCK, MIN_PIXELS, count_objects, observe
+from exwarp_cli.policy.state import BLOCK, MIN_PIXELS, count_objects, observe
 from tests.reference.features import features
 
 HEIGHT, WIDTH = 70, 90

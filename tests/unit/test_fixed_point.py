@@ -10,13 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from exwarp_cli.accelerator.fixed_point import (
+from exwarp_cli.accelerator.mlp import (
     MAX_MULTIPLIER,
     MAX_SHIFT,
     ONE,
     from_fixed,
     requantise_half_up,
-    saturate,
     to_fixed,
 )
 
@@ -74,7 +73,3 @@ class TestRequantise:
     def test_each_value_may_have_its_own_factor(self):
         found = requantise_half_up(np.full((2, 3), 10, np.int32), np.int32([1, 2, 3]), [0, 1, 2])
         assert found.tolist() == [[10, 10, 8]] * 2 and found.dtype == np.int64
-
-
-def test_saturation():
-    assert saturate([-5, 0, 50, 127, 128, 2**62], 0, 127).tolist() == [0, 0, 50, 127, 127, 127]

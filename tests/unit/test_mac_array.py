@@ -12,13 +12,12 @@ from hypothesis import strategies as st
 
 from exwarp_cli.accelerator.mac_array import (
     MacArray,
-    Simulation,
     resident_words,
     schedule,
-    simulate,
 )
 from exwarp_cli.accelerator.mlp import PAPER_SIZES, QuantisedMlp, infer_reference
-from tests.unit.mlp_cases import edges, network, states
+from tests.reference.mac_array import Machine, Simulation, simulate
+from tests.unit.mlp_cases import edges, network, parts, states
 
 ARRAYS = st.builds(
     MacArray,
@@ -74,10 +73,10 @@ class TestPaper:
 
 def agrees(array: MacArray, made: QuantisedMlp, state: np.ndarray) -> Simulation:
     """Outputs are the reference's, and every count is the schedule's."""
-    found, plan, expected = simulate(array, made, state), None, infer_reference(made, state)
+    machine = Machine(array.cores, array.macs, array.pipeline_stages)
+    found, expected = simulate(machine, parts(made), state.tolist()), infer_reference(made, state)
     plan = schedule(array, made.sizes)
-    assert found.outputs.dtype == np.int32
-    assert found.outputs.tolist() == expected.outputs.tolist()
+    assert found.outputs == expected.outputs.tolist()
     assert found.choice == expected.choices
     assert found.cycles == plan.cycles
     assert found.input_cycles == (plan.inputs.multiply_cycles, plan.inputs.fill_cycles)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.accelerator.fixed_point import to_fixed
+from exwarp_cli.accelerator.mlp import to_fixed
 from exwarp_cli.domain.decision import PATHS
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.io.dataset import RenderedScene, open_scene
@@ -25,9 +25,9 @@ from exwarp_cli.models.picture_network import (
     load_extrapolator,
 )
 from exwarp_cli.pipeline.decide import features
-from exwarp_cli.policy.features import observe
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
 from exwarp_cli.policy.outcomes import slot_quality
+from exwarp_cli.policy.state import observe
 from exwarp_cli.research.training import outcome_tables
 from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.outcome_tables import (

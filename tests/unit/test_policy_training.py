@@ -11,8 +11,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from exwarp_cli.accelerator.fixed_point import to_fixed
-from exwarp_cli.accelerator.mlp import PAPER_SIZES, infer_reference
+from exwarp_cli.accelerator.mlp import PAPER_SIZES, infer_reference, to_fixed
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.errors import InputError, UsageError

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from exwarp_cli.accelerator.fixed_point import ONE, to_fixed
-from exwarp_cli.accelerator.mlp import PAPER_SIZES, infer_reference
+from exwarp_cli.accelerator.mlp import ONE, PAPER_SIZES, infer_reference, to_fixed
 from exwarp_cli.research.training.policy_training import quantise
 from exwarp_cli.research.training.q_learning import factors
 from tests.reference.quantisation import emulate, largest_activations

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.accelerator.mac_array import MacArray, simulate
 from exwarp_cli.accelerator.mlp import QuantisedLayer, QuantisedMlp, Requantisation, infer_reference
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from tests.matrix import FULL
@@ -105,7 +104,6 @@ class TestDefinition:
             assert infer_reference(made, state).choices == choice
             assert MlpKernel(made).decide(state) == (tuple(biases), choice)
             assert MlpKernel(made).decide_many(state[None])[1].tolist() == [choice]
-            assert simulate(MacArray(), made, state).choice == choice
 
     def test_the_input_stage_saturates(self):
         layer = QuantisedLayer(np.eye(2, dtype=np.int8), np.zeros(2, np.int32))
@@ -126,7 +124,6 @@ class TestDefinition:
         full = np.full(fan_in, 127, np.int32)
         assert infer_reference(made, full).outputs.tolist() == [2**31 - 1, 1 - 2**31]
         assert MlpKernel(made).decide(full) == ((2**31 - 1, 1 - 2**31), 0)
-        assert simulate(MacArray(), made, full).outputs.tolist() == [2**31 - 1, 1 - 2**31]
 
     def test_parameters_cannot_be_changed_afterwards(self):
         weights = np.ones((2, 3), np.int8)
@@ -195,7 +192,6 @@ class TestRefusals:
                 lambda given: infer_reference(made, given),
                 lambda given: MlpKernel(made).decide(given),
                 lambda given: MlpKernel(made).decide_many(given[None]),
-                lambda given: simulate(MacArray(), made, given),
             ):
                 with pytest.raises(ValueError, match="int32"):
                     refuse(state)
@@ -208,7 +204,7 @@ class TestRefusals:
 
 def test_the_specification_does_without_numba():
     code = (
-        "import sys; from exwarp_cli.accelerator import fixed_point, mac_array, mlp; "
+        "import sys; from exwarp_cli.accelerator import mac_array, mlp; "
         "print([name for name in sys.modules if name.split('.')[0] == 'numba'])"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

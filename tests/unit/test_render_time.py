@@ -9,7 +9,7 @@ import pytest
 from exwarp_cli.domain.results import FrameKind, FrameRecord, InputSummary, RunSummary
 from exwarp_cli.io.exr.writer import parse_duration, render_seconds
 from exwarp_cli.report.schema import render_time_saved
-from exwarp_cli.report.sentences import format_duration
+from exwarp_cli.report.sentences import format_time
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_a_tool_slower_than_the_renderer_saves_less_than_nothing():
 
 @pytest.mark.parametrize(
     ("seconds", "text"),
-    [(0.25, "0.2 s"), (119.9, "119.9 s"), (600, "10 min"), (7500, "2 h 5 min"), (-600, "-10 min")],
+    [(0.25, "250 ms"), (119.9, "119.9 s"), (600, "10 min"), (7500, "2 h 5 min"), (-600, "-10 min")],
 )
 def test_times_in_words(seconds, text):
-    assert format_duration(seconds) == text
+    assert format_time(seconds) == text

@@ -14,8 +14,8 @@ import pytest
 from exwarp_cli.domain.decision import Decision, Features
 from exwarp_cli.domain.results import Score
 from exwarp_cli.errors import OutputError
-from exwarp_cli.report.csv_tables import format_cell, format_frames_csv
 from exwarp_cli.report.folder import write_report
+from exwarp_cli.report.schema import format_cell, format_frames_csv
 from tests.unit.sample_runs import interval, path_run, run
 
 COLUMNS = [

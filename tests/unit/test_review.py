@@ -6,13 +6,13 @@ from dataclasses import replace
 
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.tiles import REASONS, TILE_ROWS, Risk, encode_level
-from exwarp_cli.report.csv_tables import format_review_csv, format_review_txt
 from exwarp_cli.report.review import (
     frames_worth_rendering,
     places_of_frame,
     places_worth_a_look,
     summarise_review,
 )
+from exwarp_cli.report.schema import format_review_csv, format_review_txt
 from exwarp_cli.report.sentences import describe_review
 from tests.unit.sample_runs import record, run
 

@@ -29,7 +29,7 @@ from exwarp_cli.domain.results import (
 )
 from exwarp_cli.domain.tiles import Risk, TileMakers
 from exwarp_cli.domain.timeline import Cut
-from exwarp_cli.report.run_file import format_run, parse_run
+from exwarp_cli.report.folder import format_run, parse_run
 from exwarp_cli.report.schema import run_document
 from tests.matrix import FULL
 from tests.unit.sample_runs import interval, path_run, run

@@ -10,8 +10,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from exwarp_cli.accelerator.fixed_point import from_fixed, to_fixed
-from exwarp_cli.accelerator.mlp import PAPER_SIZES
+from exwarp_cli.accelerator.mlp import PAPER_SIZES, from_fixed, to_fixed
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.models.model_file import shipped_folder

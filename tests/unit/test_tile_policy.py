@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.accelerator.fixed_point import to_fixed
-from exwarp_cli.accelerator.mlp import PAPER_SIZES, infer_reference
+from exwarp_cli.accelerator.mlp import PAPER_SIZES, infer_reference, to_fixed
 from exwarp_cli.domain.decision import NODES
 from exwarp_cli.domain.tiles import TILE_FEATURES, TILE_STATE
 from exwarp_cli.errors import DamagedFileError, InputError

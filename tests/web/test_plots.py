@@ -34,7 +34,7 @@ FIGURES = {
     ),
     "stacked": lambda: plots.draw_stacked_bars(LABELS, ["g"], {f"s{i}": [1.0] for i in range(9)}),
     "histogram": lambda: plots.draw_histogram(LABELS, [0, 1, 2], {"a": [3, 4]}),
-    "scatter": lambda: plots.draw_scatter(LABELS, [plots.Panel("p", [1, 2], [3, 4], "r = 1")] * 4),
+    "scatter": lambda: plots.draw_scatter(LABELS, {name: [1, 2] for name in "pqrs"}, [3, 4]),
     "panels": lambda: plots.draw_series_panels(LABELS, X, {"a": Y, "b": Y}),
     "strip": lambda: draw_timeline(
         LABELS, ["1"], [[TimelineCell("warp", "<w>")], [None]], ["warp"]

@@ -1,7 +1,7 @@
 """Running every check of an installation, whatever the others find.
 
 Each check is a function of a module that is imported for it. Where a package is missing or broken,
-the checks that need it fail, and the others go on.
+the checks that need it fail, and the others go on. Nothing here needs such a package.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from enum import StrEnum
 from typing import Any
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.wording import first_line
+from exwarp_cli.domain.wording import enumerated, first_line, printable
 from exwarp_cli.errors import ExwarpError
 from exwarp_cli.runtime.stop import check_stop
 
@@ -95,16 +95,30 @@ class CheckResult:
 
 
 @dataclass(frozen=True)
+class CheckRow:
+    """A check, as a row of a page that fits a terminal."""
+
+    outcome: Outcome
+    name: str
+    found: str
+    remarks: tuple[str, ...]  # what is wrong with it
+    more: tuple[str, ...]  # what only --verbose shows
+
+
+@dataclass(frozen=True)
 class DoctorReport:
     """The results of all checks."""
 
-    version: str
     checks: Mapping[str, CheckResult]  # by name, in the order in which they were made
     seconds: Mapping[str, float]  # how long each took, by name
 
     def names(self, outcome: Outcome) -> list[str]:
         """Return the names of the checks with an outcome."""
         return [name for name, check in self.checks.items() if check.outcome is outcome]
+
+    def titles(self, outcome: Outcome) -> list[str]:
+        """Return the names of the checks with an outcome, for people."""
+        return [name.replace("_", " ") for name in self.names(outcome)]
 
     @property
     def outcome(self) -> Outcome:
@@ -115,7 +129,7 @@ class DoctorReport:
         """Return what `exwarp doctor --json` prints."""
         return {
             "schema": SCHEMA,
-            "version": self.version,
+            "version": __version__,
             "outcome": self.outcome,
             "failed": self.names(Outcome.FAILED),
             "warnings": self.names(Outcome.WARNING),
@@ -131,6 +145,44 @@ class DoctorReport:
                 for name, check in self.checks.items()
             },
         }
+
+    def heading(self) -> str:
+        """Return the page's first line: ExWarp's version, the system and Python's."""
+        facts = self.checks["machine"].facts if "machine" in self.checks else {}
+        machine = [facts[name] for name in ("system", "architecture") if facts.get(name)]
+        python = f", {facts['implementation']} {facts['python']}" if "python" in facts else ""
+        return f"exwarp {__version__}{' on ' if machine else ''}{' '.join(machine)}{python}"
+
+    def rows(self, verbose: bool) -> list[CheckRow]:
+        """Return the page's rows."""
+        return [
+            CheckRow(
+                check.outcome,
+                name.replace("_", " "),
+                printable(check.found),
+                tuple(printable(remark.text) for remark in check.remarks),
+                tuple(map(printable, check.lines)) if verbose else (),
+            )
+            for name, check in self.checks.items()
+        ]
+
+    def verdict(self) -> str | None:
+        """Sum up an examination without a failure; None for one with any."""
+        if self.outcome is Outcome.FAILED:
+            return None
+        if warnings := self.titles(Outcome.WARNING):
+            return f"everything that is needed works; see the warnings on {enumerated(warnings)}"
+        skipped = self.names(Outcome.SKIPPED)
+        return "everything that was tried works" if skipped else "everything works"
+
+    def failures(self) -> str:
+        """Sum up an examination with failures."""
+        failed = self.titles(Outcome.FAILED)
+        what = "line under it says" if len(failed) == 1 else "lines under them say"
+        return (
+            f"{len(failed)} of {len(self.checks)} checks failed ({enumerated(failed)}); do what "
+            f"the {what}"
+        )
 
 
 def run_checks(
@@ -155,7 +207,7 @@ def run_checks(
             checks[name] = _run(function)
         seconds[name] = time.perf_counter() - begin
         check_stop()
-    return DoctorReport(__version__, checks, seconds)
+    return DoctorReport(checks, seconds)
 
 
 def _run(check: str | Callable[[], CheckResult]) -> CheckResult:

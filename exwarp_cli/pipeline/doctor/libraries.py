@@ -156,7 +156,17 @@ def check_models() -> CheckResult:
             f"the models that come with ExWarp, or their checksums, are missing in {folder}; "
             "install ExWarp again"
         ) from error
-    problems = {name: _problem(folder / name, digest) for name, digest in checksums.items()}
+    problems: dict[str, str | None] = {}
+    for name, checksum in checksums.items():
+        try:
+            with (folder / name).open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+            is_as_shipped = digest == checksum
+            problems[name] = None if is_as_shipped else "not the one that came with ExWarp"
+        except FileNotFoundError:
+            problems[name] = "missing"
+        except OSError as error:
+            problems[name] = f"not to be read ({error.strerror})"
     remarks = tuple(
         failure(f"the model {folder / name} is {problem}; install ExWarp again")
         for name, problem in problems.items()
@@ -166,17 +176,6 @@ def check_models() -> CheckResult:
     lines = (str(folder), *(f"{name}: {state}" for name, state in states.items()))
     summary = f"{len(problems) - len(remarks)} of {len(problems)} files as shipped"
     return CheckResult(summary, remarks, {"folder": str(folder), "files": states}, lines)
-
-
-def _problem(path: Path, checksum: object) -> str | None:
-    try:
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-    except FileNotFoundError:
-        return "missing"
-    except OSError as error:
-        return f"not to be read ({error.strerror})"
-    return None if digest == checksum else "not the one that came with ExWarp"
 
 
 def check_network() -> CheckResult:

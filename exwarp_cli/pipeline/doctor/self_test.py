@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
@@ -70,11 +70,19 @@ def check_self_test() -> CheckResult:
     begin, compiled = time.perf_counter(), compilation.compiled
     with scratch_folder() as folder:
         write_shot(folder / "keys")
-        trials = {
-            method: _try(partial(_try_method, folder, method, convention))
+        runs = {
+            method: partial(_try_method, folder, method, convention)
             for method, convention in METHODS.items()
         }
-        trials["chunks"] = _try(partial(_try_chunks, folder, list(METHODS)[-1]))
+        runs["chunks"] = partial(_try_chunks, folder, list(METHODS)[-1])
+        trials = {}
+        for name, run in runs.items():
+            start = time.perf_counter()
+            try:
+                problem, frames = run()
+            except ExwarpError as error:
+                problem, frames = str(error), 0
+            trials[name] = Trial(problem, time.perf_counter() - start, frames)
     seconds, compiled = time.perf_counter() - begin, compilation.compiled - compiled
     remarks = []
     for name, trial in trials.items():
@@ -155,15 +163,6 @@ def _surface(slot: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64
     """Return the point of the plane that each pixel shows, as u and v [H, W]."""
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
     return x - RIGHT * slot, y - DOWN * slot
-
-
-def _try(run: Callable[[], tuple[str | None, int]]) -> Trial:
-    begin = time.perf_counter()
-    try:
-        problem, frames = run()
-    except ExwarpError as error:
-        problem, frames = str(error), 0
-    return Trial(problem, time.perf_counter() - begin, frames)
 
 
 def _try_method(folder: Path, method: str, motion: str | None) -> tuple[str | None, int]:

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exwarp_cli import __version__
-from exwarp_cli.accelerator import verilog
+from exwarp_cli import __version__, accelerator
 from exwarp_cli.accelerator.mac_array import Schedule
 from exwarp_cli.domain.decision import CHOICES, FEATURES, HOLD, PATHS
 from exwarp_cli.domain.results import Score
@@ -301,8 +300,8 @@ def spearman(x: ArrayLike, y: ArrayLike) -> float | None:
 
 def _predictor_cost(schedule: Schedule, clock_hz: float) -> Document:
     """Return the synthesis table: ours, counted or measured by `make hardware`, and the paper's."""
-    text = resources.files(verilog).joinpath("measured.json").read_text(encoding="utf-8")
-    synthesis: Mapping[str, Any] = json.loads(text)
+    measured = resources.files(accelerator).joinpath("verilog", "measured.json")
+    synthesis: Mapping[str, Any] = json.loads(measured.read_text(encoding="utf-8"))
     return {
         "clock_hz": clock_hz,
         "cycles": schedule.cycles,

@@ -10,7 +10,6 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.report.plots import (
     Figure,
     Labels,
-    Panel,
     draw_bars,
     draw_scatter,
     draw_stacked_bars,
@@ -90,8 +89,8 @@ def draw_features(benchmark: Benchmark) -> Figure:
         "Features and the quality of W", y="PSNR of W dB",
         description="Each feature against the PSNR of warped frames, a point a slot.",
     )  # fmt: skip
-    panels = [Panel(name, [point[name] for point in points], psnr) for name in VARYING_FEATURES]
-    return draw_scatter(labels, panels)
+    panels = {name: [point[name] for point in points] for name in VARYING_FEATURES}
+    return draw_scatter(labels, panels, psnr)
 
 
 def draw_paths(document: Document) -> Figure | None:

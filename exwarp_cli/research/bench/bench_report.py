@@ -13,11 +13,10 @@ from exwarp_cli.accelerator.mlp import PAPER_SIZES
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.files import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.pipeline.progress import Progress
-from exwarp_cli.report.csv_tables import escape_formula, format_csv
 from exwarp_cli.report.folder import PAGE_FILE
 from exwarp_cli.report.gallery import BUDGET, PICTURE_BYTES, TRUTH, Album
-from exwarp_cli.report.html import Block, Number, Page, Section, Table, Text, Viewer, render
-from exwarp_cli.report.schema import mean, to_json
+from exwarp_cli.report.html import Block, Number, Page, Section, Table, Viewer, render
+from exwarp_cli.report.schema import escape_formula, format_csv, mean, to_json
 from exwarp_cli.report.sentences import format_percent, format_time
 from exwarp_cli.research.bench.bench_document import (
     Document,
@@ -156,7 +155,7 @@ def bench_page(benchmark: Benchmark, document: Document, albums: Sequence[Album]
     viewers: list[Block] = []
     for i, (label, album) in enumerate(zip(sequence_labels(document), albums, strict=True)):
         if album.frames:
-            viewers += [Text(label)] if len(albums) > 1 else []
+            viewers += [label] if len(albums) > 1 else []
             viewers.append(Viewer(album, f"viewer-{i}"))
     return Page(
         "ExWarp benchmark",
@@ -178,7 +177,7 @@ def _blocks(benchmark: Benchmark, document: Document, table: BenchTable) -> list
     labels = sequence_labels(document)
     if table.name not in LONG or len(labels) == 1:
         return [*blocks, _page_table(table.title, table, table.rows, table.note)]
-    blocks.append(Text(f"{table.title}. {table.note}"))
+    blocks.append(f"{table.title}. {table.note}")
     groups: list[list[Row]] = []
     before = None
     for row in table.rows:

@@ -26,8 +26,8 @@ from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.results import Score
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.footage import digest_frame
-from exwarp_cli.metrics import extranet_scores, temporal
-from exwarp_cli.metrics.registry import score_frame
+from exwarp_cli.metrics import temporal
+from exwarp_cli.metrics.registry import score_frame, score_like_extranet
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scoring import Steps, flicker_of, steps_of, vmaf_of
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
@@ -192,9 +192,7 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
         scores.add_vmaf(list(shown.values()))
     # A path that has E's frame at slot 2 stands for ExtraNet.
     middles = {names[MIDDLE - 1] for names in shown.values()}
-    by_extranet = {
-        name: extranet_scores.score_like_extranet(truth[MIDDLE], frames[name]) for name in middles
-    }
+    by_extranet = {name: score_like_extranet(truth[MIDDLE], frames[name]) for name in middles}
     part = {
         "key": opened.numbers[inputs.key],
         "holes": [float(masks[slot].mean()) if slot in masks else None for slot in SLOTS],

@@ -19,8 +19,7 @@ from onnx import NodeProto, TensorProto, helper, numpy_helper
 from torch import nn
 
 from exwarp_cli import __version__
-from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION
-from exwarp_cli.accelerator.mlp import OUTPUTS, QuantisedMlp, Requantisation
+from exwarp_cli.accelerator.mlp import MAX_ACTIVATION, OUTPUTS, QuantisedMlp, Requantisation
 from exwarp_cli.domain.network_api import TIME_INPUT, NetworkInterface
 from exwarp_cli.io.files import atomic_write_bytes
 from exwarp_cli.models.model_file import INTERFACE_KEY, STRIDE_KEY

@@ -32,8 +32,7 @@ from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.models.policy_files import Array, pack_arrays, unpack_arrays
 from exwarp_cli.pipeline.decide import outcomes_of, with_ids
-from exwarp_cli.policy.features import observe
-from exwarp_cli.policy.state import INPUTS, OLDER_KEYS, StateHistory
+from exwarp_cli.policy.state import INPUTS, OLDER_KEYS, StateHistory, observe
 from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.runtime.machine import processors

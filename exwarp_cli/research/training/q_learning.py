@@ -22,8 +22,15 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from exwarp_cli.accelerator.fixed_point import MAX_ACTIVATION, MAX_SHIFT, ONE, to_fixed
-from exwarp_cli.accelerator.mlp import QuantisedLayer, QuantisedMlp, Requantisation
+from exwarp_cli.accelerator.mlp import (
+    MAX_ACTIVATION,
+    MAX_SHIFT,
+    ONE,
+    QuantisedLayer,
+    QuantisedMlp,
+    Requantisation,
+    to_fixed,
+)
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import CHOICES, FEATURES, NEXT_NODE, NODES
 from exwarp_cli.policy.outcomes import choice_rewards
