@@ -75,6 +75,11 @@ def prepare_streams() -> None:
     sys.stderr = _replace_stream(sys.stderr, StandardError)
 
 
+def is_debugging() -> bool:
+    """Return whether the environment asks for all details."""
+    return os.environ.get("EXWARP_DEBUG", "0") not in ("", "0")
+
+
 @contextmanager
 def silence_libraries() -> Iterator[None]:
     """Drop what libraries in C write to standard error within a block.
@@ -82,7 +87,7 @@ def silence_libraries() -> Iterator[None]:
     Lines that Python prints there are kept, if `prepare_streams` has replaced the stream.
     With EXWARP_DEBUG=1 nothing is dropped.
     """
-    if os.environ.get("EXWARP_DEBUG", "0") not in ("", "0"):
+    if is_debugging():
         yield
         return
     with _silencing:

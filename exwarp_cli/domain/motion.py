@@ -138,23 +138,16 @@ class MotionConvention:
         """Return the convention in pixels for frames (display windows) of this size."""
         if not self.of_frame:
             return self
+        return replace(self.scaled(width, height), of_frame=False)
 
-        def scaled(axes: AxisMap | None) -> AxisMap | None:
-            if axes is None:
-                return None
-            return replace(axes, x_scale=axes.x_scale * width, y_scale=axes.y_scale * height)
-
-        return MotionConvention(scaled(self.to_previous), scaled(self.to_next))
-
-    def scaled(self, factor: float) -> MotionConvention:
-        """Return the convention of vectors that are shorter by a factor."""
-
-        def longer(axes: AxisMap | None) -> AxisMap | None:
-            if axes is None:
-                return None
-            return replace(axes, x_scale=axes.x_scale * factor, y_scale=axes.y_scale * factor)
-
-        return replace(self, to_previous=longer(self.to_previous), to_next=longer(self.to_next))
+    def scaled(self, x: float, y: float | None = None) -> MotionConvention:
+        """Return the convention of vectors that are shorter by a factor, or by one for each axis."""
+        y = x if y is None else y
+        before, after = (
+            m and replace(m, x_scale=m.x_scale * x, y_scale=m.y_scale * y)
+            for m in (self.to_previous, self.to_next)
+        )
+        return replace(self, to_previous=before, to_next=after)
 
     def describe(self, channels: tuple[str, ...]) -> str:
         """Return the convention in the notation of ``--motion``."""

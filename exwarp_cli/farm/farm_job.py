@@ -73,17 +73,11 @@ class FarmJob:
     def chunk(self) -> list[Argument]:
         """The command that does a chunk."""
         report = self.path("report_folder")
-        report_arguments: list[Argument] = [] if report is None else ["--report", report]
+        arguments = self._upsample(AFTERWARDS)
         if report is not None:
-            report_arguments.append("--as-chunk")
+            arguments += ["--report", report, "--as-chunk"]
         existing = "--overwrite" if self.overwrite else "--skip-existing"
-        return [
-            *self._upsample(AFTERWARDS),
-            *report_arguments,
-            existing,
-            "--frames",
-            Placeholder.FRAMES,
-        ]
+        return [*arguments, existing, "--frames", Placeholder.FRAMES]
 
     @property
     def merging(self) -> list[Argument] | None:
@@ -98,15 +92,8 @@ class FarmJob:
         if video is None:
             return None
         without = (*AFTERWARDS, "write_holes", *(() if self.needs_truth else SCORING))
-        upsample = self._upsample(without)
-        return [
-            *upsample,
-            "--skip-existing",
-            "--video",
-            video,
-            "--frames",
-            Placeholder.ALL_FRAMES,
-        ]
+        arguments = [*self._upsample(without), "--skip-existing", "--video", video]
+        return [*arguments, "--frames", Placeholder.ALL_FRAMES]
 
     def _upsample(self, without: Iterable[str]) -> list[Argument]:
         options = (option for option in self.options if option.parameter not in without)
@@ -134,36 +121,30 @@ def is_dense(numbers: Sequence[int]) -> bool:
     return len(numbers) < 2 or any(b - a == 1 for a, b in pairwise(numbers))
 
 
-@dataclass(frozen=True)
-class CommandLines:
-    """What a farm runs."""
+def command_lines(
+    job: FarmJob, program: str
+) -> tuple[list[tuple[str, list[str]]], list[list[str]]]:
+    """Write out a job with absolute paths; `program` is the name or path of `exwarp` on workers.
 
-    # Key frames and words of each chunk's command, which may run in any order and in parallel
-    chunks: tuple[tuple[str, tuple[str, ...]], ...]
-    afterwards: tuple[tuple[str, ...], ...]  # words of the commands to run when all chunks are done
-
-
-def command_lines(job: FarmJob, program: str) -> CommandLines:
-    """Write out a job with absolute paths; `program` is the name or path of `exwarp` on workers."""
+    Returns the key frames and the words of each chunk's command, which may run in any order and in
+    parallel, and the words of the commands to run when all chunks are done.
+    """
     all_frames = frames_text(job.numbers)
 
-    def fill(command: Sequence[Argument], frames: str) -> tuple[str, ...]:
-        values = {Placeholder.FRAMES: frames, Placeholder.ALL_FRAMES: all_frames}
-        words = (
-            word.text
-            if isinstance(word, PathOption)
-            else values[word]
-            if isinstance(word, Placeholder)
-            else word
-            for word in command
-        )
-        return program, *words
+    def fill(command: Sequence[Argument], frames: str) -> list[str]:
+        words = [program]
+        for word in command:
+            if isinstance(word, Placeholder):
+                words.append(frames if word is Placeholder.FRAMES else all_frames)
+            else:
+                words.append(word.text if isinstance(word, PathOption) else word)
+        return words
 
     frames = [frames_text(chunk) for chunk in split(job.numbers, job.size)]
-    afterwards = (command for command in (job.merging, job.filming) if command is not None)
-    return CommandLines(
-        tuple((text, fill(job.chunk, text)) for text in frames),
-        tuple(fill(command, all_frames) for command in afterwards),
+    afterwards = [command for command in (job.merging, job.filming) if command is not None]
+    return (
+        [(text, fill(job.chunk, text)) for text in frames],
+        [fill(command, all_frames) for command in afterwards],
     )
 
 

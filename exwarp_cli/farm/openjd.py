@@ -138,7 +138,7 @@ class _Parameters:
         self.definitions.append(
             {"name": name, "type": kind, "default": default, **more, "userInterface": shown}
         )
-        return _reference(name)
+        return f"{{{{Param.{name}}}}}"
 
     def format_text(self, text: str) -> str:
         """Return a format string for a text."""
@@ -182,7 +182,7 @@ class _Parameters:
             self.values[name] = str(path)
         _require_length(str(path), label)
         self.definitions.append(definition)
-        return _reference(name)
+        return f"{{{{Param.{name}}}}}"
 
 
 def _chunked_frames(job: FarmJob, workers: Workers, parameters: _Parameters) -> tuple[str, Data]:
@@ -243,7 +243,12 @@ def _steps(
         }
         return {"name": name, **more, **requires, "script": {"actions": {"onRun": action}}}
 
-    requires = _host_requirements(workers)
+    memory = None if workers.memory_gib is None else math.ceil(workers.memory_gib * 1024)
+    least = {"vcpu": workers.vcpus, "memory": memory, "gpu": workers.gpus}
+    amounts = [
+        {"name": f"amount.worker.{name}", "min": value} for name, value in least.items() if value
+    ]
+    requires: Data = {"hostRequirements": {"amounts": amounts}} if amounts else {}
     after: Data = {"dependencies": [{"dependsOn": "Upsample"}]}
     tasks = {"parameterSpace": {"taskParameterDefinitions": [space]}}
     steps = [step("Upsample", job.chunk, tasks, requires)]
@@ -252,19 +257,6 @@ def _steps(
     if job.filming is not None:
         steps.append(step("Video", job.filming, after, requires))
     return steps
-
-
-def _host_requirements(workers: Workers) -> Data:
-    memory = None if workers.memory_gib is None else math.ceil(workers.memory_gib * 1024)
-    least = {"vcpu": workers.vcpus, "memory": memory, "gpu": workers.gpus}
-    amounts = [
-        {"name": f"amount.worker.{name}", "min": value} for name, value in least.items() if value
-    ]
-    return {"hostRequirements": {"amounts": amounts}} if amounts else {}
-
-
-def _reference(name: str) -> str:
-    return f"{{{{Param.{name}}}}}"
 
 
 def _require_length(value: str, label: str) -> None:

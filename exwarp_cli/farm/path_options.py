@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from pathlib import Path
@@ -203,25 +203,22 @@ def inputs_of(job: Job) -> tuple[tuple[str, int], ...]:
     Of sequences these are the first and the last frame, because a folder is mounted or not.
     Networks that come with ExWarp are not among them: each machine has its own.
     """
-    files = dict.fromkeys(_input_files(job))
-    return tuple((str(path.absolute()), path.stat().st_size) for path in files)
-
-
-def _input_files(job: Job) -> Iterator[Path]:
+    files: list[Path] = []
     keys, slots = job.source.keys, job.source.slots
     for shot in (keys,) if slots is None else (keys, slots):
         numbers = shot.sequence.numbers
         for number in (numbers[0], numbers[-1]):
             # With --keep-going, frames that are missing are listed too.
             paths = shot.files(number).values()
-            yield from (path for path in paths if not shot.keep_going or path.exists())
+            files += [path for path in paths if not shot.keep_going or path.exists()]
     sequences = [] if job.truth is None else [job.truth[0]]
     sequences += [] if job.rendered is None else [job.rendered.sequence]
-    for files in (sequence.files for sequence in sequences):
-        yield from (files[min(files)], files[max(files)])
+    for frames in (sequence.files for sequence in sequences):
+        files += [frames[min(frames)], frames[max(frames)]]
     for name, role in PATH_ROLES.items():
         if role.kind is ValueKind.FILE and role.flow is DataFlow.READ:
             owner = job.settings if hasattr(job.settings, name) else job.settings.source
             value = getattr(owner, name)
             if names_files(name, value):
-                yield Path(value)
+                files.append(Path(value))
+    return tuple((str(path.absolute()), path.stat().st_size) for path in dict.fromkeys(files))
