@@ -10,6 +10,7 @@ import click
 
 from exwarp_cli.commands.options import (
     FILE,
+    Decorator,
     HelpfulGroup,
     combined,
     json_option,
@@ -48,7 +49,9 @@ _scene_options = combined(
 )
 
 
-def _policy_options(usual: PolicySettings | TilePolicySettings, outcome: str, unit: str) -> Any:
+def _policy_options(
+    usual: PolicySettings | TilePolicySettings, outcome: str, unit: str
+) -> Decorator[Any]:
     """Return the options of both trainings of a policy, but for the data."""
     return combined(
         click.option(

@@ -141,7 +141,7 @@ class MotionConvention:
         return replace(self.scaled(width, height), of_frame=False)
 
     def scaled(self, x: float, y: float | None = None) -> MotionConvention:
-        """Return the convention of vectors that are shorter by a factor, or by one for each axis."""
+        """Return the convention of vectors that are shorter by a factor, or by one per axis."""
         y = x if y is None else y
         before, after = (
             m and replace(m, x_scale=m.x_scale * x, y_scale=m.y_scale * y)

@@ -63,22 +63,6 @@ class NetworkPictures:
         return NetworkPictures(parts, self.time)
 
 
-class NetworkTensors(Protocol):
-    """Inputs that exist as a whole."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width."""
-
-    @property
-    def time(self) -> float:
-        """Time of the slot in its key interval."""
-
-    @property
-    def pictures(self) -> Mapping[str, Float32]:
-        """float32 [C, H, W] by input."""
-
-
 class LazyInputs(Protocol):
     """Inputs that are computed part by part on demand."""
 
@@ -86,7 +70,7 @@ class LazyInputs(Protocol):
     def shape(self) -> tuple[int, int]:
         """Height and width."""
 
-    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkTensors:
+    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkPictures:
         """Return the inputs of some rows and columns.
 
         Beyond the frame, its edge may be repeated, or be left out. `room`, float32 [C, h, w] for
@@ -95,78 +79,24 @@ class LazyInputs(Protocol):
         # Fresh memory, cleared by the system, took three times as long to fill.
 
 
-# Version of the inputs; models state it in their metadata
-EXTRAPOLATOR_VERSION = "exwarp.extrapolator/1"
-
 HISTORY_FRAMES = 3  # rendered frames that the network sees: F_k, F_k-1 and F_k-2
 
-# Channels of the picture inputs, float32 [1, channels, H, W] each.
-EXTRAPOLATOR_INPUTS = {"warped": 6, "mask": 1, "features": 6, "history": 4 * HISTORY_FRAMES}
-
-EXTRAPOLATOR_OUTPUT = "colour"  # the only output, float32 [1, 3, H, W]
-
+# The interface of ExtraNet's kind. Pictures are float32 [1, channels, H, W]; colour is demodulated,
+# scene-linear, as sign(x) log(1 + |x|), and without alpha. The time is 0.25, 0.5 or 0.75.
+#
+# warped: F_k warped to the slot with holes at 0, then the frame that W makes, with holes filled,
+# edges covered and light carried on. mask: 1 where F_k shows the slot's surface, 0 in holes.
+# features: world normal (3; background and unknown 0), depth (0 to 1; 1 is background, unknown
+# 0.5), roughness (unknown 0.5), metallic (unknown 0). history: F_k, F_k-1, F_k-2 moved to the slot,
+# newest first, each as colour (3; in holes too) and mask (1). The oldest is repeated where there
+# are fewer.
 EXTRAPOLATOR_INTERFACE = NetworkInterface(
-    EXTRAPOLATOR_VERSION, EXTRAPOLATOR_INPUTS, ("warped", "mask"), EXTRAPOLATOR_OUTPUT, 3
+    version="exwarp.extrapolator/1",
+    inputs={"warped": 6, "mask": 1, "features": 6, "history": 4 * HISTORY_FRAMES},
+    required=("warped", "mask"),
+    output="colour",
+    made=3,
 )
-
-
-@dataclass(frozen=True)
-class NetworkInputs:
-    """The inputs of an extrapolation network for one slot (ExtraNet's).
-
-    Colour is demodulated, scene-linear, as sign(x) log(1 + |x|), and without alpha.
-    """
-
-    # [6, H, W]: F_k warped to the slot with holes at 0, then the frame that W makes, with holes
-    # filled, edges covered and light carried on
-    warped: Float32
-    mask: Float32  # [1, H, W]: 1 where F_k shows the slot's surface, 0 in holes
-    # [6, H, W]: world normal (3; background and unknown 0), depth (0 to 1; 1 is background, unknown
-    # 0.5), roughness (unknown 0.5), metallic (unknown 0)
-    features: Float32
-    # [12, H, W]: F_k, F_k-1, F_k-2 moved to the slot, newest first, each as colour (3; in holes
-    # too) and mask (1). The oldest is repeated where there are fewer.
-    history: Float32
-    time: float  # in the key interval: 0.25, 0.5 or 0.75
-
-    @property
-    def pictures(self) -> dict[str, Float32]:
-        """The picture inputs by name, without the batch axis."""
-        return {name: getattr(self, name) for name in EXTRAPOLATOR_INPUTS}
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width."""
-        height, width = self.mask.shape[1:]
-        return height, width
-
-    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkInputs:
-        """Return the inputs of some rows and columns; views of these, so no room is taken."""
-        parts = {name: planes[:, rows, columns] for name, planes in self.pictures.items()}
-        return NetworkInputs(**parts, time=self.time)
-
-
-class ExtrapolatorInputs(NetworkTensors, LazyInputs, Protocol):
-    """The inputs of a slot, whole or part by part; properties as in `NetworkInputs`."""
-
-    @property
-    def warped(self) -> Float32:
-        """float32 [6, H, W]."""
-
-    @property
-    def mask(self) -> Float32:
-        """float32 [1, H, W]."""
-
-    @property
-    def features(self) -> Float32:
-        """float32 [6, H, W]."""
-
-    @property
-    def history(self) -> Float32:
-        """float32 [12, H, W]."""
-
-    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkInputs:
-        """Return the inputs of some rows and columns; see `LazyInputs`."""
 
 
 class Extrapolator(Protocol):
@@ -176,7 +106,7 @@ class Extrapolator(Protocol):
     def checksum(self) -> str:
         """SHA-256 of the model's file, in hexadecimal digits."""
 
-    def __call__(self, inputs: ExtrapolatorInputs) -> Float32:
+    def __call__(self, inputs: LazyInputs) -> Float32:
         """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""
 
 
