@@ -238,7 +238,11 @@ def run(args: list[str], is_last: bool = False) -> int:
 
     try:
         with graceful_stop(partial(_last_words, args), is_last), compilation.messages_to(announce):
-            result = exwarp.main(args, prog_name="exwarp", standalone_mode=False, obj=origins)
+            try:
+                result = exwarp.main(args, prog_name="exwarp", standalone_mode=False, obj=origins)
+            except click.exceptions.NoArgsIsHelpError as error:  # a group without a command
+                click.echo(error.format_message())
+                return 0
         return result if isinstance(result, int) else 0
     except (Exception, KeyboardInterrupt, StopRequested) as error:
         return _report_error(error, args, origins)

@@ -484,8 +484,22 @@ def _read_layer(ctx: click.Context, environment: Mapping[str, str], file: Path |
 
 def _read_file(ctx: click.Context, file: Path) -> Iterator[tuple[str, Value, str]]:
     """Yield name, value and origin; UsageError for unknown tables and keys, and wrong types."""
+    from exwarp_cli.io.files import read_toml  # most calls find no file
+
+    try:
+        document = read_toml(file)
+    except OSError as error:
+        raise UsageError(
+            f"cannot read the config file {file}: {error.strerror or error}; check its rights, or "
+            "go without it by --config none"
+        ) from error
+    except ValueError as error:
+        raise UsageError(
+            f"the config file {file} is not TOML: {error}; correct it, or go without it "
+            "by --config none"
+        ) from error
     title, names = ".".join(_path_of(ctx)), _option_names(ctx.command)
-    for key, value in _command_table(_read_toml_file(file), file, ctx).items():
+    for key, value in _command_table(document, file, ctx).items():
         origin = f"{key} in [{title}] of {file}"
         if key not in names:
             raise UsageError(_unknown_key(key, origin, ctx, names))
@@ -515,23 +529,6 @@ def _read_environment(
         elif option.multiple:
             value = tuple(word for part in text.split(SEPARATOR) if (word := part.strip()))
         yield name, value, variable
-
-
-def _read_toml_file(file: Path) -> Mapping[str, object]:
-    from exwarp_cli.io.files import read_toml  # most calls find no file
-
-    try:
-        return read_toml(file)
-    except OSError as error:
-        raise UsageError(
-            f"cannot read the config file {file}: {error.strerror or error}; check its rights, or "
-            "go without it by --config none"
-        ) from error
-    except ValueError as error:
-        raise UsageError(
-            f"the config file {file} is not TOML: {error}; correct it, or go without it "
-            "by --config none"
-        ) from error
 
 
 def _command_table(

@@ -11,6 +11,7 @@ import errno
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from datetime import date, datetime, time
 from pathlib import Path
 
@@ -62,12 +63,6 @@ def names_paths(parameter: click.Parameter) -> bool:
     )
 
 
-def takes_list(option: click.Option) -> bool:
-    """True if one value of an option holds several, with commas between."""
-    has_list = bool(_metavar_words(option) & LIST_WORDS) or "," in (option.metavar or "")
-    return isinstance(option.type, StringParamType) and has_list
-
-
 def _metavar_words(parameter: click.Parameter) -> set[str]:
     return set(re.split(r"[^A-Z]+", parameter.metavar or ""))
 
@@ -78,7 +73,9 @@ def toml_value(option: click.Option, value: object, folder: Path, origin: str) -
     Relative paths begin at `folder`. Raises UsageError for a value of a wrong type.
     """
     expected, types = _expected_types(option)
-    has_several = option.multiple or takes_list(option)
+    # One value may hold several, with commas between.
+    is_list = bool(_metavar_words(option) & LIST_WORDS) or "," in (option.metavar or "")
+    has_several = option.multiple or (isinstance(option.type, StringParamType) and is_list)
     if has_several:
         expected += ", or an array of such"
     items = value if isinstance(value, list) and has_several else [value]
@@ -189,7 +186,10 @@ def refuse_expanded(extra: Sequence[str]) -> None:
 
     Raises UsageError when one exists: a shell puts all names in the place of an unquoted ``*``.
     """
-    names = [Path(text) for text in extra if _exists(text)]
+    names = []
+    for path in map(Path, extra):
+        with suppress(OSError, ValueError):
+            names += [path] if path.exists() else []
     if not names:
         return
     more = f" and {len(extra) - 1} more" if len(extra) > 1 else ""
@@ -208,10 +208,3 @@ def refuse_expanded(extra: Sequence[str]) -> None:
         f"nothing takes {extra[0]}{more}, as the shell replaces an unquoted * by "
         f"all names; {remedy}"
     )
-
-
-def _exists(text: str) -> bool:
-    try:
-        return Path(text).exists()
-    except (OSError, ValueError):
-        return False

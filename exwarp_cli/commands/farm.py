@@ -13,7 +13,6 @@ import click
 from exwarp_cli.commands import upsample
 from exwarp_cli.commands.options import (
     FILE,
-    HelpfulGroup,
     combined,
     json_option,
     print_json,
@@ -44,7 +43,7 @@ def shared_parameters() -> list[click.Parameter]:
     return [p for p in upsample.command.params if p.name not in NOT_SHARED]
 
 
-@click.group("farm", cls=HelpfulGroup)
+@click.group("farm", subcommand_metavar="[COMMAND] [ARGS]...")
 def command() -> None:
     """Write jobs for render farms, and lists of chunks.
 

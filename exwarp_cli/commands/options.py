@@ -48,21 +48,6 @@ def with_settings(
     return configured_command(command, path)
 
 
-class HelpfulGroup(click.Group):
-    """A group that shows its help, as no mistake, when it is called without a command."""
-
-    def __init__(self, *args: object, **settings: object) -> None:
-        settings["invoke_without_command"] = True
-        super().__init__(*args, **settings)  # type: ignore[arg-type]
-
-    def invoke(self, ctx: click.Context) -> object:
-        """Run the command that was named, or show the help."""
-        result = super().invoke(ctx)
-        if ctx.invoked_subcommand is None:
-            click.echo(ctx.get_help())
-        return result
-
-
 class FrameRate(click.ParamType[Fraction]):
     """Frames per second, exactly: 30, 23.976, 24000/1001."""
 
@@ -225,19 +210,11 @@ source_options = combined(
 
 
 def summary_lines(
-    document: dict[str, Any], place: str = "", is_scored: bool | None = None
+    document: dict[str, Any],  # what report.json holds; at least one frame was written
+    place: str = "",  # where the frames are; empty where that is not known
+    is_scored: bool | None = None,  # ground truth was given; None to tell by the scores
 ) -> list[str]:
-    """Say in a few lines what a run of `upsample` did.
-
-    Parameters
-    ----------
-    document
-        What report.json holds; at least one frame was written.
-    place
-        Where the frames are; empty where that is not known.
-    is_scored
-        Whether ground truth was given; None to tell by the scores that are there.
-    """
+    """Say in a few lines what a run of `upsample` did."""
     from exwarp_cli.report.sentences import (
         describe_cuts,
         describe_gate,

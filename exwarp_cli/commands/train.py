@@ -11,7 +11,6 @@ import click
 from exwarp_cli.commands.options import (
     FILE,
     Decorator,
-    HelpfulGroup,
     combined,
     json_option,
     print_json,
@@ -33,7 +32,7 @@ DEFAULTS = ExtrapolatorSettings()
 AHEAD = LookAheadSettings()
 
 
-@click.group("train", cls=HelpfulGroup)
+@click.group("train", subcommand_metavar="[COMMAND] [ARGS]...")
 def command() -> None:
     """Train ExWarp's networks on rendered scenes."""
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import nullcontext, suppress
 from dataclasses import fields, replace
 from importlib import import_module
 from pathlib import Path
@@ -273,7 +273,10 @@ def command(
     if not (dry_run or distribution.spread) and settings.threads != 1:
         with suppress(RuntimeError):  # no more threads: what needs one says so
             Thread(target=_import_run, name="exwarp-import").start()
-    with _farm_task(progress), reporting(progress, results_on_stdout=as_json) as reporter:
+    # Engines of Open Job Description know success and failure alone. They try one that fails
+    # again, and never begin the steps after it, which join the reports and make the video.
+    leniency = suppress(IncompleteError) if progress == "openjd" else nullcontext()
+    with leniency, reporting(progress, results_on_stdout=as_json) as reporter:
         if dry_run:
             job = replace(open_job(settings), reported=as_json or report_folder is not None)
             folder = find_report_folder(report_folder, as_chunk, job.key_numbers)
@@ -292,18 +295,6 @@ def command(
             from exwarp_cli.pipeline.messages import require_complete
 
             require_complete(result.summary)
-
-
-@contextmanager
-def _farm_task(progress: str) -> Iterator[None]:
-    """Let a task of a farm succeed that left out what its options let it leave out."""
-    # Engines of Open Job Description know success and failure alone. They try one that fails
-    # again, and never begin the steps after it, which join the reports and make the video.
-    try:
-        yield
-    except IncompleteError:
-        if progress != "openjd":
-            raise
 
 
 def settings_of(options: Mapping[str, Any]) -> UpsampleSettings:

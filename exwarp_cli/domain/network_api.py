@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from math import prod
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -99,12 +100,16 @@ EXTRAPOLATOR_INTERFACE = NetworkInterface(
 )
 
 
-class Extrapolator(Protocol):
+class NetworkModel(Protocol):
     """A network that is ready to run."""
 
     @property
     def checksum(self) -> str:
         """SHA-256 of the model's file, in hexadecimal digits."""
+
+
+class Extrapolator(NetworkModel, Protocol):
+    """A network that makes the colour of a slot."""
 
     def __call__(self, inputs: LazyInputs) -> Float32:
         """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""
@@ -155,7 +160,10 @@ def cut_tiles(
     pairs = [(a, b) for a in rows for b in columns]
     fitting = [pair for pair in pairs if pair[0][1] * pair[1][1] * stride**2 <= most]
     if fitting:
-        chosen = min(fitting, key=_tile_cost)
+        # The coarsest pixels computed in all, then the number of tiles
+        chosen = min(
+            fitting, key=lambda pair: (prod(pair[0]) * prod(pair[1]), pair[0][0] * pair[1][0])
+        )
     else:
         chosen = min(pairs, key=lambda pair: pair[0][1] * pair[1][1])
     down, across = (
@@ -163,12 +171,6 @@ def cut_tiles(
         for n, (count, length) in zip(size, chosen, strict=True)
     )
     return tuple((row, column) for row in down for column in across)
-
-
-def _tile_cost(pair: tuple[tuple[int, int], tuple[int, int]]) -> tuple[int, int]:
-    """Return the coarsest pixels computed in all, and the number of tiles."""
-    (rows, height), (columns, width) = pair
-    return rows * height * columns * width, rows * columns
 
 
 def _tile_lengths(cells: int, margin: int) -> list[tuple[int, int]]:
@@ -191,16 +193,12 @@ def _spread_tiles(cells: int, count: int, length: int, margin: int, stride: int)
     ]
 
 
-class Interpolator(Protocol):
+class Interpolator(NetworkModel, Protocol):
     """A network that makes the frame at any time between two, from their colour alone."""
 
     @property
     def name(self) -> str:
         """Name in tables."""
-
-    @property
-    def checksum(self) -> str:
-        """SHA-256 of the model's file, in hexadecimal digits."""
 
     def __call__(self, before: Float32, after: Float32, time: float) -> Float32:
         """Return the frame at a time, 0 < time < 1, between two frames.
@@ -236,12 +234,8 @@ LOOKAHEAD_INTERFACE = NetworkInterface(
 
 
 @runtime_checkable
-class LookAheadNetwork(Protocol):
-    """A network that weighs candidates, ready to run."""
-
-    @property
-    def checksum(self) -> str:
-        """SHA-256 of the model's file, in hexadecimal digits."""
+class LookAheadNetwork(NetworkModel, Protocol):
+    """A network that weighs candidates."""
 
     def weigh(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
         """Yield the weights of each tile of a slot: float32 [CANDIDATES, h, w]."""

@@ -39,8 +39,7 @@ from exwarp_cli.farm.dask_worker import (
     check_worker,
     render_chunk,
 )
-from exwarp_cli.farm.farm_job import split
-from exwarp_cli.farm.path_options import absolute, inputs_of
+from exwarp_cli.farm.farm_job import absolute, inputs_of, split
 from exwarp_cli.io.files import ResourceOwner, await_file, marker_file, remove_leftovers
 from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.pipeline.dry_run import DryRun
