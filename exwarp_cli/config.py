@@ -502,7 +502,13 @@ def _read_file(ctx: click.Context, file: Path) -> Iterator[tuple[str, Value, str
     for key, value in _command_table(document, file, ctx).items():
         origin = f"{key} in [{title}] of {file}"
         if key not in names:
-            raise UsageError(_unknown_key(key, origin, ctx, names))
+            line = ctx.command_path
+            arguments = [p.name or "" for p in ctx.command.params if isinstance(p, click.Argument)]
+            if key in [name.replace("_", "-") for name in arguments]:
+                problem = f"but stands on the command line of {line}; take it out"
+                raise UsageError(f"{origin} is no option, {problem}")
+            near = _did_you_mean(key, names) or f"; {line} --help lists them"
+            raise UsageError(f"{origin} is no option of {line}{near}")
         option, is_positive = names[key]
         if is_positive:
             yield key, toml_value(option, value, file.parent, origin), origin
@@ -557,15 +563,6 @@ def _command_table(
     below = table.get(ctx.info_name or "", {})
     assert isinstance(below, dict)
     return below
-
-
-def _unknown_key(key: str, origin: str, ctx: click.Context, names: Collection[str]) -> str:
-    line = " ".join(("exwarp", *_path_of(ctx)))
-    arguments = (p for p in ctx.command.params if isinstance(p, click.Argument))
-    if key in {(argument.name or "").replace("_", "-") for argument in arguments}:
-        return f"{origin} is no option, but stands on the command line of {line}; take it out"
-    near = _did_you_mean(key, names)
-    return f"{origin} is no option of {line}{near or f'; {line} --help lists them'}"
 
 
 def _unknown_variables(environment: Mapping[str, str], ctx: click.Context) -> list[str]:
