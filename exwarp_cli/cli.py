@@ -32,7 +32,7 @@ from exwarp_cli.errors import (
 )
 from exwarp_cli.runtime.compilation import compilation
 from exwarp_cli.runtime.stop import StopRequested, graceful_stop
-from exwarp_cli.standard_streams import prepare_streams
+from exwarp_cli.standard_streams import is_debugging, prepare_streams
 from exwarp_cli.supervisor import FORWARDED_SIGNALS, ChildExit, fork_command, is_supervised
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def main() -> NoReturn:
     # every 700 objects took a tenth of the time of importing it.
     gc.set_threshold(50_000)
     prepare_streams()
-    if not _is_debugging():
+    if not is_debugging():
         # numpy warns of overflow, with a line of code, for values that no renderer means.
         warnings.simplefilter("ignore")
     args = sys.argv[1:]
@@ -238,7 +238,11 @@ def run(args: list[str], is_last: bool = False) -> int:
 
     try:
         with graceful_stop(partial(_last_words, args), is_last), compilation.messages_to(announce):
-            result = exwarp.main(args, prog_name="exwarp", standalone_mode=False, obj=origins)
+            try:
+                result = exwarp.main(args, prog_name="exwarp", standalone_mode=False, obj=origins)
+            except click.exceptions.NoArgsIsHelpError as error:  # a group without a command
+                click.echo(error.format_message())
+                return 0
         return result if isinstance(result, int) else 0
     except (Exception, KeyboardInterrupt, StopRequested) as error:
         return _report_error(error, args, origins)
@@ -271,7 +275,7 @@ def _report_error(error: BaseException, args: list[str], origins: Mapping[str, s
 
 
 def _report_stop(number: int, args: list[str]) -> int:
-    if _is_debugging():
+    if is_debugging():
         traceback.print_exc()
     click.echo(_last_words(args, number), err=True)
     return INTERRUPTED if number == signal.SIGINT else TERMINATED
@@ -281,10 +285,6 @@ def _last_words(args: list[str], number: int) -> str:
     if number == signal.SIGINT:  # a blank line, which parts it from the terminal's own "^C"
         return f"\nexwarp: error: interrupted; {_resume_hint(args)}"
     return f"exwarp: error: terminated; {_resume_hint(args)}"
-
-
-def _is_debugging() -> bool:
-    return os.environ.get("EXWARP_DEBUG", "0") not in ("", "0")
 
 
 def _resume_hint(args: list[str]) -> str:
@@ -302,7 +302,7 @@ def _find_command(args: list[str]) -> str:
 
 
 def _fail(sentence: str, code: int) -> int:
-    if _is_debugging():
+    if is_debugging():
         traceback.print_exc()
     if sentence:
         _print_message(f"error: {sentence}")

@@ -23,7 +23,6 @@ from typing import Any
 import click
 
 from exwarp_cli.errors import UsageError
-from exwarp_cli.io.config_file import ConfigLocation, find_config_files, read_config_file
 from exwarp_cli.option_values import (
     Value,
     long_name,
@@ -31,6 +30,12 @@ from exwarp_cli.option_values import (
     require_usable_paths,
     toml_value,
 )
+
+# The file's name in a project's folder and in the user's own.
+FILE_NAME = "exwarp.toml"
+
+# Named instead of a file, these mean no file at all.
+NO_FILE = ("", "none")
 
 # Options that neither files nor the environment set.
 NOT_CONFIGURED = frozenset({"help", "version", "config", "isolated"})
@@ -45,7 +50,7 @@ MUTUALLY_EXCLUSIVE = (
 
 # Commands that write runs of upsample into jobs. What is set for upsample holds for them too, so
 # that a job gives the frames that upsample gives in the same folder.
-UPSAMPLE = ("upsample",)
+UPSAMPLE = "upsample"
 JOB_COMMANDS = (("farm", "openjd"), ("farm", "commands"))
 NOT_INHERITED = frozenset({"progress", "chunk-size", "json", "dry-run", "as-chunk"})
 
@@ -63,13 +68,13 @@ OTHER_VARIABLES = frozenset(
 # Between the values of one variable: paths and channels may hold commas, colons and spaces.
 SEPARATOR = ";"
 
-_SETTINGS, _WARNINGS = "exwarp.settings", "exwarp.warnings"
+_MESSAGES = "exwarp.messages"  # in `click.Context.meta`
 
 _SWITCH_WORDS = {
     **dict.fromkeys(("1", "true", "yes", "on"), True),
     **dict.fromkeys(("0", "false", "no", "off"), False),
 }
-CommandPath = tuple[str, ...]
+CommandPath = tuple[str, ...]  # names of the groups and the command: ("train", "policy")
 
 
 def configurable(command: click.Command) -> list[click.Option]:
@@ -92,11 +97,11 @@ def variable_name(command: Sequence[str], name: str = "") -> str:
 class Setting:
     """The value of an option, from a config file or the environment."""
 
-    command: CommandPath  # Names of the groups and the command: ("train", "policy").
+    command: CommandPath
     parameter: click.Option  # The option, as the command has it
     value: Value | None  # As the command line would give it; None resets what weaker sources set.
-    source: str  # The file's path or the variable's name
-    origin: str  # The same with the key, for messages
+    place: str  # The file's path, or "the environment"
+    origin: str  # The key and the file, or the variable's name, for messages
 
     @property
     def option(self) -> str:
@@ -115,11 +120,6 @@ class Setting:
         return tuple(word for value in values for word in (name, value))
 
     @property
-    def place(self) -> str:
-        """The file, or the environment."""
-        return "the environment" if self.source == self.origin else self.source
-
-    @property
     def text(self) -> str:
         """The value in words."""
         if isinstance(self.value, tuple):
@@ -129,6 +129,14 @@ class Setting:
 
 # Settings of one file, or of the environment, by the long names of options.
 Layer = dict[str, Setting]
+
+
+@dataclass(frozen=True)
+class ConfigLocation:
+    """The absolute path of a config file, and what led to it."""
+
+    path: Path
+    how: str  # "--config", "EXWARP_CONFIG", "nearest folder" or "user's own"
 
 
 @dataclass(frozen=True)
@@ -163,29 +171,7 @@ def configured_command(command: click.Command, path: CommandPath) -> click.Comma
             help="Take options from here alone: no config file but one that is named, and nothing "
             "of the environment but --threads and --progress. Calls in farm jobs have it.",
         )
-        configured.params = [
-            *command.params,
-            *reset_switches,
-            isolated,
-            ConfigOption(command, path),
-        ]
-        usual = next((o for o in options if not o.required and not o.is_flag), options[0])
-        rule = (
-            f"Options may stand in exwarp.toml, in the table [{'.'.join(path)}], and in the "
-            f"environment, as {variable_name(path, long_name(usual))}; see exwarp --help."
-        )
-        configured.epilog = f"{command.epilog}\n\n{rule}" if command.epilog else rule
-    if configured.callback is not None:
-        checked = _with_path_checks(command.params, configured.callback)
-        configured.callback = _with_startup_messages(checked)
-    return configured
-
-
-class ConfigOption(click.Option):
-    """``--config FILE`` of a command, which also looks for settings where it is not given."""
-
-    def __init__(self, command: click.Command, path: CommandPath) -> None:
-        super().__init__(
+        config = ConfigOption(
             ["--config"],
             type=click.Path(),
             metavar="FILE",
@@ -194,7 +180,39 @@ class ConfigOption(click.Option):
             help="TOML file to take options from, or none; else EXWARP_CONFIG, or exwarp.toml in "
             "this folder or one above.",
         )
-        self._command, self._path = command, path
+        configured.params = [*command.params, *reset_switches, isolated, config]
+        usual = next((o for o in options if not o.required and not o.is_flag), options[0])
+        rule = (
+            f"Options may stand in exwarp.toml, in the table [{'.'.join(path)}], and in the "
+            f"environment, as {variable_name(path, long_name(usual))}; see exwarp --help."
+        )
+        configured.epilog = f"{command.epilog}\n\n{rule}" if command.epilog else rule
+    if command.callback is not None:
+        configured.callback = _with_startup_messages(command, command.callback)
+    return configured
+
+
+def _with_startup_messages(
+    command: click.Command, callback: Callable[..., Any]
+) -> Callable[..., Any]:
+    """Let a command say first what it takes from files and the environment, and check its paths."""
+
+    def run(**values: Any) -> Any:
+        if messages := click.get_current_context().meta.get(_MESSAGES):
+            # Imported here: most calls take nothing from files.
+            from exwarp_cli.pipeline.progress import JsonProgress, Progress
+
+            reporter = JsonProgress() if values.get("progress") == "json" else Progress()
+            for text in messages:
+                reporter.message(text)
+        require_usable_paths(command.params, values)
+        return callback(**values)
+
+    return run
+
+
+class ConfigOption(click.Option):
+    """``--config FILE`` of a command, which also looks for settings where it is not given."""
 
     def handle_parse_result(
         self, ctx: click.Context, opts: Mapping[str, Any], args: list[str]
@@ -208,85 +226,53 @@ class ConfigOption(click.Option):
         if ctx.resilient_parsing:  # a shell asks for completions
             return result
         refuse_expanded(args)
-        command, path = self._command, self._path
-        on_command_line = _options_on_command_line(ctx, command, opts)
+        on_command_line = _options_on_command_line(ctx, opts)
+        path = _path_of(ctx)
         is_isolated = bool(opts.get("isolated"))
         environment: Mapping[str, str] = os.environ
         if is_isolated:
             allowed = {variable_name(path, name) for name in MACHINE_OPTIONS}
             environment = {name: text for name, text in os.environ.items() if name in allowed}
-        problems: list[str] | None = [] if path in TOLERANT else None
-        files = _config_files(ctx, opts.get(self.name or ""), is_isolated, problems)
-        layers = _read_layers(ctx, files, command, path, environment, problems)
+        problems: list[str] = []
+        files = _find_config_files(ctx, opts.get(self.name or ""), is_isolated, problems)
+        layers = _read_layers(ctx, files, environment, problems)
         if problems:
+            if path not in TOLERANT:
+                raise UsageError(problems[0])
             layers = layers[:1]  # of the environment
         settings = settings_in_force(layers, on_command_line)
         ctx.default_map = {setting.parameter.name or "": setting.value for setting in settings}
-        ctx.meta[_SETTINGS] = settings
-        ctx.meta[_WARNINGS] = _unknown_variables(environment, command, path)
+        messages = _unknown_variables(environment, ctx)
+        by_place: dict[str, list[str]] = {}
+        for setting in settings:
+            by_place.setdefault(setting.place, []).extend(setting.arguments)
+        if by_place:
+            places = (f"from {place}: {shlex.join(words)}" for place, words in by_place.items())
+            messages.append(f"options {'; '.join(places)}")
+        ctx.meta[_MESSAGES] = messages
         origins = ctx.find_root().ensure_object(dict)
         origins.update({f"--{setting.option}": setting.origin for setting in settings})
         return result
 
 
-def _options_on_command_line(
-    ctx: click.Context, command: click.Command, opts: Mapping[str, Any]
-) -> dict[str, bool]:
+def _options_on_command_line(ctx: click.Context, opts: Mapping[str, Any]) -> dict[str, bool]:
     """Return the options that a command line names, with False for what it switches off or resets.
 
     Click knows the sources of parameters (`click.Context.get_parameter_source`) only after all of
     them are processed, which is too late to choose their defaults.
     """
     named: dict[str, bool] = {}
-    for option in configurable(command):
+    for option in configurable(ctx.command):
         name, is_reset = long_name(option), _reset_name(option) in opts
-        if option.name in opts:
-            if is_reset:
-                raise click.UsageError(
-                    f"--{name} and --no-{name} contradict each other; give one", ctx
-                )
-            named[name] = opts[option.name] is not False
-        elif is_reset:
-            named[name] = False
+        if is_reset and option.name in opts:
+            raise click.UsageError(f"--{name} and --no-{name} contradict each other; give one", ctx)
+        if is_reset or option.name in opts:
+            named[name] = not is_reset and opts[option.name or ""] is not False
     return named
 
 
 def _reset_name(option: click.Option) -> str:
     return f"take_back_{option.name}"
-
-
-def _with_path_checks(
-    parameters: list[click.Parameter], callback: Callable[..., Any]
-) -> Callable[..., Any]:
-    def run(**values: Any) -> Any:
-        require_usable_paths(parameters, values)
-        return callback(**values)
-
-    return run
-
-
-def _with_startup_messages(callback: Callable[..., Any]) -> Callable[..., Any]:
-    """Let a command say first what it takes from files and the environment."""
-
-    def run(**parameters: Any) -> Any:
-        meta = click.get_current_context().meta
-        settings, lines = meta.get(_SETTINGS, ()), list(meta.get(_WARNINGS, ()))
-        by_place: dict[str, list[str]] = {}
-        for setting in settings:
-            by_place.setdefault(setting.place, []).extend(setting.arguments)
-        if by_place:
-            places = (f"from {place}: {shlex.join(words)}" for place, words in by_place.items())
-            lines.append(f"options {'; '.join(places)}")
-        if lines:
-            # Imported here: most calls take nothing from files.
-            from exwarp_cli.pipeline.progress import JsonProgress, Progress
-
-            reporter = JsonProgress() if parameters.get("progress") == "json" else Progress()
-            for line in lines:
-                reporter.message(line)
-        return callback(**parameters)
-
-    return run
 
 
 def configuration(ctx: click.Context) -> Configuration:
@@ -295,12 +281,12 @@ def configuration(ctx: click.Context) -> Configuration:
     warnings: list[str] = []
     settings: dict[tuple[CommandPath, str, str], Setting] = {}
     known_variables = set(OTHER_VARIABLES)
-    files = _config_files(ctx, None, False, problems)
-    for context, command, path in every_command(ctx.find_root()):
-        known_variables.update(v for v in os.environ if v.startswith(variable_name(path)))
-        warnings += _unknown_variables(os.environ, command, path)
-        layers = _read_layers(context, files, command, path, os.environ, problems)
-        for setting in settings_in_force(layers, {}):
+    files = _find_config_files(ctx, None, False, problems)
+    for context in every_command(ctx.find_root()):
+        begin = variable_name(_path_of(context))
+        known_variables.update(name for name in os.environ if name.startswith(begin))
+        warnings += _unknown_variables(os.environ, context)
+        for setting in settings_in_force(_read_layers(context, files, os.environ, problems), {}):
             try:
                 setting.parameter.process_value(context, setting.value)
             except (click.UsageError, UsageError) as error:
@@ -320,79 +306,113 @@ def configuration(ctx: click.Context) -> Configuration:
     return Configuration(files, tuple(settings.values()), unique_problems, tuple(warnings))
 
 
-def every_command(
-    ctx: click.Context, path: CommandPath = ()
-) -> Iterator[tuple[click.Context, click.Command, CommandPath]]:
-    """Yield a context for each command below a group, the command and its path."""
+def every_command(ctx: click.Context) -> Iterator[click.Context]:
+    """Yield a context for each command below a group."""
     assert isinstance(ctx.command, click.Group)
     for name in ctx.command.list_commands(ctx):
         command = ctx.command.get_command(ctx, name)
-        if command is None:
-            continue
+        assert command is not None
         context = click.Context(command, parent=ctx, info_name=name)
         if isinstance(command, click.Group):
-            yield from every_command(context, (*path, name))
+            yield from every_command(context)
         else:
-            yield context, command, (*path, name)
+            yield context
 
 
-def _config_files(
-    ctx: click.Context, named: str | None, is_isolated: bool, problems: list[str] | None
+def _path_of(ctx: click.Context) -> CommandPath:
+    return () if ctx.parent is None else (*_path_of(ctx.parent), ctx.info_name or "")
+
+
+def _find_config_files(
+    ctx: click.Context, named: str | None, is_isolated: bool, problems: list[str]
 ) -> tuple[ConfigLocation, ...]:
-    """Find the config files: of the command line, the environment, the folders, the user."""
-    source = "--config"
+    """Find the config files that hold, the strongest first.
+
+    `named` is the command's own ``--config``. One that cannot be reached is added to `problems`.
+    """
+    how = "--config"
     if named is None:
         named = ctx.find_root().params.get("config")
     if named is None and is_isolated:
         return ()
     if named is None and (variable := os.environ.get("EXWARP_CONFIG")):
-        named, source = variable, "EXWARP_CONFIG"
-    folder = Path(click.get_app_dir("exwarp"))
-    try:
-        # Without a home folder it begins with "~", which would be a folder in the current one.
-        return find_config_files(named, source, folder if folder.is_absolute() else None)
-    except UsageError as error:
-        if problems is None:
-            raise
-        problems.append(str(error))
+        named, how = variable, "EXWARP_CONFIG"
+    if named is not None and named.strip().lower() in NO_FILE:
         return ()
+    files: list[ConfigLocation] = []
+    if named is not None:
+        try:
+            files.append(ConfigLocation(_named_path(named, how), how))
+        except UsageError as error:
+            problems.append(str(error))
+            return ()
+    else:
+        try:
+            current = Path.cwd()
+            folders = [current, *current.parents]
+        except OSError:  # the folder was removed; the command itself reports what it needs of it
+            folders = []
+        nearest = next(filter(_is_file, (folder / FILE_NAME for folder in folders)), None)
+        if nearest is not None:
+            files.append(ConfigLocation(nearest, "nearest folder"))
+    own = Path(click.get_app_dir("exwarp"), FILE_NAME)
+    # Without a home folder it begins with "~", which would be a folder in the current one.
+    is_there = own.is_absolute() and _is_file(own)
+    if is_there and own.resolve() not in [file.path.resolve() for file in files]:
+        files.append(ConfigLocation(own, "user's own"))
+    return tuple(files)
+
+
+def _named_path(named: str, how: str) -> Path:
+    remedy = "name a TOML file, or none to go without"
+    try:
+        path = Path(named).expanduser().absolute()
+        if path.exists() and not path.is_dir():  # also a pipe, as in ``--config <(generate)``
+            return path
+        problem = "is a folder" if path.is_dir() else "does not exist"
+    except RuntimeError as error:
+        raise UsageError(f"{how} names {named}, and no user has that home; {remedy}") from error
+    except OSError as error:
+        raise UsageError(
+            f"{how} names {named}, which cannot be reached: {error.strerror or error}; {remedy}"
+        ) from error
+    raise UsageError(f"{how} names {path}, which {problem}; {remedy}")
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.exists() and not path.is_dir()
+    except OSError:  # a folder above that may not be entered has nothing for us
+        return False
 
 
 def _read_layers(
     ctx: click.Context,
     files: Iterable[ConfigLocation],
-    command: click.Command,
-    path: CommandPath,
     environment: Mapping[str, str],
-    problems: list[str] | None,
+    problems: list[str],
 ) -> list[Layer]:
     """Return what the environment and each file set for a command, the strongest first.
 
-    Mistakes are added to `problems`, and their layer is empty; without it they are raised.
+    Mistakes are added to `problems`, and their layer is empty.
     """
-    names_above = _names_above(ctx)
-    targets = [(command, path, names_above)]
-    if path in JOB_COMMANDS:
+    targets = [ctx]
+    if _path_of(ctx) in JOB_COMMANDS:
         root = ctx.find_root()
         assert isinstance(root.command, click.Group)
-        upsample = root.command.get_command(root, *UPSAMPLE)
+        upsample = root.command.get_command(root, UPSAMPLE)
         assert upsample is not None
-        targets.append((upsample, UPSAMPLE, names_above[:1]))
-    own = {long_name(option): option for option in configurable(command)}
+        targets.append(click.Context(upsample, parent=root, info_name=UPSAMPLE))
+    own = {long_name(option): option for option in configurable(ctx.command)}
     layers: list[Layer] = []
     for file in (None, *files):
-        for target, target_path, names in targets:
+        for target in targets:
             try:
-                if file is None:
-                    layer = _read_environment(environment, target, target_path)
-                else:
-                    layer = _read_file(file.path, names, target, target_path)
+                layer = _read_layer(target, environment, None if file is None else file.path)
             except UsageError as error:
-                if problems is None:
-                    raise
                 problems.append(str(error))
                 layer = {}
-            if target is not command:
+            if target is not ctx:
                 layer = {
                     name: replace(setting, parameter=own[name])
                     for name, setting in layer.items()
@@ -400,16 +420,6 @@ def _read_layers(
                 }
             layers.append(layer)
     return layers
-
-
-def _names_above(ctx: click.Context) -> list[list[str]]:
-    """Return the names that there are at each level above a command, from the root on."""
-    levels = []
-    while ctx.parent is not None:
-        ctx = ctx.parent
-        assert isinstance(ctx.command, click.Group)
-        levels.append(ctx.command.list_commands(ctx))
-    return levels[::-1]
 
 
 def settings_in_force(
@@ -447,108 +457,119 @@ def _option_names(command: click.Command) -> dict[str, tuple[click.Option, bool]
     return names
 
 
-def _read_file(
-    file: Path, names_above: Sequence[Collection[str]], command: click.Command, path: CommandPath
-) -> Layer:
-    """Read what a config file sets; UsageError for unknown tables and keys, and wrong types."""
-    names = _option_names(command)
-    title = f"[{'.'.join(path)}]"
+def _read_layer(ctx: click.Context, environment: Mapping[str, str], file: Path | None) -> Layer:
+    """Read what a config file sets for a command, or the environment for None.
+
+    Raises UsageError for mistakes in it.
+    """
+    names = _option_names(ctx.command)
+    entries = _read_environment(ctx, environment) if file is None else _read_file(ctx, file)
     layer: Layer = {}
-    for key, value in _command_table(file, names_above, path).items():
-        origin = f"{key} in {title} of {file}"
-        if key not in names:
-            raise UsageError(_unknown_key(key, origin, command, path, names))
-        option, is_positive = names[key]
-        if is_positive:
-            held: Value = toml_value(option, value, file.parent, origin)
-        elif isinstance(value, bool):
-            held = value
-        else:
-            raise UsageError(f"{origin} must be true or false; correct it")
-        setting = Setting(path, option, held, str(file), origin)
-        _add_setting(layer, setting, is_positive)
+    for name, value, origin in entries:
+        option, is_positive = names[name]
+        held: Value | None = value
+        if not is_positive:
+            if option.is_flag:
+                held = not value
+            elif value:
+                held = None
+            else:
+                continue  # `no-report = false` says nothing
+        if (earlier := layer.get(long_name(option))) is not None:
+            raise UsageError(f"{origin} says again what {earlier.origin} says; leave one out")
+        place = "the environment" if file is None else str(file)
+        layer[long_name(option)] = Setting(_path_of(ctx), option, held, place, origin)
     return layer
 
 
+def _read_file(ctx: click.Context, file: Path) -> Iterator[tuple[str, Value, str]]:
+    """Yield name, value and origin; UsageError for unknown tables and keys, and wrong types."""
+    from exwarp_cli.io.files import read_toml  # most calls find no file
+
+    try:
+        document = read_toml(file)
+    except OSError as error:
+        raise UsageError(
+            f"cannot read the config file {file}: {error.strerror or error}; check its rights, or "
+            "go without it by --config none"
+        ) from error
+    except ValueError as error:
+        raise UsageError(
+            f"the config file {file} is not TOML: {error}; correct it, or go without it "
+            "by --config none"
+        ) from error
+    title, names = ".".join(_path_of(ctx)), _option_names(ctx.command)
+    for key, value in _command_table(document, file, ctx).items():
+        origin = f"{key} in [{title}] of {file}"
+        if key not in names:
+            line = ctx.command_path
+            arguments = [p.name or "" for p in ctx.command.params if isinstance(p, click.Argument)]
+            if key in [name.replace("_", "-") for name in arguments]:
+                problem = f"but stands on the command line of {line}; take it out"
+                raise UsageError(f"{origin} is no option, {problem}")
+            near = _did_you_mean(key, names) or f"; {line} --help lists them"
+            raise UsageError(f"{origin} is no option of {line}{near}")
+        option, is_positive = names[key]
+        if is_positive:
+            yield key, toml_value(option, value, file.parent, origin), origin
+        elif isinstance(value, bool):
+            yield key, value, origin
+        else:
+            raise UsageError(f"{origin} must be true or false; correct it")
+
+
 def _read_environment(
-    environment: Mapping[str, str], command: click.Command, path: CommandPath
-) -> Layer:
-    """Read what the environment sets; empty variables set nothing."""
-    layer: Layer = {}
-    for name, (option, is_positive) in _option_names(command).items():
-        variable = variable_name(path, name)
+    ctx: click.Context, environment: Mapping[str, str]
+) -> Iterator[tuple[str, Value, str]]:
+    """Yield name, value and variable; empty variables set nothing."""
+    for name, (option, is_positive) in _option_names(ctx.command).items():
+        variable = variable_name(_path_of(ctx), name)
         text = environment.get(variable, "")
         if not text:
             continue
         value: Value = text
         if option.is_flag or not is_positive:
-            switch = _SWITCH_WORDS.get(text.strip().lower())
-            if switch is None:
+            if text.strip().lower() not in _SWITCH_WORDS:
                 raise UsageError(f"{variable} is {text!r}; write 1 or 0, for on or off")
-            value = switch
+            value = _SWITCH_WORDS[text.strip().lower()]
         elif option.multiple:
             value = tuple(word for part in text.split(SEPARATOR) if (word := part.strip()))
-        _add_setting(layer, Setting(path, option, value, variable, variable), is_positive)
-    return layer
-
-
-def _add_setting(layer: Layer, setting: Setting, is_positive: bool) -> None:
-    name, value = setting.option, setting.value
-    if not is_positive:
-        if setting.parameter.is_flag:
-            value = not value
-        elif value:
-            value = None
-        else:
-            return  # `no-report = false` says nothing
-    if name in layer:
-        earlier = layer[name].origin
-        raise UsageError(f"{setting.origin} says again what {earlier} says; leave one out")
-    layer[name] = replace(setting, value=value)
+        yield name, value, variable
 
 
 def _command_table(
-    file: Path, names_above: Sequence[Collection[str]], path: CommandPath
+    table: Mapping[str, object], file: Path, ctx: click.Context
 ) -> Mapping[str, object]:
     """Return the table of a command; UsageError for unknown names on the way to it."""
-    table: Mapping[str, object] = read_config_file(file)
-    for depth, (valid, name) in enumerate(zip(names_above, path, strict=True)):
-        for key, value in table.items():
-            title = f"[{'.'.join((*path[:depth], key))}]"
-            if not isinstance(value, dict):
-                place = f" in [{'.'.join(path[:depth])}]" if depth else ""
-                raise UsageError(
-                    f"{key}{place} of {file} stands in no command's table; write it under "
-                    f"the command's, such as [{'.'.join((*path[:depth], next(iter(valid))))}]"
-                )
-            if key not in valid:
-                group = " ".join(("exwarp", *path[:depth]))
-                raise UsageError(
-                    f"{title} in {file} is no command of {group}{_did_you_mean(key, valid)}"
-                )
-        below = table.get(name, {})
-        assert isinstance(below, dict)
-        table = below
-    return table
+    group = ctx.parent
+    if group is None:
+        return table
+    table, above = _command_table(table, file, group), _path_of(group)
+    assert isinstance(group.command, click.Group)
+    valid = group.command.list_commands(group)
+    for key, value in table.items():
+        title = f"[{'.'.join((*above, key))}]"
+        if not isinstance(value, dict):
+            place = f" in [{'.'.join(above)}]" if above else ""
+            raise UsageError(
+                f"{key}{place} of {file} stands in no command's table; write it under "
+                f"the command's, such as [{'.'.join((*above, valid[0]))}]"
+            )
+        if key not in valid:
+            near = _did_you_mean(key, valid)
+            raise UsageError(
+                f"{title} in {file} is no command of {' '.join(('exwarp', *above))}{near}"
+            )
+    below = table.get(ctx.info_name or "", {})
+    assert isinstance(below, dict)
+    return below
 
 
-def _unknown_key(
-    key: str, origin: str, command: click.Command, path: CommandPath, names: Collection[str]
-) -> str:
-    line = " ".join(("exwarp", *path))
-    arguments = (p for p in command.params if isinstance(p, click.Argument))
-    if key in {(argument.name or "").replace("_", "-") for argument in arguments}:
-        return f"{origin} is no option, but stands on the command line of {line}; take it out"
-    near = _did_you_mean(key, names)
-    return f"{origin} is no option of {line}{near or f'; {line} --help lists them'}"
-
-
-def _unknown_variables(
-    environment: Mapping[str, str], command: click.Command, path: CommandPath
-) -> list[str]:
+def _unknown_variables(environment: Mapping[str, str], ctx: click.Context) -> list[str]:
     """Return a warning for each variable that is named after a command and none of its options."""
     # No errors: a farm's environment is shared by versions that have other options.
-    valid = {variable_name(path, name) for name in _option_names(command)}
+    path = _path_of(ctx)
+    valid = {variable_name(path, name) for name in _option_names(ctx.command)}
     return [
         f"{name} in the environment is no option of exwarp {' '.join(path)}"
         f"{_did_you_mean(name, valid)}"

@@ -132,30 +132,17 @@ class IncompleteError(ExwarpError):
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
 
 
-def system_error(error: OSError) -> ExwarpError | None:
-    """Translate an error of the system that nothing nearer to the file did; None without a file.
-
-    Wherever code looks whether a file exists, it may meet a folder that may not be entered, a
-    network share that went away, or a name that is too long.
-    """
-    if not isinstance(error.filename, str) or error.strerror is None:
-        return None
-    kind = OutputError if error.errno in _NO_SPACE else InputError
-    return kind(f"cannot use {error.filename}: {error.strerror}; check the path and its rights")
-
-
-def is_thread_limit(error: BaseException) -> bool:
-    """Return whether an error says that the system starts no more threads or processes."""
+def thread_limit_error(error: BaseException) -> OutOfMemoryError | None:
+    """Translate an error that says that the system starts no more threads or processes."""
     # Python raises BlockingIOError for processes and RuntimeError for threads; libraries in C++
     # raise RuntimeError with the words of the system.
     if isinstance(error, OSError):
-        return error.errno == errno.EAGAIN and error.filename is None
-    texts = ("can't start new thread", os.strerror(errno.EAGAIN))
-    return isinstance(error, RuntimeError) and any(text in str(error) for text in texts)
-
-
-def thread_limit_error() -> OutOfMemoryError:
-    """Build the error for a limit on threads and processes."""
+        is_limit = error.errno == errno.EAGAIN and error.filename is None
+    else:
+        texts = ("can't start new thread", os.strerror(errno.EAGAIN))
+        is_limit = isinstance(error, RuntimeError) and any(text in str(error) for text in texts)
+    if not is_limit:
+        return None
     return OutOfMemoryError(
         "the system lets this user start no more threads or processes; raise the limit (ulimit -u, "
         "or that of the container or batch job), or end other programs"
@@ -163,9 +150,18 @@ def thread_limit_error() -> OutOfMemoryError:
 
 
 def to_exwarp_error(error: BaseException) -> ExwarpError | None:
-    """Translate any error to one of this tree; None for a defect of ExWarp."""
+    """Translate any error to one of this tree; None for a defect of ExWarp.
+
+    Wherever code looks whether a file exists, it may meet a folder that may not be entered, a
+    network share that went away, or a name that is too long.
+    """
     if isinstance(error, ExwarpError):
         return error
-    if is_thread_limit(error):
-        return thread_limit_error()
-    return system_error(error) if isinstance(error, OSError) else None
+    if (limit := thread_limit_error(error)) is not None:
+        return limit
+    if not isinstance(error, OSError) or not isinstance(error.filename, str):
+        return None
+    if error.strerror is None:
+        return None
+    kind = OutputError if error.errno in _NO_SPACE else InputError
+    return kind(f"cannot use {error.filename}: {error.strerror}; check the path and its rights")

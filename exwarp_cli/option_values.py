@@ -10,10 +10,10 @@ from __future__ import annotations
 import errno
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from datetime import date, datetime, time
 from pathlib import Path
-from typing import Any
 
 import click
 from click.types import StringParamType
@@ -46,8 +46,6 @@ _TYPE_NAMES: dict[type, str] = {
     date: "a date",
     time: "a time",
 }
-_INTEGER = (click.IntRange, type(click.INT))
-_NUMBER = (click.FloatRange, type(click.FLOAT))
 
 
 def long_name(option: click.Option) -> str:
@@ -65,12 +63,6 @@ def names_paths(parameter: click.Parameter) -> bool:
     )
 
 
-def takes_list(option: click.Option) -> bool:
-    """True if one value of an option holds several, with commas between."""
-    has_list = bool(_metavar_words(option) & LIST_WORDS) or "," in (option.metavar or "")
-    return isinstance(option.type, StringParamType) and has_list
-
-
 def _metavar_words(parameter: click.Parameter) -> set[str]:
     return set(re.split(r"[^A-Z]+", parameter.metavar or ""))
 
@@ -80,51 +72,37 @@ def toml_value(option: click.Option, value: object, folder: Path, origin: str) -
 
     Relative paths begin at `folder`. Raises UsageError for a value of a wrong type.
     """
-    if option.is_flag:
-        if not isinstance(value, bool):
-            raise _wrong_type(origin, "true or false", value)
+    expected, types = _expected_types(option)
+    # One value may hold several, with commas between.
+    is_list = bool(_metavar_words(option) & LIST_WORDS) or "," in (option.metavar or "")
+    has_several = option.multiple or (isinstance(option.type, StringParamType) and is_list)
+    if has_several:
+        expected += ", or an array of such"
+    items = value if isinstance(value, list) and has_several else [value]
+    for item in items:
+        if not isinstance(item, types) or isinstance(item, bool) != option.is_flag:
+            actual = _TYPE_NAMES.get(type(item), type(item).__name__)
+            raise UsageError(f"{origin} must be {expected}, and is {actual}; correct it")
+        if isinstance(item, str) and "\0" in item:
+            raise UsageError(f"{origin} holds a NUL character, as no path or word can; remove it")
+    if isinstance(value, bool):
         return value
-    if not isinstance(value, list):
-        text = _anchored(option, _toml_word(option, value, origin), folder)
-        return (text,) if option.multiple else text
-    if not option.multiple and not takes_list(option):
-        raise _wrong_type(origin, _expected_type(option), value)
-    words = [_toml_word(option, item, origin) for item in value]
     if option.multiple:
-        return tuple(_anchored(option, word, folder) for word in words)
-    return ",".join(words)
+        return tuple(_anchored(option, str(item), folder) for item in items)
+    if isinstance(value, list):
+        return ",".join(map(str, items))
+    return _anchored(option, str(value), folder)
 
 
-def _toml_word(option: click.Option, value: object, origin: str) -> str:
-    if isinstance(value, bool) or not isinstance(value, str | int | float):
-        raise _wrong_type(origin, _expected_type(option), value)
-    if isinstance(option.type, _INTEGER):
-        fits = isinstance(value, int)
-    elif isinstance(option.type, _NUMBER):
-        fits = not isinstance(value, str)
-    else:
-        fits = isinstance(value, str) or not names_paths(option)
-    if not fits:
-        raise _wrong_type(origin, _expected_type(option), value)
-    text = str(value)
-    if "\0" in text:
-        raise UsageError(f"{origin} holds a NUL character, as no path or word can; remove it")
-    return text
-
-
-def _expected_type(option: click.Option) -> str:
-    if isinstance(option.type, _INTEGER):
-        name = "a whole number"
-    elif isinstance(option.type, _NUMBER):
-        name = "a number"
-    else:
-        name = "text, a path" if names_paths(option) else "text"
-    return f"{name}, or an array of such" if option.multiple or takes_list(option) else name
-
-
-def _wrong_type(origin: str, expected: str, value: object) -> UsageError:
-    actual = _TYPE_NAMES.get(type(value), type(value).__name__)
-    return UsageError(f"{origin} must be {expected}, and is {actual}; correct it")
+def _expected_types(option: click.Option) -> tuple[str, tuple[type, ...]]:
+    """Return the name of what a config file may hold for an option, and the types."""
+    if option.is_flag:
+        return "true or false", (bool,)
+    if isinstance(option.type, click.IntRange | type(click.INT)):
+        return "a whole number", (int,)
+    if isinstance(option.type, click.FloatRange | type(click.FLOAT)):
+        return "a number", (int, float)
+    return ("text, a path", (str,)) if names_paths(option) else ("text", (str, int, float))
 
 
 def _anchored(option: click.Option, text: str, folder: Path) -> str:
@@ -162,27 +140,15 @@ def require_usable_paths(
         is_sequence = is_argument and type(parameter.type) is StringParamType
         if parameter.name in ON_WORKERS or not (is_sequence or names_paths(parameter)):
             continue
-        kind = OutputError if parameter.name in WRITTEN else InputError
-        for text in _paths_in(parameter, values.get(parameter.name or "")):
-            _refuse_misread(parameter, text)
-            path = Path(text)
-            if _is_loop(path):
-                link = next(part for part in (*reversed(path.parents), path) if _is_loop(part))
-                raise kind(
-                    f"the link {link} leads back to itself; remove it, or link it to what it "
-                    "stands for"
-                )
+        value = values.get(parameter.name or "")
+        for item in value if isinstance(value, tuple | list) else (value,):
+            if isinstance(item, str | Path):
+                text = str(item)
+                has_role = "=" in (parameter.metavar or "")  # ROLE=PATTERN
+                _require_usable(parameter, text.partition("=")[2] if has_role else text)
 
 
-def _paths_in(parameter: click.Parameter, value: Any) -> Iterator[str]:
-    """Yield the paths in a value; of ``ROLE=PATTERN`` what follows the role."""
-    for item in value if isinstance(value, tuple | list) else (value,):
-        if isinstance(item, str | Path):
-            text = str(item)
-            yield text.partition("=")[2] if "=" in (parameter.metavar or "") else text
-
-
-def _refuse_misread(parameter: click.Parameter, text: str) -> None:
+def _require_usable(parameter: click.Parameter, text: str) -> None:
     is_argument = isinstance(parameter, click.Argument)
     name = parameter.human_readable_name if is_argument else parameter.opts[0]
     subject = f"{name} names {text}"
@@ -201,16 +167,18 @@ def _refuse_misread(parameter: click.Parameter, text: str) -> None:
             f"{subject}, and the shell did not replace ~ by the home folder; write $HOME"
             f"{text[1:]} without quotes, or the full path of a folder of that name"
         )
-
-
-def _is_loop(path: Path) -> bool:
-    try:
-        path.stat()
-    except OSError as error:
-        return error.errno == errno.ELOOP
-    except ValueError:  # a null character, which is refused where the path is used
-        return False
-    return False
+    for link in (*reversed(Path(text).parents), Path(text)):
+        try:
+            link.stat()
+        except OSError as error:
+            if error.errno != errno.ELOOP:
+                continue
+            kind = OutputError if parameter.name in WRITTEN else InputError
+            raise kind(
+                f"the link {link} leads back to itself; remove it, or link it to what it stands for"
+            ) from error
+        except ValueError:  # a null character, which is refused where the path is used
+            return
 
 
 def refuse_expanded(extra: Sequence[str]) -> None:
@@ -218,7 +186,10 @@ def refuse_expanded(extra: Sequence[str]) -> None:
 
     Raises UsageError when one exists: a shell puts all names in the place of an unquoted ``*``.
     """
-    names = [Path(text) for text in extra if _exists(text)]
+    names = []
+    for path in map(Path, extra):
+        with suppress(OSError, ValueError):
+            names += [path] if path.exists() else []
     if not names:
         return
     more = f" and {len(extra) - 1} more" if len(extra) > 1 else ""
@@ -237,10 +208,3 @@ def refuse_expanded(extra: Sequence[str]) -> None:
         f"nothing takes {extra[0]}{more}, as the shell replaces an unquoted * by "
         f"all names; {remedy}"
     )
-
-
-def _exists(text: str) -> bool:
-    try:
-        return Path(text).exists()
-    except (OSError, ValueError):
-        return False

@@ -67,12 +67,24 @@ class StandardError(io.FileIO):
 
 
 def prepare_streams() -> None:
-    """Open what is closed, and replace standard output and standard error."""
-    _open_closed()
+    """Open what the parent process closed, and replace standard output and standard error."""
+    if None in (sys.stdin, sys.stdout, sys.stderr):
+        # Else the next file that is opened takes the place of one, and gets what is printed.
+        while (number := os.open(os.devnull, os.O_RDWR)) <= STDERR:
+            os.set_inheritable(number, True)
+        os.close(number)
+        # Python's own object of a closed stream is None.
+        sys.stdout = sys.stdout or os.fdopen(STDOUT, "w", closefd=False)
+        sys.stderr = sys.stderr or os.fdopen(STDERR, "w", closefd=False)
     if os.name == "nt":
         return  # a console of Windows is no file
     sys.stdout = _replace_stream(sys.stdout, StandardOutput)
     sys.stderr = _replace_stream(sys.stderr, StandardError)
+
+
+def is_debugging() -> bool:
+    """Return whether the environment asks for all details."""
+    return os.environ.get("EXWARP_DEBUG", "0") not in ("", "0")
 
 
 @contextmanager
@@ -82,7 +94,7 @@ def silence_libraries() -> Iterator[None]:
     Lines that Python prints there are kept, if `prepare_streams` has replaced the stream.
     With EXWARP_DEBUG=1 nothing is dropped.
     """
-    if os.environ.get("EXWARP_DEBUG", "0") not in ("", "0"):
+    if is_debugging():
         yield
         return
     with _silencing:
@@ -114,18 +126,3 @@ def _replace_stream(stream: Any, kind: type[StandardOutput | StandardError]) -> 
         errors = "surrogateescape" if is_utf8 else "backslashreplace"
     file = io.BufferedWriter(kind())
     return io.TextIOWrapper(file, encoding, errors, line_buffering=stream.line_buffering)
-
-
-def _open_closed() -> None:
-    """Open the streams that the parent process closed.
-
-    Else the next file that is opened takes the place of one of them, and gets what is printed.
-    """
-    if None not in (sys.stdin, sys.stdout, sys.stderr):
-        return
-    while (number := os.open(os.devnull, os.O_RDWR)) <= STDERR:
-        os.set_inheritable(number, True)
-    os.close(number)
-    # Python's own object of a closed stream is None.
-    sys.stdout = sys.stdout or os.fdopen(STDOUT, "w", closefd=False)
-    sys.stderr = sys.stderr or os.fdopen(STDERR, "w", closefd=False)

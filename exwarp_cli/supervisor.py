@@ -115,11 +115,25 @@ def _fork_once(skipped: Mapping[Path, str], handlers: Mapping[int, Any]) -> Chil
             for number, handler in handlers.items():
                 if handler is not None:  # something other than Python set it
                     signal.signal(number, handler)
+
+            def end_with_parent() -> None:
+                os.read(lifeline, 1)
+                os.kill(os.getpid(), signal.SIGKILL)
+
             with suppress(RuntimeError):  # no more threads: what needs one says so
-                threading.Thread(target=_end_with_parent, args=(lifeline,), daemon=True).start()
+                threading.Thread(target=end_with_parent, daemon=True).start()
             attach(messages_in, skipped)
             return None
-        signals = _forward_signals(child, handlers)
+        signals: list[tuple[int, float]] = []  # number and time
+
+        def forward(number: int, _frame: FrameType | None) -> None:
+            signals.append((number, time.monotonic()))
+            with suppress(ProcessLookupError):
+                os.kill(child, number)
+
+        for number, handler in handlers.items():
+            if handler is not signal.SIG_IGN:
+                signal.signal(number, forward)
     os.close(messages_in)
     os.close(lifeline)
     try:
@@ -173,26 +187,3 @@ def _wait_for_child(child: int, messages: int, signals: list[tuple[int, float]])
         if overdue or is_grace_over:
             with suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
-
-
-def _forward_signals(child: int, handlers: Mapping[int, Any]) -> list[tuple[int, float]]:
-    """Forward the signals that end a command, unless this process ignores them.
-
-    Returns a list that grows by number and time of each signal.
-    """
-    signals: list[tuple[int, float]] = []
-
-    def forward(number: int, _frame: FrameType | None) -> None:
-        signals.append((number, time.monotonic()))
-        with suppress(ProcessLookupError):
-            os.kill(child, number)
-
-    for number, handler in handlers.items():
-        if handler is not signal.SIG_IGN:
-            signal.signal(number, forward)
-    return signals
-
-
-def _end_with_parent(lifeline: int) -> None:
-    os.read(lifeline, 1)
-    os.kill(os.getpid(), signal.SIGKILL)

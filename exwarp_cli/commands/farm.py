@@ -11,13 +11,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from exwarp_cli.commands import upsample
-from exwarp_cli.commands.options import FILE, HelpfulGroup, json_option, print_json, show
+from exwarp_cli.commands.options import (
+    FILE,
+    combined,
+    json_option,
+    print_json,
+    show,
+)
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.settings import DEFAULT_CHUNK_SIZE
 
 if TYPE_CHECKING:
     from exwarp_cli.farm.farm_job import FarmJob
-    from exwarp_cli.farm.openjd import JobTemplate
 
 # Options of `upsample` that are for a run on this machine, or are set by the farm.
 NOT_SHARED = frozenset(
@@ -38,7 +43,7 @@ def shared_parameters() -> list[click.Parameter]:
     return [p for p in upsample.command.params if p.name not in NOT_SHARED]
 
 
-@click.group("farm", cls=HelpfulGroup)
+@click.group("farm", subcommand_metavar="[COMMAND] [ARGS]...")
 def command() -> None:
     """Write jobs for render farms, and lists of chunks.
 
@@ -52,29 +57,26 @@ def _absolute(_context: click.Context, _parameter: click.Parameter, program: str
     return str(Path(program).absolute()) if Path(program).name != program else program
 
 
-def _chunk_options(function: Any) -> Any:
-    """Add the options of both commands; each takes `chunk_size`, `program` and `as_json`."""
-    for option in (
-        json_option,
-        click.option(
-            "--command",
-            "program",
-            default="exwarp",
-            show_default=True,
-            metavar="NAME|PATH",
-            callback=_absolute,
-            help="What exwarp is called on the workers.",
-        ),
-        click.option(
-            "--chunk-size",
-            type=click.IntRange(1),
-            default=DEFAULT_CHUNK_SIZE,
-            show_default=True,
-            help="Key frames a chunk.",
-        ),
-    ):
-        function = option(function)
-    return function
+# Both commands take `chunk_size`, `program` and `as_json`.
+_chunk_options = combined(
+    click.option(
+        "--chunk-size",
+        type=click.IntRange(1),
+        default=DEFAULT_CHUNK_SIZE,
+        show_default=True,
+        help="Key frames a chunk.",
+    ),
+    click.option(
+        "--command",
+        "program",
+        default="exwarp",
+        show_default=True,
+        metavar="NAME|PATH",
+        callback=_absolute,
+        help="What exwarp is called on the workers.",
+    ),
+    json_option,
+)
 
 
 @command.command("openjd", params=shared_parameters())
@@ -129,7 +131,16 @@ def openjd(
     template = job_template(job, workers, Path.cwd() if bundle is None else None)
     if bundle is not None:
         write_bundle(bundle, template)
-    _print_notes(template, job, bundle)
+    if template.size > job.size:
+        _print_note(
+            f"chunks have {template.size} key frames, not {job.size}, as the list of chunks would "
+            "be too long for Open Job Description; without --plain any size does"
+        )
+    if template.values and bundle is None:
+        values = (f"-p {shlex.quote(f'{name}={value}')}" for name, value in template.values.items())
+        _print_note(
+            f"add at submission, as these are not below the current folder: {' '.join(values)}"
+        )
     if as_json:
         print_json(template.document)
     elif bundle is None:
@@ -149,15 +160,14 @@ def commands(chunk_size: int, program: str, as_json: bool, **options: Any) -> No
     """
     from exwarp_cli.farm.farm_job import command_lines, shell_line
 
-    lines = command_lines(_open_job(options, chunk_size, None), program)
+    chunks, afterwards = command_lines(_open_job(options, chunk_size, None), program)
     if as_json:
-        chunks = [{"frames": frames, "command": list(words)} for frames, words in lines.chunks]
-        afterwards = [list(words) for words in lines.afterwards]
-        print_json({"schema": SCHEMA, "chunks": chunks, "afterwards": afterwards})
+        documents = [{"frames": frames, "command": words} for frames, words in chunks]
+        print_json({"schema": SCHEMA, "chunks": documents, "afterwards": afterwards})
         return
-    for _, words in lines.chunks:
+    for _, words in chunks:
         click.echo(os.fsencode(shell_line(words)))  # names as the disk has them, for any terminal
-    for words in lines.afterwards:
+    for words in afterwards:
         _print_note(f"when all are done: {shell_line(words)}")
 
 
@@ -202,20 +212,6 @@ def option_values(options: Mapping[str, Any]) -> Iterator[tuple[str, str, str | 
             yield name, parameter.opts[-1], ",".join(METRIC_OPTIONS[field] for field in value)
         else:
             yield name, parameter.opts[-1], str(value)
-
-
-def _print_notes(template: JobTemplate, job: FarmJob, bundle: Path | None) -> None:
-    """Say what a user of the template has to know."""
-    if template.size > job.size:
-        _print_note(
-            f"chunks have {template.size} key frames, not {job.size}, as the list of chunks would "
-            "be too long for Open Job Description; without --plain any size does"
-        )
-    if template.values and bundle is None:
-        values = (f"-p {shlex.quote(f'{name}={value}')}" for name, value in template.values.items())
-        _print_note(
-            f"add at submission, as these are not below the current folder: {' '.join(values)}"
-        )
 
 
 def _print_note(text: str) -> None:

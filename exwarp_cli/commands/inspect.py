@@ -63,6 +63,9 @@ def _print_inspection(inspection: Inspection) -> None:
     from rich.table import Table
     from rich.text import Text
 
+    from exwarp_cli.io.shot import channel_label
+    from exwarp_cli.pipeline.inspect import unused_channels
+
     def text(line: str) -> Text:
         """Return text in which neither a terminal nor rich sees markup."""
         return Text(printable(line))
@@ -81,7 +84,13 @@ def _print_inspection(inspection: Inspection) -> None:
     if data["pictures"] is not None:
         return
     table = Table("role", "channels", "type", box=box.SIMPLE)
-    for meaning, names in (*data["roles"].items(), *_unused_channels(inspection)):
+    hashed = {ref for matte in inspection.shot.cryptomattes for ref in matte.refs}
+    unused: dict[tuple[str, str], list[str]] = {}  # by what they are, and their layer
+    for ref in unused_channels(inspection.shot):
+        name, meaning = channel_label(ref), "Cryptomatte" if ref in hashed else "no role"
+        unused.setdefault((meaning, name.rpartition(".")[0]), []).append(name)
+    rows = [*data["roles"].items(), *((meaning, names) for (meaning, _), names in unused.items())]
+    for meaning, names in rows:
         kinds = sorted({inspection.types.get(name, "") for name in names})
         table.add_row(meaning, text(", ".join(names)), ", ".join(kinds))
     console.print(table)
@@ -113,19 +122,6 @@ def _finding_lines(inspection: Inspection, data: Mapping[str, Any]) -> Iterator[
         yield _ESTIMATED if is_colour_alone(shot) else no_vectors_message(shot)
     if data["depth_evidence"] is not None:
         yield f"depth {data['depth_evidence']}"
-
-
-def _unused_channels(inspection: Inspection) -> list[tuple[str, list[str]]]:
-    """Return what channels without a role are and their names, layer by layer."""
-    from exwarp_cli.io.shot import channel_label
-    from exwarp_cli.pipeline.inspect import unused_channels
-
-    hashed = {ref for matte in inspection.shot.cryptomattes for ref in matte.refs}
-    layers: dict[tuple[str, str], list[str]] = {}
-    for ref in unused_channels(inspection.shot):
-        name, meaning = channel_label(ref), "Cryptomatte" if ref in hashed else "no role"
-        layers.setdefault((meaning, name.rpartition(".")[0]), []).append(name)
-    return [(meaning, names) for (meaning, _), names in layers.items()]
 
 
 def _structure_lines(data: dict[str, Any]) -> list[str]:

@@ -14,9 +14,9 @@ from exwarp_cli.commands.options import (
     print_json,
     progress_option,
     show,
+    summary_lines,
     summary_of_files,
 )
-from exwarp_cli.commands.summary_lines import summary_lines
 from exwarp_cli.domain.wording import pluralise
 
 if TYPE_CHECKING:

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import click
 
-from exwarp_cli.commands.options import FILE, HelpfulGroup, json_option, print_json, show
+from exwarp_cli.commands.options import FILE, json_option, print_json, show
 
 # Of what --json prints; `kind` is the option of exwarp upsample that takes the model.
 SCHEMA = "exwarp.model/1"
 
 
-@click.group("models", cls=HelpfulGroup)
+@click.group("models", subcommand_metavar="[COMMAND] [ARGS]...")
 def command() -> None:
     """Make networks of others fit for exwarp upsample."""
 

@@ -1,4 +1,4 @@
-"""Options that several commands have, and how commands print."""
+"""Options that several commands have, and what several print."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from typing import Any, TypeVar
 import click
 
 from exwarp_cli.config import configured_command
-from exwarp_cli.domain.metric import ALL, BY_OPTION, parse_metrics
+from exwarp_cli.domain.metric import ALL, BY_OPTION, KEY_FRAMES, METRICS, parse_metrics
 from exwarp_cli.domain.settings import MOST_PIXELS, SCANS, SRGB_VIEW, SourceSettings
-from exwarp_cli.domain.wording import printable
+from exwarp_cli.domain.wording import pluralise, printable
 from exwarp_cli.errors import ReaderGoneError
 from exwarp_cli.pipeline.progress import KINDS
 
@@ -46,21 +46,6 @@ def with_settings(
 
         command = with_suggestions(command)
     return configured_command(command, path)
-
-
-class HelpfulGroup(click.Group):
-    """A group that shows its help, as no mistake, when it is called without a command."""
-
-    def __init__(self, *args: object, **settings: object) -> None:
-        settings["invoke_without_command"] = True
-        super().__init__(*args, **settings)  # type: ignore[arg-type]
-
-    def invoke(self, ctx: click.Context) -> object:
-        """Run the command that was named, or show the help."""
-        result = super().invoke(ctx)
-        if ctx.invoked_subcommand is None:
-            click.echo(ctx.get_help())
-        return result
 
 
 class FrameRate(click.ParamType[Fraction]):
@@ -179,41 +164,145 @@ scan_option = click.option(
 )
 
 
-def source_options(command: Command) -> Command:
-    """Add --view, --aov, --channel-map, --dynamic and --max-pixels.
+def combined(*options: Decorator[Any]) -> Decorator[Any]:
+    """Return a decorator that adds options to a command, in the order of its help."""
 
-    The command takes `view`, `aovs`, `channel_map`, `dynamic` and `max_pixels`.
-    """
-    for option in (
-        max_pixels_option,
-        click.option(
-            "--dynamic",
-            metavar="GLOB[,GLOB…]",
-            help="What moves, by names in the Cryptomatte's manifest, for example 'car*,ball'; "
-            "its ids tell objects apart then. 'exwarp inspect' lists names.",
-        ),
-        click.option(
-            "--channel-map",
-            metavar="FILE",
-            help="TOML file that says which channels hold what; 'exwarp inspect SEQ "
-            "--write-channel-map FILE' writes one.",
-        ),
-        click.option(
-            "--aov",
-            "aovs",
-            multiple=True,
-            metavar="ROLE=PATTERN[:CHANNELS]",
-            help="Take a role's channels from a sequence of its own, for example "
-            "motion=vec/shot.####.exr:R,G; may be repeated. Roles: colour, depth, motion, "
-            "normal, position, stencil …",
-        ),
-        click.option(
-            "--view",
-            metavar="NAME",
-            help="Of a stereo or multi-view shot, read this view; else the channel map's, or "
-            "the first; upsample takes 'all' for every view at once. Of a sequence for each "
-            "view: with %V for its name in the pattern, %v for its first letter.",
-        ),
-    ):
-        command = option(command)
-    return command
+    def add(command: Command) -> Command:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return add
+
+
+# The command takes `view`, `aovs`, `channel_map`, `dynamic` and `max_pixels`.
+source_options = combined(
+    click.option(
+        "--view",
+        metavar="NAME",
+        help="Of a stereo or multi-view shot, read this view; else the channel map's, or "
+        "the first; upsample takes 'all' for every view at once. Of a sequence for each "
+        "view: with %V for its name in the pattern, %v for its first letter.",
+    ),
+    click.option(
+        "--aov",
+        "aovs",
+        multiple=True,
+        metavar="ROLE=PATTERN[:CHANNELS]",
+        help="Take a role's channels from a sequence of its own, for example "
+        "motion=vec/shot.####.exr:R,G; may be repeated. Roles: colour, depth, motion, "
+        "normal, position, stencil …",
+    ),
+    click.option(
+        "--channel-map",
+        metavar="FILE",
+        help="TOML file that says which channels hold what; 'exwarp inspect SEQ "
+        "--write-channel-map FILE' writes one.",
+    ),
+    click.option(
+        "--dynamic",
+        metavar="GLOB[,GLOB…]",
+        help="What moves, by names in the Cryptomatte's manifest, for example 'car*,ball'; "
+        "its ids tell objects apart then. 'exwarp inspect' lists names.",
+    ),
+    max_pixels_option,
+)
+
+
+def summary_lines(
+    document: dict[str, Any],  # what report.json holds; at least one frame was written
+    place: str = "",  # where the frames are; empty where that is not known
+    is_scored: bool | None = None,  # ground truth was given; None to tell by the scores
+) -> list[str]:
+    """Say in a few lines what a run of `upsample` did."""
+    from exwarp_cli.report.sentences import (
+        describe_cuts,
+        describe_gate,
+        describe_holds,
+        describe_left_out,
+        describe_nonfinite,
+        describe_review,
+        format_rendered,
+    )
+
+    frames, fps, gate = document["frames"], document["fps"], document["decisions"]["gate"]
+    effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
+    lines = [
+        f"{pluralise(frames['written'], 'frame')}{place and f' in {place}'}: "
+        f"{format_rendered(frames)}, {frames['generated']} generated, {frames['dropped']} repeated",
+        f"{fps['base']:g} fps in, {fps['output']:g} out{effective}",
+    ]
+    if frames["resumed"] or frames["replaced"]:
+        lines.append(
+            f"{frames['resumed']} kept of an earlier run, {frames['made']} made, "
+            f"{frames['replaced']} replaced"
+        )
+    shots = ((document["cuts"], describe_cuts), (document["held"], describe_holds))
+    lines += [describe(value) for value, describe in shots if value]
+    lines += [*_decision_lines(document["decisions"]), *([describe_gate(gate)] if gate else [])]
+    lines += _quality_lines(document, is_scored)
+    remarks = (
+        (document["review"], describe_review),
+        (document["left_out"], describe_left_out),
+        (document["nonfinite"], describe_nonfinite),
+    )
+    lines += [describe(value) for value, describe in remarks if value]
+    return lines + _file_lines(document)
+
+
+def _decision_lines(decisions: dict[str, Any]) -> list[str]:
+    paths = {name: count for name, count in decisions["paths"].items() if count}
+    if not paths:  # a method outside the paper's decision tree
+        return []
+    share, cost = decisions["warp_share"], decisions["cost"]
+    if cost is None:
+        listed = ", ".join(f"{name} {count}" for name, count in paths.items())
+        return [f"paths of the key intervals: {listed}; {share:.0%} of the decisions are warps"]
+    total = sum(paths.values())
+    listed = ", ".join(f"{name} {count / total:.0%}" for name, count in paths.items())
+    return [f"paths of the tiles: {listed}; the network made {cost:.0%} of the new frames' area"]
+
+
+def _quality_lines(document: dict[str, Any], is_scored: bool | None) -> list[str]:
+    """Say how much was hidden, and how good the frames are."""
+    frames, quality = document["frames"], document["quality"]["all"]
+    holes, pulse = document["holes"], document["pulse"]
+    lines = []
+    if holes["mean_fraction"] is not None:
+        count = sum(holes["histogram"]["counts"])
+        # Where not all frames between key frames are warped, it is said how many are.
+        is_all = count == frames["generated"] + frames["dropped"]
+        warped = "" if is_all else f", of {pluralise(count, 'warped frame')}"
+        lines.append(f"holes {holes['mean_fraction']:.1%} of the pixels on average{warped}")
+    if is_scored is None:
+        is_scored = bool(quality["frames"])
+    if is_scored and frames["written"] > frames["key"]:
+        values = [
+            f"{metric.name} {metric.with_unit(quality[metric.field])}"
+            for metric in METRICS
+            if quality[metric.field] is not None
+        ]
+        scores = f"against ground truth ({quality['frames']} frames): {', '.join(values)}"
+        nothing = "against ground truth: it has none of the frames between the rendered ones"
+        lines.append(scores if quality["frames"] else nothing)
+    if pulse is not None and pulse["against"] == KEY_FRAMES:
+        mean, worst = (BY_OPTION["pulse"].with_unit(pulse[name]) for name in ("mean", "worst"))
+        count = pluralise(pulse["frames"], "frame")
+        lines.append(f"pulse against {pulse['against']} ({count}): {mean}, at worst {worst}")
+    return lines
+
+
+def _file_lines(document: dict[str, Any]) -> list[str]:
+    """Say what was read back, and what rendering would have taken by the renderer's own times."""
+    from exwarp_cli.report.sentences import format_time
+
+    lines = []
+    if document["verified"] is not None:
+        lines.append(f"{pluralise(document['verified'], 'file')} read back, all as written")
+    if (times := document["render_time"]) is not None:
+        lines.append(
+            f"render time saved: {format_time(times['saved_s'])} ({times['saved_share']:.0%}); "
+            f"a key frame took {format_time(times['key_frame_s'])} to render, a new one takes "
+            f"{format_time(times['generated_frame_s'])}"
+        )
+    return lines

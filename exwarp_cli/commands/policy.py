@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from exwarp_cli import __version__
-from exwarp_cli.commands.options import FILE, HelpfulGroup, json_option, print_json, show
+from exwarp_cli.commands.options import FILE, json_option, print_json, show
 
 # Cores, or MAC units of a core: a mistyped number must not fill the memory.
 MOST = 4096
@@ -29,7 +29,7 @@ PORT = click.option(
 )
 
 
-@click.group("policy", cls=HelpfulGroup)
+@click.group("policy", subcommand_metavar="[COMMAND] [ARGS]...")
 def command() -> None:
     """Look into the learned policy and its accelerator."""
 

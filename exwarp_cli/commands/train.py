@@ -10,7 +10,8 @@ import click
 
 from exwarp_cli.commands.options import (
     FILE,
-    HelpfulGroup,
+    Decorator,
+    combined,
     json_option,
     print_json,
     show,
@@ -29,32 +30,39 @@ from exwarp_cli.research.training.training_settings import (
 
 DEFAULTS = ExtrapolatorSettings()
 AHEAD = LookAheadSettings()
-POLICY = PolicySettings()
-TILES = TilePolicySettings()
 
 
-@click.group("train", cls=HelpfulGroup)
+@click.group("train", subcommand_metavar="[COMMAND] [ARGS]...")
 def command() -> None:
     """Train ExWarp's networks on rendered scenes."""
 
 
-def _scene_options(function: Any) -> Any:
-    """Add the options of what is learnt from, and where the outcome goes."""
-    for option in (
-        click.option("--exclude", multiple=True, metavar="GLOB", help="Names to leave out."),
+# What is learnt from, and where the outcome goes.
+_scene_options = combined(
+    click.option("--data", type=FILE, required=True, help="Folder of rendered scenes."),
+    click.option("-o", "--output", type=FILE, required=True, help="For checkpoints and the model."),
+    click.option(
+        "--scenes", multiple=True, metavar="GLOB", help="Names to learn from; else all made for it."
+    ),
+    click.option("--exclude", multiple=True, metavar="GLOB", help="Names to leave out."),
+)
+
+
+def _policy_options(
+    usual: PolicySettings | TilePolicySettings, outcome: str, unit: str
+) -> Decorator[Any]:
+    """Return the options of both trainings of a policy, but for the data."""
+    return combined(
         click.option(
-            "--scenes",
-            multiple=True,
-            metavar="GLOB",
-            help="Names to learn from; else all made for it.",
+            "--tables", type=FILE, help="Use these; default: those that come with ExWarp."
         ),
-        click.option(
-            "-o", "--output", type=FILE, required=True, help="For checkpoints and the model."
-        ),
-        click.option("--data", type=FILE, required=True, help="Folder of rendered scenes."),
-    ):
-        function = option(function)
-    return function
+        click.option("-o", "--output", type=FILE, required=True, help=f"For the {outcome}."),
+        click.option("--extrapolator", type=FILE, metavar="FILE", help="ONNX network for --data."),
+        click.option("--steps", type=click.IntRange(1), default=usual.steps),
+        click.option("--batch", type=click.IntRange(1), default=usual.batch, help=f"In {unit}."),
+        click.option("--rate", type=float, default=usual.rate, help="Of learning."),
+        click.option("--seed", type=click.IntRange(0), default=usual.seed),
+    )
 
 
 @command.command("extrapolator", context_settings={"show_default": True})
@@ -153,13 +161,7 @@ def _train_network(
     multiple=True,
     help="Folder of rendered scenes to measure; several for several sizes.",
 )
-@click.option("--tables", type=FILE, help="Use these; default: those that come with ExWarp.")
-@click.option("-o", "--output", type=FILE, required=True, help="For the models and scores.")
-@click.option("--extrapolator", type=FILE, metavar="FILE", help="ONNX network for --data.")
-@click.option("--steps", type=click.IntRange(1), default=POLICY.steps)
-@click.option("--batch", type=click.IntRange(1), default=POLICY.batch, help="In states.")
-@click.option("--rate", type=float, default=POLICY.rate, help="Of learning.")
-@click.option("--seed", type=click.IntRange(0), default=POLICY.seed)
+@_policy_options(PolicySettings(), "models and scores", "states")
 @click.option("--cache", type=FILE, help="For --data; default: in the data folder's parent.")
 @click.option("--jobs", type=click.IntRange(1), help="Scenes at a time; default: all cores.")
 @json_option
@@ -195,13 +197,7 @@ def policy(
 
 @command.command("tile-policy", context_settings={"show_default": True})
 @click.option("--data", type=FILE, help="Folder of rendered scenes to measure.")
-@click.option("--tables", type=FILE, help="Use these; default: those that come with ExWarp.")
-@click.option("-o", "--output", type=FILE, required=True, help="For the model and scores.")
-@click.option("--extrapolator", type=FILE, metavar="FILE", help="ONNX network for --data.")
-@click.option("--steps", type=click.IntRange(1), default=TILES.steps)
-@click.option("--batch", type=click.IntRange(1), default=TILES.batch, help="In tiles.")
-@click.option("--rate", type=float, default=TILES.rate, help="Of learning.")
-@click.option("--seed", type=click.IntRange(0), default=TILES.seed)
+@_policy_options(TilePolicySettings(), "model and scores", "tiles")
 @json_option
 def tile_policy(
     data: Path | None,

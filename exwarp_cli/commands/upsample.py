@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import nullcontext, suppress
 from dataclasses import fields, replace
 from importlib import import_module
 from pathlib import Path
@@ -21,6 +21,7 @@ from exwarp_cli.commands.options import (
     scan_option,
     show,
     source_options,
+    summary_lines,
     summary_of_files,
     threads_option,
     view_transform_option,
@@ -39,7 +40,6 @@ from exwarp_cli.runtime.read_registry import enable_restart, is_restarted
 
 if TYPE_CHECKING:
     from exwarp_cli.api import UpsampleResult
-    from exwarp_cli.pipeline.dry_run import DryRun
     from exwarp_cli.pipeline.job import Job
     from exwarp_cli.pipeline.progress import Progress
 
@@ -273,11 +273,14 @@ def command(
     if not (dry_run or distribution.spread) and settings.threads != 1:
         with suppress(RuntimeError):  # no more threads: what needs one says so
             Thread(target=_import_run, name="exwarp-import").start()
-    with _farm_task(progress), reporting(progress, results_on_stdout=as_json) as reporter:
+    # Engines of Open Job Description know success and failure alone. They try one that fails
+    # again, and never begin the steps after it, which join the reports and make the video.
+    leniency = suppress(IncompleteError) if progress == "openjd" else nullcontext()
+    with leniency, reporting(progress, results_on_stdout=as_json) as reporter:
         if dry_run:
             job = replace(open_job(settings), reported=as_json or report_folder is not None)
             folder = find_report_folder(report_folder, as_chunk, job.key_numbers)
-            _print_dry_run(_foresee(job, distribution, folder, reporter), as_json)
+            _print_dry_run(job, distribution, folder, reporter, as_json)
             return
         result = upsample(
             settings,
@@ -292,18 +295,6 @@ def command(
             from exwarp_cli.pipeline.messages import require_complete
 
             require_complete(result.summary)
-
-
-@contextmanager
-def _farm_task(progress: str) -> Iterator[None]:
-    """Let a task of a farm succeed that left out what its options let it leave out."""
-    # Engines of Open Job Description know success and failure alone. They try one that fails
-    # again, and never begin the steps after it, which join the reports and make the video.
-    try:
-        yield
-    except IncompleteError:
-        if progress != "openjd":
-            raise
 
 
 def settings_of(options: Mapping[str, Any]) -> UpsampleSettings:
@@ -322,11 +313,12 @@ def _import_run() -> None:
         import_module("exwarp_cli.pipeline.run")
 
 
-def _foresee(
-    job: Job, distribution: ClusterSettings, folder: Path | None, reporter: Progress
-) -> DryRun:
-    """Find out what the job would do."""
+def _print_dry_run(
+    job: Job, distribution: ClusterSettings, folder: Path | None, reporter: Progress, as_json: bool
+) -> None:
+    """Find out and print what the job would do."""
     from exwarp_cli.pipeline.dry_run import foresee, require_writable
+    from exwarp_cli.report.command_text import dry_run_document, dry_run_lines
 
     if folder is not None:
         from exwarp_cli.report.folder import refuse_report
@@ -339,12 +331,7 @@ def _foresee(
 
         plan = foresee_on_cluster(job, distribution, plan)
     job.announce(reporter)
-    return replace(plan, report=folder)
-
-
-def _print_dry_run(plan: DryRun, as_json: bool) -> None:
-    from exwarp_cli.report.command_text import dry_run_document, dry_run_lines
-
+    plan = replace(plan, report=folder)
     if as_json:
         print_json(dry_run_document(plan))
         return
@@ -354,7 +341,6 @@ def _print_dry_run(plan: DryRun, as_json: bool) -> None:
 
 def _print_summary(result: UpsampleResult, settings: UpsampleSettings, as_json: bool) -> None:
     """Say in a few lines what was done, or print the report's document."""
-    from exwarp_cli.commands.summary_lines import summary_lines
     from exwarp_cli.io.video_reader import is_clip
 
     document = result.document

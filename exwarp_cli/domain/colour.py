@@ -100,7 +100,12 @@ class ShoulderCurve:
     def encode(self, linear: Float32) -> Float32:
         """Return the code of scene-linear colour, float32 of the same shape, -1 to 1."""
         size = np.abs(linear)
-        code = np.float32(self.white) * _encode_plain(np.minimum(size, 1), self.encoding)
+        plain = np.minimum(size, 1)
+        if self.encoding == "srgb":
+            plain = SRGB.to_code(plain)
+        elif self.encoding == "log":
+            plain = np.log2(1 + plain)
+        code = np.float32(self.white) * plain
         if self.peak > 1:
             share = (1 - self.white) / np.log(self.peak)
             code += np.float32(share) * np.log(np.maximum(size, 1))
@@ -111,23 +116,14 @@ class ShoulderCurve:
         """Invert `encode`; what lies outside of -1 to 1 counts as the nearer end."""
         size = np.minimum(np.abs(code), 1)
         white = np.float32(self.white)
-        linear = _decode_plain(np.minimum(size / white, 1), self.encoding)
+        linear = np.minimum(size / white, 1)
+        if self.encoding == "srgb":
+            curve = ((linear + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
+            toe = linear / np.float32(12.92)
+            linear = np.where(linear <= np.float32(12.92 * 0.0031308), toe, curve)
+        elif self.encoding == "log":
+            linear = np.exp2(linear) - 1
         if self.peak > 1:
             share = np.log(self.peak) / (1 - self.white)
             linear *= np.exp(np.float32(share) * np.maximum(size - white, 0))
         return np.copysign(linear, code)
-
-
-def _encode_plain(linear: Float32, encoding: str) -> Float32:
-    if encoding == "srgb":
-        curve = np.float32(1.055) * linear ** np.float32(1 / 2.4) - np.float32(0.055)
-        return np.where(linear <= np.float32(0.0031308), np.float32(12.92) * linear, curve)
-    return np.log2(1 + linear) if encoding == "log" else linear
-
-
-def _decode_plain(code: Float32, encoding: str) -> Float32:
-    if encoding == "srgb":
-        curve = ((code + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
-        toe = code / np.float32(12.92)
-        return np.where(code <= np.float32(12.92 * 0.0031308), toe, curve)
-    return np.exp2(code) - 1 if encoding == "log" else code

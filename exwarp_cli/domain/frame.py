@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -151,28 +151,17 @@ class GBuffer:
         """Return the geometry on another window; what is new there is background."""
         if canvas == self.window:
             return self
-
-        def moved(array: np.ndarray | None, fill: float = 0.0) -> np.ndarray | None:
-            return None if array is None else place_on_canvas(array, self.window, canvas, fill)
-
-        bend = self.bend
-        if bend is not None:
-            bend = np.stack([place_on_canvas(half, self.window, canvas) for half in bend])
-        return GBuffer(
-            canvas,
-            moved(self.depth, np.inf),
-            moved(self.normal),
-            moved(self.position),
-            moved(self.stencil),
-            moved(self.to_previous, np.nan),
-            moved(self.to_next, np.nan),
-            moved(self.albedo),
-            moved(self.specular),
-            moved(self.roughness),
-            moved(self.metallic),
-            moved(self.objects),
-            bend,
-        )
+        fills = {"depth": np.inf, "to_previous": np.nan, "to_next": np.nan}
+        placed: dict[str, Any] = {"window": canvas}
+        for name in (field.name for field in fields(self)):
+            array = getattr(self, name)
+            if name == "bend" and array is not None:
+                placed[name] = np.stack(
+                    [place_on_canvas(half, self.window, canvas) for half in array]
+                )
+            elif name != "window" and array is not None:
+                placed[name] = place_on_canvas(array, self.window, canvas, fills.get(name, 0.0))
+        return GBuffer(**placed)
 
 
 @dataclass(frozen=True)

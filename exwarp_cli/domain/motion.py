@@ -44,8 +44,16 @@ class AxisMap:
 
         Non-finite values give NaN, and so do clipped ones, where `still` is the middle of 0 … 1.
         """
+        out: Float32 = pool.empty((*raw.shape[:-1], 2), np.float32)
         if not self.still and self.length is None and self.alpha is None:
-            return self._scaled(raw)
+            # A third of the time of the passes over the frame below.
+            from exwarp_cli.kernels import raw_channels  # numba: not for `exwarp --help`
+
+            rows = np.ascontiguousarray(raw, np.float32).reshape(-1, raw.shape[-1])
+            scales = np.float32(self.x_scale), np.float32(self.y_scale)
+            channels = self.x_channel, self.y_channel
+            raw_channels.scale_vectors(rows, channels, scales, out.reshape(-1, 2))
+            return out
         axes = []
         clipped = self.length is None and abs(self.still - STILL_MIDDLE) < STILL_TOLERANCE
         pairs = ((self.x_channel, self.x_scale), (self.y_channel, self.y_scale))
@@ -62,21 +70,8 @@ class AxisMap:
                 if self.length is not None:
                     value = value * raw[..., self.length]
                 axes.append(value * np.float32(scale))
-            out: Float32 = pool.empty((*raw.shape[:-1], 2), np.float32)
             np.stack(axes, axis=-1, out=out)
             out[~np.isfinite(axes[0] + axes[1])] = np.nan
-        return out
-
-    def _scaled(self, raw: Float32) -> Float32:
-        # A third of the time of the passes over the frame in `apply`.
-        from exwarp_cli.kernels import raw_channels  # numba: not for `exwarp --help`
-
-        out: Float32 = pool.empty((*raw.shape[:-1], 2), np.float32)
-        rows = np.ascontiguousarray(raw, np.float32).reshape(-1, raw.shape[-1])
-        scales = np.float32(self.x_scale), np.float32(self.y_scale)
-        raw_channels.scale_vectors(
-            rows, (self.x_channel, self.y_channel), scales, out.reshape(-1, 2)
-        )
         return out
 
     def write(
@@ -138,23 +133,16 @@ class MotionConvention:
         """Return the convention in pixels for frames (display windows) of this size."""
         if not self.of_frame:
             return self
+        return replace(self.scaled(width, height), of_frame=False)
 
-        def scaled(axes: AxisMap | None) -> AxisMap | None:
-            if axes is None:
-                return None
-            return replace(axes, x_scale=axes.x_scale * width, y_scale=axes.y_scale * height)
-
-        return MotionConvention(scaled(self.to_previous), scaled(self.to_next))
-
-    def scaled(self, factor: float) -> MotionConvention:
-        """Return the convention of vectors that are shorter by a factor."""
-
-        def longer(axes: AxisMap | None) -> AxisMap | None:
-            if axes is None:
-                return None
-            return replace(axes, x_scale=axes.x_scale * factor, y_scale=axes.y_scale * factor)
-
-        return replace(self, to_previous=longer(self.to_previous), to_next=longer(self.to_next))
+    def scaled(self, x: float, y: float | None = None) -> MotionConvention:
+        """Return the convention of vectors that are shorter by a factor, or by one per axis."""
+        y = x if y is None else y
+        before, after = (
+            m and replace(m, x_scale=m.x_scale * x, y_scale=m.y_scale * y)
+            for m in (self.to_previous, self.to_next)
+        )
+        return replace(self, to_previous=before, to_next=after)
 
     def describe(self, channels: tuple[str, ...]) -> str:
         """Return the convention in the notation of ``--motion``."""

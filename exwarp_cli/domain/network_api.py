@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from math import prod
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -63,22 +64,6 @@ class NetworkPictures:
         return NetworkPictures(parts, self.time)
 
 
-class NetworkTensors(Protocol):
-    """Inputs that exist as a whole."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width."""
-
-    @property
-    def time(self) -> float:
-        """Time of the slot in its key interval."""
-
-    @property
-    def pictures(self) -> Mapping[str, Float32]:
-        """float32 [C, H, W] by input."""
-
-
 class LazyInputs(Protocol):
     """Inputs that are computed part by part on demand."""
 
@@ -86,7 +71,7 @@ class LazyInputs(Protocol):
     def shape(self) -> tuple[int, int]:
         """Height and width."""
 
-    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkTensors:
+    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkPictures:
         """Return the inputs of some rows and columns.
 
         Beyond the frame, its edge may be repeated, or be left out. `room`, float32 [C, h, w] for
@@ -95,88 +80,38 @@ class LazyInputs(Protocol):
         # Fresh memory, cleared by the system, took three times as long to fill.
 
 
-# Version of the inputs; models state it in their metadata
-EXTRAPOLATOR_VERSION = "exwarp.extrapolator/1"
-
 HISTORY_FRAMES = 3  # rendered frames that the network sees: F_k, F_k-1 and F_k-2
 
-# Channels of the picture inputs, float32 [1, channels, H, W] each.
-EXTRAPOLATOR_INPUTS = {"warped": 6, "mask": 1, "features": 6, "history": 4 * HISTORY_FRAMES}
-
-EXTRAPOLATOR_OUTPUT = "colour"  # the only output, float32 [1, 3, H, W]
-
+# The interface of ExtraNet's kind. Pictures are float32 [1, channels, H, W]; colour is demodulated,
+# scene-linear, as sign(x) log(1 + |x|), and without alpha. The time is 0.25, 0.5 or 0.75.
+#
+# warped: F_k warped to the slot with holes at 0, then the frame that W makes, with holes filled,
+# edges covered and light carried on. mask: 1 where F_k shows the slot's surface, 0 in holes.
+# features: world normal (3; background and unknown 0), depth (0 to 1; 1 is background, unknown
+# 0.5), roughness (unknown 0.5), metallic (unknown 0). history: F_k, F_k-1, F_k-2 moved to the slot,
+# newest first, each as colour (3; in holes too) and mask (1). The oldest is repeated where there
+# are fewer.
 EXTRAPOLATOR_INTERFACE = NetworkInterface(
-    EXTRAPOLATOR_VERSION, EXTRAPOLATOR_INPUTS, ("warped", "mask"), EXTRAPOLATOR_OUTPUT, 3
+    version="exwarp.extrapolator/1",
+    inputs={"warped": 6, "mask": 1, "features": 6, "history": 4 * HISTORY_FRAMES},
+    required=("warped", "mask"),
+    output="colour",
+    made=3,
 )
 
 
-@dataclass(frozen=True)
-class NetworkInputs:
-    """The inputs of an extrapolation network for one slot (ExtraNet's).
-
-    Colour is demodulated, scene-linear, as sign(x) log(1 + |x|), and without alpha.
-    """
-
-    # [6, H, W]: F_k warped to the slot with holes at 0, then the frame that W makes, with holes
-    # filled, edges covered and light carried on
-    warped: Float32
-    mask: Float32  # [1, H, W]: 1 where F_k shows the slot's surface, 0 in holes
-    # [6, H, W]: world normal (3; background and unknown 0), depth (0 to 1; 1 is background, unknown
-    # 0.5), roughness (unknown 0.5), metallic (unknown 0)
-    features: Float32
-    # [12, H, W]: F_k, F_k-1, F_k-2 moved to the slot, newest first, each as colour (3; in holes
-    # too) and mask (1). The oldest is repeated where there are fewer.
-    history: Float32
-    time: float  # in the key interval: 0.25, 0.5 or 0.75
-
-    @property
-    def pictures(self) -> dict[str, Float32]:
-        """The picture inputs by name, without the batch axis."""
-        return {name: getattr(self, name) for name in EXTRAPOLATOR_INPUTS}
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width."""
-        height, width = self.mask.shape[1:]
-        return height, width
-
-    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkInputs:
-        """Return the inputs of some rows and columns; views of these, so no room is taken."""
-        parts = {name: planes[:, rows, columns] for name, planes in self.pictures.items()}
-        return NetworkInputs(**parts, time=self.time)
-
-
-class ExtrapolatorInputs(NetworkTensors, LazyInputs, Protocol):
-    """The inputs of a slot, whole or part by part; properties as in `NetworkInputs`."""
-
-    @property
-    def warped(self) -> Float32:
-        """float32 [6, H, W]."""
-
-    @property
-    def mask(self) -> Float32:
-        """float32 [1, H, W]."""
-
-    @property
-    def features(self) -> Float32:
-        """float32 [6, H, W]."""
-
-    @property
-    def history(self) -> Float32:
-        """float32 [12, H, W]."""
-
-    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkInputs:
-        """Return the inputs of some rows and columns; see `LazyInputs`."""
-
-
-class Extrapolator(Protocol):
+class NetworkModel(Protocol):
     """A network that is ready to run."""
 
     @property
     def checksum(self) -> str:
         """SHA-256 of the model's file, in hexadecimal digits."""
 
-    def __call__(self, inputs: ExtrapolatorInputs) -> Float32:
+
+class Extrapolator(NetworkModel, Protocol):
+    """A network that makes the colour of a slot."""
+
+    def __call__(self, inputs: LazyInputs) -> Float32:
         """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""
 
 
@@ -225,7 +160,10 @@ def cut_tiles(
     pairs = [(a, b) for a in rows for b in columns]
     fitting = [pair for pair in pairs if pair[0][1] * pair[1][1] * stride**2 <= most]
     if fitting:
-        chosen = min(fitting, key=_tile_cost)
+        # The coarsest pixels computed in all, then the number of tiles
+        chosen = min(
+            fitting, key=lambda pair: (prod(pair[0]) * prod(pair[1]), pair[0][0] * pair[1][0])
+        )
     else:
         chosen = min(pairs, key=lambda pair: pair[0][1] * pair[1][1])
     down, across = (
@@ -233,12 +171,6 @@ def cut_tiles(
         for n, (count, length) in zip(size, chosen, strict=True)
     )
     return tuple((row, column) for row in down for column in across)
-
-
-def _tile_cost(pair: tuple[tuple[int, int], tuple[int, int]]) -> tuple[int, int]:
-    """Return the coarsest pixels computed in all, and the number of tiles."""
-    (rows, height), (columns, width) = pair
-    return rows * height * columns * width, rows * columns
 
 
 def _tile_lengths(cells: int, margin: int) -> list[tuple[int, int]]:
@@ -261,16 +193,12 @@ def _spread_tiles(cells: int, count: int, length: int, margin: int, stride: int)
     ]
 
 
-class Interpolator(Protocol):
+class Interpolator(NetworkModel, Protocol):
     """A network that makes the frame at any time between two, from their colour alone."""
 
     @property
     def name(self) -> str:
         """Name in tables."""
-
-    @property
-    def checksum(self) -> str:
-        """SHA-256 of the model's file, in hexadecimal digits."""
 
     def __call__(self, before: Float32, after: Float32, time: float) -> Float32:
         """Return the frame at a time, 0 < time < 1, between two frames.
@@ -306,12 +234,8 @@ LOOKAHEAD_INTERFACE = NetworkInterface(
 
 
 @runtime_checkable
-class LookAheadNetwork(Protocol):
-    """A network that weighs candidates, ready to run."""
-
-    @property
-    def checksum(self) -> str:
-        """SHA-256 of the model's file, in hexadecimal digits."""
+class LookAheadNetwork(NetworkModel, Protocol):
+    """A network that weighs candidates."""
 
     def weigh(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
         """Yield the weights of each tile of a slot: float32 [CANDIDATES, h, w]."""

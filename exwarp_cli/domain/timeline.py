@@ -61,7 +61,7 @@ class Timeline:
         ordered = sorted(set(numbers))
         if not ordered:
             raise MissingFrameError("the sequence has no frames; check the path or pattern")
-        step = min((b - a for a, b in pairwise(ordered)), default=1)
+        step = number_step(ordered)
         if gaps := [(a, b) for a, b in pairwise(ordered) if b - a != step]:
             raise MissingFrameError(
                 f"frame {_name_missing(gaps, step)} is missing from the sequence "
@@ -133,7 +133,7 @@ def fill_gaps(numbers: Iterable[int]) -> tuple[int, ...]:
     result: then `Timeline.of` reports what is missing.
     """
     ordered = sorted(set(numbers))
-    step = min((b - a for a, b in pairwise(ordered)), default=1)
+    step = number_step(ordered)
     if any((b - a) % step for a, b in pairwise(ordered)):
         return tuple(ordered)
     full = range(ordered[0], ordered[-1] + 1, step) if ordered else range(0)

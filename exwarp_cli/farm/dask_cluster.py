@@ -7,25 +7,30 @@ gives the same bytes: frames, video and report are those of a single run.
 
 from __future__ import annotations
 
+import asyncio
+import logging
 import math
+import os
 import queue
+import signal
+import sys
 import time
 import uuid
+import warnings
 from collections import Counter, deque
 from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
-from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass, replace
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import Any
+from multiprocessing import resource_tracker
+from typing import Any, NamedTuple
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.results import RunOutcome, RunSummary
 from exwarp_cli.domain.settings import DEFAULT_CHUNK_SIZE, ClusterSettings
 from exwarp_cli.domain.timeline import Slot, ranges
-from exwarp_cli.domain.wording import pluralise
-from exwarp_cli.errors import ClusterError, UsageError
-from exwarp_cli.farm.dask_client import connected, require_dask, threads_per_worker
+from exwarp_cli.domain.wording import first_line, pluralise
+from exwarp_cli.errors import ClusterError, MissingExtraError, UsageError
 from exwarp_cli.farm.dask_worker import (
     Chunk,
     ChunkResult,
@@ -34,8 +39,7 @@ from exwarp_cli.farm.dask_worker import (
     check_worker,
     render_chunk,
 )
-from exwarp_cli.farm.farm_job import split
-from exwarp_cli.farm.path_options import absolute, inputs_of
+from exwarp_cli.farm.farm_job import absolute, inputs_of, split
 from exwarp_cli.io.files import ResourceOwner, await_file, marker_file, remove_leftovers
 from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.pipeline.dry_run import DryRun
@@ -45,7 +49,18 @@ from exwarp_cli.pipeline.messages import announce_skipped
 from exwarp_cli.pipeline.progress import ANY, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.run import make_writer
 from exwarp_cli.pipeline.scheduling import AsyncWriter
-from exwarp_cli.runtime.stop import check_stop, note_progress
+from exwarp_cli.runtime.machine import processors
+from exwarp_cli.runtime.stop import (
+    block_signals,
+    check_stop,
+    clean_up_after,
+    note_progress,
+    scratch_folder,
+)
+
+CONNECT_S = 10.0  # seconds that a scheduler has to answer
+STOP_S = 6.0  # seconds that processes have to end before they are killed
+LOOPBACK = "127.0.0.1"
 
 # Chunks for each worker: the last one keeps the others waiting for a third of its share at most.
 ROUNDS = 3
@@ -56,7 +71,137 @@ ATTEMPTS = 4  # a chunk that ends its worker every time would end them all
 RESULT_S = 60.0  # seconds that the records of a finished chunk may take to arrive
 CANCEL_S = 10.0  # seconds to wait for cancelled chunks, which stop at their next frame
 
-_NO_ANSWER = (OSError, TimeoutError)  # of Dask; its CommClosedError is an OSError
+
+def require_dask() -> Any:
+    """Return the module `distributed`; MissingExtraError where it is not installed."""
+    try:
+        import distributed
+    except ImportError as error:
+        raise MissingExtraError(
+            "--workers and --cluster need Dask, which is not installed; install it with pip "
+            'install "exwarp[cluster]"'
+        ) from error
+    return distributed
+
+
+def threads_per_worker(workers: int, threads: int | None) -> int:
+    """Divide threads, or all cores, among worker processes of this machine."""
+    return max(1, (threads or processors().allowed) // workers)
+
+
+@contextmanager
+def connected(where: ClusterSettings, threads: int | None) -> Iterator[Any]:
+    """Yield a `distributed.Client`; processes on this machine live as long as the block.
+
+    The processes share `threads`, or all cores for None.
+
+    ClusterError: the scheduler does not answer, or processes do not start. MissingExtraError: Dask
+    is not installed.
+    """
+    distributed = require_dask()
+    with ExitStack() as stack:
+        stack.enter_context(_silenced())
+        address = where.address
+        if address is None:
+            address = stack.enter_context(_local_cluster(distributed, where.workers or 1, threads))
+        try:
+            if where.address is not None:
+                # Ask first: a client that fails half way keeps its event loop.
+                asyncio.run(asyncio.wait_for(_require_scheduler(distributed, address), CONNECT_S))
+            # Not as the default, which Dask would use for everything else in this process.
+            client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
+        except Exception as error:  # servers of other kinds cause errors of any kind
+            if isinstance(error, TimeoutError):
+                reason = f"no answer for {CONNECT_S:g} seconds"
+            elif isinstance(error, MemoryError):  # Dask reads bytes of other protocols as a size
+                reason = "what listens there does not speak Dask's language"
+            else:
+                reason = first_line(error)
+            raise ClusterError(
+                f"cannot reach a Dask scheduler at {address} ({reason}); check the "
+                "address, which is like tcp://host:8786, and that 'dask scheduler' runs there"
+            ) from error
+        stack.callback(_close, client)
+        yield client
+
+
+async def _require_scheduler(distributed: Any, address: str) -> None:
+    connection_args = distributed.Security().get_connection_args("client")
+    async with distributed.rpc(address, connection_args=connection_args) as server:
+        kind = (await server.identity())["type"]
+    if kind != "Scheduler":
+        raise ValueError(f"a {kind.lower()} of a cluster listens there")
+
+
+@contextmanager
+def _local_cluster(distributed: Any, workers: int, threads: int | None) -> Iterator[Any]:
+    """Start processes that end with the block, or with this process, however it ends."""
+    import dask
+
+    if sys.platform != "win32":
+        # It would unblock SIGINT below where the first process starts it.
+        resource_tracker.ensure_running()
+    with ExitStack() as stack:
+        folder = str(stack.enter_context(scratch_folder()))
+        # Some parts of Dask otherwise make a folder for all runs, which is never removed.
+        stack.enter_context(dask.config.set({"temporary-directory": folder}))
+        try:
+            with block_signals(signal.SIGINT):  # this process ends its workers itself
+                cluster = distributed.LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=threads_per_worker(workers, threads),
+                    processes=True,
+                    host=LOOPBACK,
+                    scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},
+                    memory_limit=None,
+                    silence_logs=logging.CRITICAL,
+                    local_directory=folder,
+                    preload=["exwarp_cli.farm.dask_worker"],
+                )
+        except (OSError, RuntimeError) as error:
+            raise ClusterError(
+                f"cannot start {workers} worker processes on this machine ({first_line(error)}); "
+                "use fewer --workers, or none"
+            ) from error
+        # Listed now: a cluster that is being closed lists them no more.
+        stack.enter_context(clean_up_after(partial(_kill, tuple(cluster.workers.values()))))
+        stack.callback(_close, cluster)
+        yield cluster
+
+
+def _close(connection: Any) -> None:
+    """Close a client or a local cluster. Processes that do not end are killed afterwards."""
+    note_progress()
+    with suppress(OSError, RuntimeError):
+        connection.close(timeout=STOP_S)
+
+
+def _kill(nannies: Iterable[Any]) -> None:
+    """End a local cluster's processes. Nothing is lost: files appear only when complete."""
+    for nanny in nannies:
+        if nanny.pid:
+            with suppress(OSError):  # ended meanwhile
+                os.kill(nanny.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
+
+
+@contextmanager
+def _silenced() -> Iterator[None]:
+    """Hide Dask's log and warnings: what matters becomes a message of ExWarp."""
+    import dask
+
+    # Dask's loggers have levels of their own, and one handler. It stays silent after the block,
+    # because processes that do not end in time are killed, which Dask logs later.
+    for handler in logging.getLogger("distributed").handlers:
+        handler.setLevel(logging.CRITICAL + 1)
+    settings = {
+        "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
+        # Processes of this machine need no web pages.
+        "distributed.scheduler.http.routes": [],
+        "distributed.worker.http.routes": [],
+    }
+    with dask.config.set(settings), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 def run_on_cluster(
@@ -66,12 +211,8 @@ def run_on_cluster(
 
     The watcher is shown the frames that it wants, by parts of it in the workers.
 
-    Raises
-    ------
-    ClusterError
-        When the cluster cannot be reached, cannot do the work, or loses its workers.
-    ExwarpError
-        As `pipeline.run.upsample` raises; frames written until then are complete.
+    ClusterError: the cluster cannot be reached, cannot do the work, or loses its workers.
+    ExwarpError: as `pipeline.run.upsample` raises; frames written until then are complete.
     """
     _require_frames(job)
     job.refuse()
@@ -79,43 +220,36 @@ def run_on_cluster(
         for folder in job.targets.folders:  # of lost workers, once the others have ended
             stack.callback(remove_leftovers, folder)
         client = stack.enter_context(connected(where, job.settings.threads))
-        return _run(job, where, progress, watcher, client)
-
-
-def _run(
-    job: Job,
-    where: ClusterSettings,
-    progress: Progress,
-    watcher: SharedWatcher | None,
-    client: Any,
-) -> RunSummary:
-    job.targets.make_folders()
-    with ExitStack() as stack:
-        stack.callback(job.close)  # whose rendered frames the video shows
-        marks = [stack.enter_context(marker_file(folder)) for folder in job.targets.folders]
-        dispatcher = ChunkDispatcher(client, _requirements(job, marks), progress)
-        workers = dispatcher.await_workers()
-        divided = chunks_of(job.keys, where, workers)
-        job.announce(progress)
-        spread = _spread(where, workers, job.settings.threads)
-        progress.message(f"{pluralise(len(divided), 'chunk')} for {spread}")
-        begin = time.perf_counter()
-        progress.start(len(job.slots), kinds_of(job.slots), workers)
-        stack.callback(progress.finish)
-        if watcher is not None:
-            watcher.plan(job.groups)
-        video = None
-        if job.targets.video is not None:
-            video = stack.enter_context(VideoFromFrames(job))
-            for text in video.remarks:
-                progress.message(text)
-        chunks = _make_chunks(job, where, divided, watcher)
-        outcomes = _collect(dispatcher, chunks, progress, watcher, video)
-    seconds = time.perf_counter() - begin
-    outcome = RunOutcome.joined(outcomes)
-    if job.targets.video is not None and job.settings.verify:
-        verify_video(job.targets.video, outcome.shown)
-    return job.summary(outcome, seconds)
+        job.targets.make_folders()
+        with ExitStack() as work:
+            work.callback(job.close)  # whose rendered frames the video shows
+            marks = [work.enter_context(marker_file(folder)) for folder in job.targets.folders]
+            requirements = WorkerRequirements(
+                __version__, inputs_of(job), tuple(str(mark.absolute()) for mark in marks)
+            )
+            dispatcher = ChunkDispatcher(client, requirements, progress)
+            workers = dispatcher.await_workers()
+            divided = chunks_of(job.keys, where, workers)
+            job.announce(progress)
+            spread = _spread(where, workers, job.settings.threads)
+            progress.message(f"{pluralise(len(divided), 'chunk')} for {spread}")
+            begin = time.perf_counter()
+            progress.start(len(job.slots), kinds_of(job.slots), workers)
+            work.callback(progress.finish)
+            if watcher is not None:
+                watcher.plan(job.groups)
+            video = None
+            if job.targets.video is not None:
+                video = work.enter_context(VideoFromFrames(job))
+                for text in video.remarks:
+                    progress.message(text)
+            chunks = _make_chunks(job, where, divided, watcher)
+            outcomes = _collect(dispatcher, chunks, progress, watcher, video)
+        seconds = time.perf_counter() - begin
+        outcome = RunOutcome.joined(outcomes)
+        if job.targets.video is not None and job.settings.verify:
+            verify_video(job.targets.video, outcome.shown)
+        return job.summary(outcome, seconds)
 
 
 def _collect(
@@ -145,10 +279,7 @@ def _collect(
 def foresee_on_cluster(job: Job, where: ClusterSettings, dry_run: DryRun) -> DryRun:
     """Add to a dry run how its key frames would be divided among workers.
 
-    Raises
-    ------
-    ClusterError
-        When the cluster cannot be reached, or cannot do the work.
+    ClusterError: the cluster cannot be reached, or cannot do the work.
     """
     _require_frames(job)
     require_dask()
@@ -156,8 +287,8 @@ def foresee_on_cluster(job: Job, where: ClusterSettings, dry_run: DryRun) -> Dry
         workers = where.workers or 1
     else:
         with connected(where, job.settings.threads) as client:
-            dispatcher = ChunkDispatcher(client, _requirements(job, ()), Progress())
-            workers = dispatcher.await_workers()
+            requirements = WorkerRequirements(__version__, inputs_of(job))
+            workers = ChunkDispatcher(client, requirements, Progress()).await_workers()
     chunks = chunks_of(job.key_numbers, where, workers)
     return replace(dry_run, chunks=chunks, spread=_spread(where, workers, job.settings.threads))
 
@@ -189,12 +320,6 @@ def _require_frames(job: Job) -> None:
             f"-o {job.settings.output} is a video alone, and workers write frames; name a folder "
             "in -o and the video in --video, or leave out --workers and --cluster"
         )
-
-
-def _requirements(job: Job, marks: Sequence[Path]) -> WorkerRequirements:
-    return WorkerRequirements(
-        __version__, inputs_of(job), tuple(str(mark.absolute()) for mark in marks)
-    )
 
 
 def _make_chunks(
@@ -239,25 +364,24 @@ class VideoFromFrames(ResourceOwner):
         """Append the frames of key intervals; of `missing` output numbers, the frame before."""
         timeline = self._job.source.timeline
         for slot in (slot for key in keys for slot in timeline.slots_of(key)):
-            if timeline.number(slot) in missing:
-                self._writer.submit(self._frames.show_again)
-            else:
-                self._writer.submit(partial(self._show, slot))
+            is_missing = timeline.number(slot) in missing
+            self._writer.submit(
+                self._frames.show_again if is_missing else partial(self._show, slot)
+            )
 
     def _show(self, slot: Slot) -> None:
         source, frames = self._job.source, self._job.targets.frames
         assert frames is not None
-        if not slot.index:  # the rendered file itself
+        if slot.index:
+            number = source.timeline.number(slot)
+            await_file(frames.path(number))  # another machine has just written it
+            self._frames.show(self._frames.read(number))
+        else:  # the rendered file itself
             number = source.timeline.numbers[slot.key]
             self._frames.show(read_sequence_picture(source.keys.sequence, number, source.keys.view))
-            return
-        number = source.timeline.number(slot)
-        await_file(frames.path(number))  # another machine has just written it
-        self._frames.show(self._frames.read(number))
 
 
-@dataclass(frozen=True)
-class _Task:
+class _Task(NamedTuple):
     chunk: Chunk
     future: Any
     worker: str
@@ -282,16 +406,13 @@ class ChunkDispatcher:
         self._frames: set[int] = set()
         self._news: queue.SimpleQueue[Any] = queue.SimpleQueue()  # futures and events
         self._looked_at = -math.inf
-        self._without_worker_since: float | None = None
+        self._unfit_since = math.inf  # since when no worker can do the job
         self._busy_from = math.inf
 
     def await_workers(self) -> int:
         """Wait until there are workers that can do the job, and return how many.
 
-        Raises
-        ------
-        ClusterError
-            When no worker comes, or all that are there cannot do the job.
+        ClusterError: no worker comes, or all that are there cannot do the job.
         """
         while not self._fit:
             check_stop()
@@ -306,12 +427,8 @@ class ChunkDispatcher:
     def render(self, chunks: Iterable[Chunk]) -> Generator[tuple[Chunk, ChunkResult], None, None]:
         """Yield chunks with their results, in the order in which they end.
 
-        Raises
-        ------
-        ClusterError
-            When the scheduler goes away, or a chunk loses its worker again and again.
-        ExwarpError
-            The first error of a chunk.
+        ClusterError: the scheduler goes away, or a chunk loses its worker again and again.
+        ExwarpError: the first error of a chunk.
         """
         self._waiting.extend(chunks)
         self._busy_from = time.monotonic() + ANSWER_S
@@ -338,7 +455,7 @@ class ChunkDispatcher:
             return getattr(self._client, method)(*args, **kwargs)
         except Exception as error:
             # How a closed client fails differs between methods and versions of Dask.
-            if not isinstance(error, _NO_ANSWER) and self._client.status == "running":
+            if not isinstance(error, OSError) and self._client.status == "running":
                 raise
             raise ClusterError(
                 "the Dask scheduler went away; frames written so far are whole, and "
@@ -346,7 +463,10 @@ class ChunkDispatcher:
             ) from error
 
     def _look(self) -> None:
-        """Check new workers, and take back the chunks of lost ones."""
+        """Check new workers, and take back the chunks of lost ones.
+
+        ClusterError where no worker has been fit for too long.
+        """
         now = time.monotonic()
         if now - self._looked_at < POLL_S:
             return
@@ -358,7 +478,17 @@ class ChunkDispatcher:
             self._check(new)
         for worker in [worker for worker in self._tasks if worker not in workers]:
             self._repeat(self._tasks.pop(worker))
-        self._require_worker(now, bool(workers))
+        if self._fit:
+            self._unfit_since = math.inf
+        elif self._unfit_since == math.inf:
+            self._unfit_since = now
+            if not workers and not self._losses:
+                self._progress.message("waiting for a worker to join the cluster")
+        elif now - self._unfit_since > PATIENCE_S:
+            raise ClusterError(
+                f"the cluster has had no worker that can do this for {PATIENCE_S:g} seconds; start "
+                "some with 'dask worker ADDRESS', and go on with --skip-existing"
+            )
         if now > self._busy_from:
             self._busy_from = math.inf
             self._progress.message("waiting for a worker to be free: none has answered yet")
@@ -374,7 +504,7 @@ class ChunkDispatcher:
                 self._fit.add(worker)
             elif isinstance(answer, str):
                 unfit[worker] = answer
-            elif not isinstance(answer, _NO_ANSWER):  # else it is asked again
+            elif not isinstance(answer, OSError):  # else it is asked again
                 unfit[worker] = (
                     f"cannot run ExWarp {self._requirements.version} ({answer}); install the same "
                     "on all"
@@ -383,19 +513,6 @@ class ChunkDispatcher:
         if self._fit:
             for worker, reason in sorted(unfit.items()):
                 self._progress.message(f"worker {worker} is left out: it {reason}")
-
-    def _require_worker(self, now: float, is_any_there: bool) -> None:
-        if self._fit:
-            self._without_worker_since = None
-        elif self._without_worker_since is None:
-            self._without_worker_since = now
-            if not is_any_there and not self._losses:
-                self._progress.message("waiting for a worker to join the cluster")
-        elif now - self._without_worker_since > PATIENCE_S:
-            raise ClusterError(
-                f"the cluster has had no worker that can do this for {PATIENCE_S:g} seconds; start "
-                "some with 'dask worker ADDRESS', and go on with --skip-existing"
-            )
 
     def _subscribe(self) -> None:
         for run in {chunk.run for chunk in self._waiting}:
@@ -433,7 +550,7 @@ class ChunkDispatcher:
         del self._tasks[task.worker]
         try:
             result = task.future.result(timeout=RESULT_S)
-        except (CancelledError, KilledWorker, *_NO_ANSWER):
+        except (CancelledError, KilledWorker, OSError):  # also a time-out, or a closed connection
             self._repeat(task)
             return None
         task.future.release()
@@ -448,20 +565,18 @@ class ChunkDispatcher:
 
     def _repeat(self, task: _Task) -> None:
         """Put back the chunk of a lost worker; ClusterError after several losses."""
-        chunk = task.chunk
+        chunk, frames = task.chunk, task.chunk.frames
         self._begun.discard(chunk.index)
         self._losses[chunk.index] += 1
         if self._losses[chunk.index] >= ATTEMPTS:
             raise ClusterError(
-                f"frames {chunk.frames} lost their worker {ATTEMPTS} times, so it may be they that "
+                f"frames {frames} lost their worker {ATTEMPTS} times, so it may be they that "
                 "end it; try --frames with a part of them alone, fewer workers, or more memory "
                 "for each"
             )
-        self._progress.message(
-            f"worker {task.worker} was lost; frames {chunk.frames} are done again"
-        )
+        self._progress.message(f"worker {task.worker} was lost; frames {frames} are done again")
         self._waiting.appendleft(chunk)
-        self._subscribe()  # again, because a restarted scheduler has forgotten it
+        self._subscribe()  # again, as a restarted scheduler has forgotten it
         self._call("cancel", [task.future])
 
     def _cancel_all(self) -> None:

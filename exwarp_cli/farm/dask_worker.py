@@ -115,7 +115,7 @@ _closing: threading.Timer | None = None
 
 def render_chunk(chunk: Chunk) -> ChunkResult | BaseException:
     """Do a chunk. Errors are returned, because Dask logs those that are raised."""
-    global _closing
+    global _closing, _opened
     progress = ChunkProgress(chunk)
     with _lock:
         if _closing is not None:
@@ -123,9 +123,12 @@ def render_chunk(chunk: Chunk) -> ChunkResult | BaseException:
         try:
             progress.require_wanted()
             progress.send(begin=True)
-            job = replace(
-                _open_once(chunk, progress.threads).of(chunk.keys), reported=chunk.reported
-            )
+            if _opened is None or _opened[0] != chunk.run:
+                # For the first chunk of a run only: opening measures vectors, loads networks.
+                _opened = None
+                threads = chunk.settings.threads or progress.threads
+                _opened = chunk.run, open_job(replace(chunk.settings, threads=threads))
+            job = replace(_opened[1].of(chunk.keys), reported=chunk.reported)
             return ChunkResult(write_intervals(job, progress, chunk.watcher), chunk.watcher)
         except Exception as error:
             return error
@@ -134,16 +137,6 @@ def render_chunk(chunk: Chunk) -> ChunkResult | BaseException:
             _closing = threading.Timer(KEPT_S, _close)
             _closing.daemon = True
             _closing.start()
-
-
-def _open_once(chunk: Chunk, threads: int) -> Job:
-    """Open the job for the first chunk of a run only: opening measures vectors, loads networks."""
-    global _opened
-    if _opened is None or _opened[0] != chunk.run:
-        _opened = None
-        settings = replace(chunk.settings, threads=chunk.settings.threads or threads)
-        _opened = chunk.run, open_job(settings)
-    return _opened[1]
 
 
 def _close() -> None:

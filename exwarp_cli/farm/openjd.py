@@ -22,8 +22,16 @@ import yaml
 from exwarp_cli import __version__
 from exwarp_cli.domain.wording import has_control_chars, pluralise
 from exwarp_cli.errors import OutputExistsError, UsageError
-from exwarp_cli.farm.farm_job import Argument, FarmJob, Placeholder, frames_text, is_dense, split
-from exwarp_cli.farm.path_options import DataFlow, PathOption
+from exwarp_cli.farm.farm_job import (
+    Argument,
+    DataFlow,
+    FarmJob,
+    PathOption,
+    Placeholder,
+    frames_text,
+    is_dense,
+    split,
+)
 from exwarp_cli.io.files import atomic_write_text, make_folder, path_exists
 
 SPECIFICATION = "jobtemplate-2023-09"
@@ -70,10 +78,7 @@ class JobTemplate:
 def job_template(job: FarmJob, workers: Workers, folder: Path | None) -> JobTemplate:
     """Describe a job for a template in `folder`; None leaves all paths to be given at submission.
 
-    Raises
-    ------
-    UsageError
-        When something is too long for a template.
+    UsageError: something is too long for a template.
     """
     size = job.size
     if workers.plain:
@@ -128,17 +133,14 @@ class _Parameters:
     ) -> str:
         """Define a parameter with a default; return how a format string refers to it.
 
-        Raises
-        ------
-        UsageError
-            When the default is too long.
+        UsageError: the default is too long.
         """
         _require_length(str(default), label)
         shown = {"label": label, "groupLabel": group} | ({"control": "HIDDEN"} if hidden else {})
         self.definitions.append(
             {"name": name, "type": kind, "default": default, **more, "userInterface": shown}
         )
-        return _reference(name)
+        return f"{{{{Param.{name}}}}}"
 
     def format_text(self, text: str) -> str:
         """Return a format string for a text."""
@@ -182,7 +184,7 @@ class _Parameters:
             self.values[name] = str(path)
         _require_length(str(path), label)
         self.definitions.append(definition)
-        return _reference(name)
+        return f"{{{{Param.{name}}}}}"
 
 
 def _chunked_frames(job: FarmJob, workers: Workers, parameters: _Parameters) -> tuple[str, Data]:
@@ -243,7 +245,12 @@ def _steps(
         }
         return {"name": name, **more, **requires, "script": {"actions": {"onRun": action}}}
 
-    requires = _host_requirements(workers)
+    memory = None if workers.memory_gib is None else math.ceil(workers.memory_gib * 1024)
+    least = {"vcpu": workers.vcpus, "memory": memory, "gpu": workers.gpus}
+    amounts = [
+        {"name": f"amount.worker.{name}", "min": value} for name, value in least.items() if value
+    ]
+    requires: Data = {"hostRequirements": {"amounts": amounts}} if amounts else {}
     after: Data = {"dependencies": [{"dependsOn": "Upsample"}]}
     tasks = {"parameterSpace": {"taskParameterDefinitions": [space]}}
     steps = [step("Upsample", job.chunk, tasks, requires)]
@@ -252,19 +259,6 @@ def _steps(
     if job.filming is not None:
         steps.append(step("Video", job.filming, after, requires))
     return steps
-
-
-def _host_requirements(workers: Workers) -> Data:
-    memory = None if workers.memory_gib is None else math.ceil(workers.memory_gib * 1024)
-    least = {"vcpu": workers.vcpus, "memory": memory, "gpu": workers.gpus}
-    amounts = [
-        {"name": f"amount.worker.{name}", "min": value} for name, value in least.items() if value
-    ]
-    return {"hostRequirements": {"amounts": amounts}} if amounts else {}
-
-
-def _reference(name: str) -> str:
-    return f"{{{{Param.{name}}}}}"
 
 
 def _require_length(value: str, label: str) -> None:
@@ -303,12 +297,12 @@ class _Dumper(yaml.SafeDumper):
         return True
 
 
-def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
-    style = None if _BARE_WORD.fullmatch(text) else '"'
-    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
-
-
-_Dumper.add_representer(str, _represent_text)
+_Dumper.add_representer(
+    str,
+    lambda dumper, text: dumper.represent_scalar(
+        "tag:yaml.org,2002:str", text, style=None if _BARE_WORD.fullmatch(text) else '"'
+    ),
+)
 
 
 def yaml_text(document: Data) -> str:
@@ -327,12 +321,7 @@ def yaml_text(document: Data) -> str:
 def write_bundle(folder: Path, template: JobTemplate) -> None:
     """Write a job bundle: a folder with the template and the values of its parameters.
 
-    Raises
-    ------
-    OutputExistsError
-        When there is a bundle already.
-    OutputError
-        When it cannot be written.
+    OutputExistsError: there is a bundle already. OutputError: it cannot be written.
     """
     for name in (TEMPLATE_FILE, VALUES_FILE):
         if path_exists(folder / name):

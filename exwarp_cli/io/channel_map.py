@@ -23,10 +23,9 @@ from exwarp_cli.errors import (
     UsageError,
 )
 from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect_layout
-from exwarp_cli.io.config_file import read_toml
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.exr.header import Channel
-from exwarp_cli.io.files import atomic_write_text
+from exwarp_cli.io.files import atomic_write_text, read_toml
 
 SCHEMA = "exwarp.channel-map/1"
 

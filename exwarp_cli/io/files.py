@@ -20,10 +20,11 @@ from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Self, TypeVar
+from typing import Any, BinaryIO, Self, TypeVar
 
 import xxhash
 
+from exwarp_cli.domain.wording import first_line
 from exwarp_cli.errors import DamagedFileError, InputError, OutputError, UnreadableError
 from exwarp_cli.runtime.cores import release_cores
 from exwarp_cli.runtime.stop import check_stop, clean_up_after
@@ -409,3 +410,23 @@ def find_read_error(path: Path) -> OSError | None:
     except OSError as error:
         return None if error.errno in _PATH_ERRORS else error
     return None
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file, which may begin with the byte order mark that some editors write.
+
+    Raises OSError if it cannot be read, ValueError with one line of text if it is not TOML.
+    """
+    import tomllib  # most commands read none
+
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise ValueError(f"byte {error.start} is no UTF-8") from error
+    except tomllib.TOMLDecodeError as error:
+        line = first_line(error)
+        raise ValueError(line[:1].lower() + line[1:]) from error
+    except RecursionError as error:
+        raise ValueError("arrays or tables stand too deep in each other") from error
+    except ValueError as error:  # of Python itself, which reads no number of thousands of digits
+        raise ValueError(first_line(error)) from error

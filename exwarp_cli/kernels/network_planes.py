@@ -165,7 +165,7 @@ def write_input_planes(
     median: np.float32,  # of the finite depth: becomes 0.5
     # corner: row and column of the part's first pixel; beyond the frame its edge is repeated
     corner: tuple[int, int],
-    # out: [25, h, w], written: `warped`, `mask`, `features`, `history` of `domain` NetworkInputs
+    # out: [25, h, w], written: the inputs of `EXTRAPOLATOR_INTERFACE` in `domain.network_api`
     out: F32,
     band: Band,
 ) -> None:

@@ -16,7 +16,6 @@ from exwarp_cli.domain.network_api import (
     EXTRAPOLATOR_INTERFACE,
     LOOKAHEAD_INTERFACE,
     TIME_INPUT,
-    ExtrapolatorInputs,
     LazyInputs,
     NetworkInterface,
     NetworkPictures,
@@ -248,7 +247,7 @@ class OnnxExtrapolator(PictureNetwork):
 
     _interface = EXTRAPOLATOR_INTERFACE
 
-    def __call__(self, inputs: ExtrapolatorInputs) -> Float32:
+    def __call__(self, inputs: LazyInputs) -> Float32:
         """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""
         colour = np.empty((3, *inputs.shape), np.float32)
         for (rows, columns), answer in self.answers(inputs):

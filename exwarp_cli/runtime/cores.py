@@ -34,11 +34,11 @@ class Cores:
         if self.count is None or self._held:
             yield
             return
-        self._take(min(count, self.count))
+        self._keep(min(count, self.count))
         try:
             yield
         finally:
-            self._give_back()
+            self._keep(0)
 
     @contextmanager
     def release(self) -> Iterator[None]:
@@ -50,27 +50,24 @@ class Cores:
         if not count:
             yield
             return
-        self._give_back()
+        self._keep(0)
         try:
             yield
         finally:
-            self._take(count)
+            self._keep(count)
 
     @property
     def _held(self) -> int:
         return int(getattr(self._thread, "held", 0))
 
-    def _take(self, count: int) -> None:
+    def _keep(self, count: int) -> None:
+        """Wait for so many cores and hold them, or give all back for 0."""
         with self._changed:
             self._changed.wait_for(lambda: self._free >= count)
+            self._free += self._held - count
             self._thread.held = count
-            self._free -= count
-
-    def _give_back(self) -> None:
-        with self._changed:
-            self._free += self._held
-            self._changed.notify_all()
-            self._thread.held = 0
+            if not count:
+                self._changed.notify_all()
 
 
 _count: int | None = None

@@ -161,7 +161,23 @@ class ScratchFrames:
 
         Arrays stay in memory where the disk has no room, or the system lacks a call.
         """
-        stored: T = self._store(value)
+        before: Any = value
+        after: Any = value
+        if isinstance(before, np.ndarray):
+            after = self._store_array(before)
+        elif type(before) is tuple:
+            items = tuple(self.store(item) for item in before)
+            if any(new is not old for new, old in zip(items, before, strict=True)):
+                after = items
+        elif is_dataclass(before) and not isinstance(before, type):
+            changed = {}
+            for name in (field.name for field in fields(before) if field.init):
+                part = self.store(getattr(before, name))
+                if part is not getattr(before, name):
+                    changed[name] = part
+            if changed:
+                after = replace(before, **changed)
+        stored: T = after
         return stored
 
     def page_out(self) -> None:
@@ -170,23 +186,6 @@ class ScratchFrames:
             files = list(self._mapped)
         for file in files:
             file.madvise(mmap.MADV_DONTNEED)
-
-    def _store(self, value: Any) -> Any:
-        if isinstance(value, np.ndarray):
-            return self._store_array(value)
-        if type(value) is tuple:
-            items = tuple(self._store(item) for item in value)
-            return items if any(a is not b for a, b in zip(items, value, strict=True)) else value
-        if not is_dataclass(value) or isinstance(value, type):
-            return value
-        changed = {}
-        for field in fields(value):
-            if field.init:
-                before = getattr(value, field.name)
-                after = self._store(before)
-                if after is not before:
-                    changed[field.name] = after
-        return replace(value, **changed) if changed else value
 
     def _store_array(self, array: np.ndarray) -> np.ndarray:
         base: object = array

@@ -66,12 +66,28 @@ def processors() -> Processors:
     """Count the CPUs."""
     there = os.cpu_count() or 1
     affinity = getattr(os, "sched_getaffinity", None)  # Linux has it
-    return Processors(there, there if affinity is None else len(affinity(0)), _cpu_quota())
+    quotas = []
+    for folder in _control_groups():
+        version_2 = _read_text(folder / "cpu.max").partition(" ")[::2]
+        version_1 = [_read_text(folder / f"cpu.cfs_{name}_us") for name in ("quota", "period")]
+        for quota, period in (version_2, version_1):
+            if quota.isdecimal() and period.isdecimal():
+                quotas.append(int(quota) / int(period))
+    least = min((quota for quota in quotas if quota > 0), default=None)
+    return Processors(there, there if affinity is None else len(affinity(0)), least)
 
 
 def memory() -> Memory:
-    """Measure the memory."""
-    meminfo = dict(_read_meminfo())
+    """Measure the memory; elsewhere than on Linux the total alone."""
+    meminfo = {}
+    lines = _read_text(MEMORY).splitlines()
+    for line in lines:
+        name, _, value = line.partition(":")
+        number = value.split()[:1]
+        if number and number[0].isdecimal():
+            meminfo[name] = int(number[0]) * 1024
+    if not lines and hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        meminfo["MemTotal"] = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     there, available = meminfo.get("MemTotal"), meminfo.get("MemAvailable")
     limits = list(_memory_limits(there))
     rooms = [room for _, room in limits] + ([] if available is None else [available])
@@ -114,18 +130,6 @@ def cached_files(folder: Path, suffix: str) -> tuple[int, int]:
     return len(sizes), sum(sizes)
 
 
-def _cpu_quota() -> float | None:
-    """Return the smallest number of CPUs that a control group of this process grants."""
-    quotas = []
-    for folder in _control_groups():
-        version_2 = _read_text(folder / "cpu.max").partition(" ")[::2]
-        version_1 = [_read_text(folder / f"cpu.cfs_{name}_us") for name in ("quota", "period")]
-        for quota, period in (version_2, version_1):
-            if quota.isdecimal() and period.isdecimal():
-                quotas.append(int(quota) / int(period))
-    return min((quota for quota in quotas if quota > 0), default=None)
-
-
 def _memory_limits(there: int | None) -> Iterator[tuple[int, int]]:
     """Yield limit and remaining bytes of the control groups that limit memory."""
     for folder in _control_groups():
@@ -152,18 +156,6 @@ def _control_groups() -> Iterator[Path]:
     for name, top in tops.items():
         for path in (inside[name], *inside[name].parents):
             yield top / path.relative_to("/")
-
-
-def _read_meminfo() -> Iterator[tuple[str, int]]:
-    """Yield names and bytes of Linux's memory statistics; elsewhere the total alone."""
-    lines = _read_text(MEMORY).splitlines()
-    for line in lines:
-        name, _, value = line.partition(":")
-        number = value.split()[:1]
-        if number and number[0].isdecimal():
-            yield name, int(number[0]) * 1024
-    if not lines and hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
-        yield "MemTotal", os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
 def _read_text(path: Path) -> str:

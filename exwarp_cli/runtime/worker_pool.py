@@ -27,32 +27,19 @@ _outbox: Any = None
 
 
 def run_tasks(
+    # A function of a module, called in other processes. Whatever it raises is raised here, and ends
+    # the others.
     work: Callable[..., Result],
-    tasks: Sequence[Task],
-    jobs: int,
+    tasks: Sequence[Task],  # arguments of `work`; like the results, they can be pickled
+    jobs: int,  # processes
+    # Called once in each process: a function of a module that calls `follow_parent`
     begin: Callable[[], None],
+    # Called here with the messages of workers, in between
     receive: Callable[[Any], None] = lambda _: None,
 ) -> Generator[tuple[Task, Result], None, None]:
     """Yield every task with its result, as they come; close the iterator to end the work.
 
-    Parameters
-    ----------
-    work
-        A function of a module, called in other processes. Whatever it raises is raised here, and
-        ends the others.
-    tasks
-        Arguments that it is called with; like the results, they can be pickled.
-    jobs
-        Processes.
-    begin
-        Called once in each process; a function of a module that calls `follow_parent`.
-    receive
-        Called here with the messages of workers, in between.
-
-    Raises
-    ------
-    ExwarpError
-        When a process was ended from outside.
+    ExwarpError: a process was ended from outside.
     """
     before = set(active_children())
     context = get_context("spawn")

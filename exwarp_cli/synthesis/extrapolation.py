@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +11,8 @@ from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.network_api import (
     EXTRAPOLATOR_INTERFACE,
     HISTORY_FRAMES,
-    ExtrapolatorInputs,
-    NetworkInputs,
+    LazyInputs,
+    NetworkPictures,
 )
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels import _row_bands, network_planes
@@ -78,7 +78,7 @@ class SlotInputs:
         """Height and width."""
         return self.surface.window.shape
 
-    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkInputs:
+    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkPictures:
         """Return the inputs of some rows and columns; beyond the frame its edge is repeated."""
         (top, bottom), (left, right) = (
             (span.start or 0, size if span.stop is None else span.stop)
@@ -100,42 +100,19 @@ class SlotInputs:
         )
         self.scratch.page_out()  # before the network takes its memory
         _row_bands.run_bands(_encode_colour, (out.reshape(len(out), -1),), _row_bands.threads())
-        return NetworkInputs(**EXTRAPOLATOR_INTERFACE.split(out), time=self.time)
-
-    def _all(self) -> NetworkInputs:
-        return self.part(slice(None), slice(None))
+        return NetworkPictures(EXTRAPOLATOR_INTERFACE.split(out), self.time)
 
     @property
-    def warped(self) -> Float32:
-        """float32 [6, H, W], of the whole frame; use `part` for several of these planes."""
-        return self._all().warped
-
-    @property
-    def mask(self) -> Float32:
-        """float32 [1, H, W]."""
-        return self._all().mask
-
-    @property
-    def features(self) -> Float32:
-        """float32 [6, H, W]."""
-        return self._all().features
-
-    @property
-    def history(self) -> Float32:
-        """float32 [12, H, W]."""
-        return self._all().history
-
-    @property
-    def pictures(self) -> dict[str, Float32]:
-        """The picture inputs by name."""
-        return self._all().pictures
+    def pictures(self) -> Mapping[str, Float32]:
+        """The picture inputs of the whole frame by name."""
+        return self.part(slice(None), slice(None)).pictures
 
 
 @dataclass(frozen=True)
 class Prepared:
     """What the network needs for a slot, and what turns its answer into a frame."""
 
-    inputs: ExtrapolatorInputs
+    inputs: LazyInputs
     modulation: Float32 | None  # [H, W, 3], factor of the answer; None if the answer is colour
     warped: Float32  # [H, W, C]: W's frame, whose alpha is taken over
     sources: SlotSources  # the key frames, in whose range the frame is held

@@ -12,8 +12,8 @@ import numpy as np
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, Window, place_on_canvas
 from exwarp_cli.domain.network_api import (
     Extrapolator,
-    ExtrapolatorInputs,
     Interpolator,
+    LazyInputs,
     LookAheadNetwork,
 )
 from exwarp_cli.domain.tiles import TILE_FEATURES
@@ -344,7 +344,7 @@ class Interval:
         network, mosaic = self.extrapolator, self.mosaic
         assert network is not None
 
-        def answer(inputs: ExtrapolatorInputs) -> Float32:
+        def answer(inputs: LazyInputs) -> Float32:
             return extrapolate_in(mosaic, chosen, lambda *part: network(inputs.part(*part)))
 
         return self._extrapolate(slot, network if chosen.all() else answer)
@@ -355,7 +355,7 @@ class Interval:
             self._composed[slot] = self.scratch.store(make())
         return self._composed[slot]
 
-    def _extrapolate(self, slot: int, network: Callable[[ExtrapolatorInputs], Float32]) -> Float32:
+    def _extrapolate(self, slot: int, network: Callable[[LazyInputs], Float32]) -> Float32:
         self._back[slot] = self.scratch.store(self.back(slot))
         prepared = self.prepared(slot)
         self._looked.pop(slot, None)

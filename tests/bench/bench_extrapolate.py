@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
-from exwarp_cli.domain.network_api import TIME_INPUT, Extrapolator, NetworkInputs
+from exwarp_cli.domain.network_api import TIME_INPUT, Extrapolator, NetworkPictures
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import load_extrapolator
@@ -77,7 +77,7 @@ def _session(path: Path, threads: int) -> Bare:
     return work
 
 
-def _padded(inputs: NetworkInputs, stride: int) -> Fed:
+def _padded(inputs: NetworkPictures, stride: int) -> Fed:
     height, width = inputs.shape
     padding = ((0, 0), (0, -height % stride), (0, -width % stride))
     fed = {n: np.pad(p, padding, mode="edge")[None] for n, p in inputs.pictures.items()}

@@ -13,7 +13,7 @@ import yaml
 
 from exwarp_cli.commands import farm, upsample
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
-from exwarp_cli.farm.path_options import PATH_ROLES
+from exwarp_cli.farm.farm_job import PATH_ROLES
 from exwarp_cli.option_values import names_paths
 from tests.cli import shots
 from tests.cli.farm_engine import HOSTILE, call, checked, parameters

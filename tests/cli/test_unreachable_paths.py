@@ -10,7 +10,7 @@ import errno
 
 import pytest
 
-from exwarp_cli.errors import ExwarpError, InputError, OutputError, system_error
+from exwarp_cli.errors import ExwarpError, InputError, OutputError, to_exwarp_error
 from tests.cli.shots import FORWARD
 
 LONG = "a" * 300
@@ -75,11 +75,11 @@ def test_a_farm_receives_the_same_message(exwarp):
     ],
 )
 def test_an_error_that_only_writers_get_is_of_the_output(number: int, kind: type[ExwarpError]):
-    found = system_error(OSError(number, "why", "/a/b"))
+    found = to_exwarp_error(OSError(number, "why", "/a/b"))
     assert type(found) is kind
     assert str(found) == "cannot use /a/b: why; check the path and its rights"
 
 
 def test_what_names_no_file_is_a_defect():
-    assert system_error(OSError("why")) is None
-    assert system_error(OSError(errno.EBADF, "why", 7)) is None
+    assert to_exwarp_error(OSError("why")) is None
+    assert to_exwarp_error(OSError(errno.EBADF, "why", 7)) is None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.network_api import NetworkInputs
+from exwarp_cli.domain.network_api import NetworkPictures
 
 
 class Filled:
@@ -11,5 +11,5 @@ class Filled:
 
     checksum = "0" * 64
 
-    def __call__(self, inputs: NetworkInputs) -> Float32:
-        return inputs.warped[3:]
+    def __call__(self, inputs: NetworkPictures) -> Float32:
+        return inputs.pictures["warped"][3:]

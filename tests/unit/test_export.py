@@ -13,11 +13,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from exwarp_cli.domain.network_api import (
-    EXTRAPOLATOR_INPUTS,
-    EXTRAPOLATOR_INTERFACE,
-    NetworkInputs,
-)
+from exwarp_cli.domain.network_api import EXTRAPOLATOR_INTERFACE, NetworkPictures
 from exwarp_cli.errors import OutputError
 from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.onnx_export import export_network
@@ -96,15 +92,16 @@ class Fixed(nn.Module):
         return warped[:, :3] * mask * ramp
 
 
-def given(height: int, width: int) -> NetworkInputs:
+def given(height: int, width: int) -> NetworkPictures:
     rng = np.random.default_rng(9)
     planes = {
-        name: rng.random((n, height, width), np.float32) for name, n in EXTRAPOLATOR_INPUTS.items()
+        name: rng.random((n, height, width), np.float32)
+        for name, n in EXTRAPOLATOR_INTERFACE.inputs.items()
     }
-    return NetworkInputs(**planes, time=0.75)
+    return NetworkPictures(planes, 0.75)
 
 
-def answer(module: nn.Module, inputs: NetworkInputs, names: tuple[str, ...]) -> np.ndarray:
+def answer(module: nn.Module, inputs: NetworkPictures, names: tuple[str, ...]) -> np.ndarray:
     tensors = {name: torch.from_numpy(array)[None] for name, array in inputs.pictures.items()}
     tensors["time"] = torch.tensor([inputs.time])
     with torch.no_grad():
@@ -121,7 +118,7 @@ def small(tmp_path_factory) -> Path:
 @pytest.mark.parametrize(("height", "width"), [(8, 12), (48, 36), (132, 200)])
 def test_the_model_does_what_the_network_does(small, height, width):
     inputs = given(height, width)
-    expected = answer(Small().eval(), inputs, (*EXTRAPOLATOR_INPUTS, "time"))
+    expected = answer(Small().eval(), inputs, (*EXTRAPOLATOR_INTERFACE.inputs, "time"))
     np.testing.assert_allclose(load_extrapolator(small, 1, "cpu")(inputs), expected, atol=1e-4)
 
 

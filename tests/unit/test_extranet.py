@@ -11,7 +11,7 @@ import onnx
 import pytest
 import torch
 
-from exwarp_cli.domain.network_api import EXTRAPOLATOR_INPUTS, NetworkInputs
+from exwarp_cli.domain.network_api import EXTRAPOLATOR_INTERFACE, NetworkPictures
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.extranet_import import (
@@ -31,7 +31,8 @@ def inputs(height: int, width: int, seed: int = 3) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(seed)
     size = (height, width)
     planes = {
-        name: rng.standard_normal((n, *size), np.float32) for name, n in EXTRAPOLATOR_INPUTS.items()
+        name: rng.standard_normal((n, *size), np.float32)
+        for name, n in EXTRAPOLATOR_INTERFACE.inputs.items()
     }
     planes["mask"] = (rng.random((1, *size)) > 0.2).astype(np.float32)
     planes["history"][3::4] = rng.random((3, *size)) > 0.3
@@ -146,7 +147,7 @@ class TestModel:
     @pytest.mark.parametrize(("height", "width"), [(8, 8), (40, 56), (37, 51)])
     def test_it_runs_as_the_network_does(self, model, adapter, height, width):
         given = inputs(height, width)
-        ours = load_extrapolator(model, 1, "cpu")(NetworkInputs(**given, time=0.5))
+        ours = load_extrapolator(model, 1, "cpu")(NetworkPictures(given, 0.5))
         edges = ((0, 0), (0, -height % 8), (0, -width % 8))
         whole = {name: np.pad(array, edges, mode="edge") for name, array in given.items()}
         expected = answer(adapter, whole)[:, :height, :width]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
-from exwarp_cli.domain.network_api import EXTRAPOLATOR_INPUTS, NetworkInputs
+from exwarp_cli.domain.network_api import EXTRAPOLATOR_INTERFACE, NetworkPictures
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.runtime.frame_pool import ScratchFrames
 from exwarp_cli.synthesis.extrapolation import DARKEST, decode, encode, modulation_of
@@ -27,8 +27,8 @@ SETTINGS = ("key", "slot")
 class Bright(Filled):
     """A network that makes everything brighter, what is black too."""
 
-    def __call__(self, inputs: NetworkInputs) -> Float32:
-        return np.abs(inputs.warped[3:]) + 1
+    def __call__(self, inputs: NetworkPictures) -> Float32:
+        return np.abs(inputs.pictures["warped"][3:]) + 1
 
 
 @pytest.fixture(scope="module", params=SETTINGS)
@@ -67,16 +67,18 @@ def test_inputs_have_their_shapes_and_ranges(interval, slot):
     inputs = interval.prepared(slot).inputs
     height, width = interval.key.image.data_window.shape
     for name, plane in inputs.pictures.items():
-        assert plane.shape == (EXTRAPOLATOR_INPUTS[name], height, width), name
+        assert plane.shape == (EXTRAPOLATOR_INTERFACE.inputs[name], height, width), name
         assert plane.dtype == np.float32, name
         assert np.isfinite(plane).all(), name
     assert inputs.time == slot / 4
     hole = interval.back(slot).hole
-    assert (inputs.mask[0][hole] == 0).all()
-    assert (inputs.warped[:3, hole] == 0).all()
-    visible = inputs.mask[0] == 1
-    np.testing.assert_array_equal(inputs.history[:3, visible], inputs.warped[:3, visible])
-    assert 0 <= inputs.features[3:].min() <= inputs.features[3:].max() <= 1
+    assert (inputs.pictures["mask"][0][hole] == 0).all()
+    assert (inputs.pictures["warped"][:3, hole] == 0).all()
+    visible = inputs.pictures["mask"][0] == 1
+    np.testing.assert_array_equal(
+        inputs.pictures["history"][:3, visible], inputs.pictures["warped"][:3, visible]
+    )
+    assert 0 <= inputs.pictures["features"][3:].min() <= inputs.pictures["features"][3:].max() <= 1
 
 
 @pytest.mark.parametrize("slot", [2, 3])
@@ -84,7 +86,7 @@ def test_every_frame_of_the_history_shows_the_slot(interval, slot):
     """Where three frames show a point that nothing lights differently, they agree."""
     prepared = interval.prepared(slot)
     truth = town().view(STEP * (4 * K + slot))
-    frames = prepared.inputs.history.reshape(3, 4, *truth.surface.shape)
+    frames = prepared.inputs.pictures["history"].reshape(3, 4, *truth.surface.shape)
     for frame in frames:
         seen = (frame[3] > 0) & (truth.surface != SKY) & truth.inside(3)
         assert seen.mean() > 0.3
@@ -104,7 +106,8 @@ def test_surface_colour_is_put_back(interval):
     """Shading is warped; the slot's own surface colour is put on it."""
     made, plain = interval.extrapolated(2), interval.without("albedo", "specular").extrapolated(2)
     truth = town().view(STEP * (4 * K + 2))
-    seen = (interval.prepared(2).inputs.mask[0] > 0) & (truth.surface != SKY) & truth.inside(3)
+    mask = interval.prepared(2).inputs.pictures["mask"]
+    seen = (mask[0] > 0) & (truth.surface != SKY) & truth.inside(3)
     assert np.median(np.abs(made - plain)[seen]) < 0.02
 
 
@@ -112,7 +115,7 @@ def test_what_is_missing_has_stated_defaults(interval):
     bare = interval.without("albedo", "specular", "roughness", "metallic", "normal")
     prepared = bare.prepared(2)
     assert prepared.modulation is None
-    features = prepared.inputs.features
+    features = prepared.inputs.pictures["features"]
     assert (features[:3] == 0).all()
     assert (features[4] == 0.5).all()
     assert (features[5] == 0).all()
@@ -188,13 +191,14 @@ def test_whatever_is_not_rendered_is_done_without(interval, parts):
     prepared = bare.prepared(2)
     height, width = interval.key.image.data_window.shape
     for name, plane in prepared.inputs.pictures.items():
-        assert plane.shape == (EXTRAPOLATOR_INPUTS[name], height, width), name
+        assert plane.shape == (EXTRAPOLATOR_INTERFACE.inputs[name], height, width), name
         assert np.isfinite(plane).all(), name
-    assert 0 <= prepared.inputs.features[3:].min() <= prepared.inputs.features[3:].max() <= 1
+    features = prepared.inputs.pictures["features"]
+    assert 0 <= features[3:].min() <= features[3:].max() <= 1
     frame = bare.extrapolated(2)
     assert np.isfinite(frame).all()
     truth = town().view(STEP * (4 * K + 2))
-    seen = (prepared.inputs.mask[0] > 0) & (truth.surface != SKY) & truth.inside(3)
+    seen = (prepared.inputs.pictures["mask"][0] > 0) & (truth.surface != SKY) & truth.inside(3)
     assert seen.mean() > 0.3
     assert np.median(np.abs(frame - truth.colour)[seen]) < 0.03
 
@@ -219,7 +223,7 @@ def test_broken_pixels_do_not_reach_the_network(interval):
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_the_oldest_frame_is_repeated(footage, setting, k, older):
     inputs = footage.causal(k, setting).prepared(1).inputs
-    frames = inputs.history.reshape(3, 4, *inputs.mask.shape[1:])
+    frames = inputs.pictures["history"].reshape(3, 4, *inputs.pictures["mask"].shape[1:])
     for index in range(older + 1, 3):
         np.testing.assert_array_equal(frames[index], frames[older])
     for index in range(1, older + 1):
@@ -232,7 +236,7 @@ def test_a_part_of_a_frame_is_as_if_no_more_had_been_rendered(interval, slot):
     part = Window(whole.x + 20, whole.y + 8, whole.width - 48, whole.height - 20)
     rows, columns = slice(8, 8 + part.height), slice(20, 20 + part.width)
     found, full = (i.prepared(slot).inputs for i in (interval.on(part), interval))
-    before, after = full.mask[0, rows, columns] > 0, found.mask[0] > 0
+    before, after = full.pictures["mask"][0, rows, columns] > 0, found.pictures["mask"][0] > 0
     assert after.shape == part.shape
     lost = before & ~after
     assert not (after & ~before).any() and lost.any()
@@ -242,5 +246,6 @@ def test_a_part_of_a_frame_is_as_if_no_more_had_been_rendered(interval, slot):
     inside = (x + back[..., 0] >= 3) & (x + back[..., 0] <= part.width - 4)
     inside &= (y + back[..., 1] >= 3) & (y + back[..., 1] <= part.height - 4)
     assert (lost & inside).mean() < 0.002
-    same = np.abs(found.history[:3] - full.history[:3, rows, columns]).max(axis=0)
+    was, now = full.pictures["history"][:3, rows, columns], found.pictures["history"][:3]
+    same = np.abs(now - was).max(axis=0)
     assert np.percentile(same[after & inside], 99) < 1e-3

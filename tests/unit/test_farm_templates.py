@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from openjd.model import create_job, decode_job_template, preprocess_job_parameters
 
 from exwarp_cli.errors import InputError, OutputExistsError, UsageError
-from exwarp_cli.farm.farm_job import FarmJob, OptionValue
+from exwarp_cli.farm.farm_job import FarmJob, OptionValue, PathOption, locate
 from exwarp_cli.farm.openjd import JobTemplate, Workers, job_template, write_bundle, yaml_text
-from exwarp_cli.farm.path_options import PathOption, locate
 from tests.unit.tiny_models import convolution
 
 ROOT = Path("/shots")

@@ -141,7 +141,7 @@ def test_any_look_can_be_learned_from(plain, seed):
     look = draw_look(np.random.default_rng(seed), can_halve=True)
     footage = plain.seen_as(Variant(), look)
     prepared = footage.causal(1, "key").prepared(2)
-    made = prepared.finish(prepared.inputs.part(slice(None), slice(None)).warped[3:])
+    made = prepared.finish(prepared.inputs.part(slice(None), slice(None)).pictures["warped"][3:])
     truth = footage.truth(1, 2).pixels[..., :3]
     assert made.shape[:2] == truth.shape[:2]
     assert np.mean((made[..., :3] - truth) ** 2) < np.mean((truth - truth.mean()) ** 2) / 4

@@ -14,11 +14,9 @@ import pytest
 from onnx import TensorProto, helper
 
 from exwarp_cli.domain.network_api import (
-    EXTRAPOLATOR_INPUTS,
-    EXTRAPOLATOR_OUTPUT,
-    EXTRAPOLATOR_VERSION,
+    EXTRAPOLATOR_INTERFACE,
     TIME_INPUT,
-    NetworkInputs,
+    NetworkPictures,
 )
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.errors import (
@@ -40,13 +38,13 @@ from tests.unit.tiny_models import convolution, filled_warp, inputs, model, pict
 SIZES = [(1, 1), (5, 3), (8, 8), (37, 61)]
 
 
-def random_inputs(height: int, width: int, time: float = 0.5) -> NetworkInputs:
+def random_inputs(height: int, width: int, time: float = 0.5) -> NetworkPictures:
     rng = np.random.default_rng(height * 1000 + width)
     planes = {
         name: rng.standard_normal((count, height, width)).astype(np.float32)
-        for name, count in EXTRAPOLATOR_INPUTS.items()
+        for name, count in EXTRAPOLATOR_INTERFACE.inputs.items()
     }
-    return NetworkInputs(**planes, time=time)
+    return NetworkPictures(planes, time)
 
 
 @pytest.fixture
@@ -64,7 +62,7 @@ class TestRunning:
         given = random_inputs(*size)
         found = load(filled_warp(exwarp__stride=stride))(given)
         assert found.dtype == np.float32 and found.flags.c_contiguous
-        np.testing.assert_array_equal(found, given.warped[3:])
+        np.testing.assert_array_equal(found, given.pictures["warped"][3:])
 
     @pytest.mark.parametrize("size", SIZES)
     def test_what_is_missing_at_the_right_and_bottom_repeats_the_edge(self, load, size):
@@ -72,15 +70,15 @@ class TestRunning:
         rows = np.minimum(np.arange(-(-size[0] // 8) * 8), size[0] - 1)
         columns = np.minimum(np.arange(-(-size[1] // 8) * 8), size[1] - 1)
         padded = {name: planes[:, rows][:, :, columns] for name, planes in given.pictures.items()}
-        whole = network(NetworkInputs(**padded, time=0.5))
+        whole = network(NetworkPictures(padded, 0.5))
         np.testing.assert_array_equal(network(given), whole[:, : size[0], : size[1]])
 
     def test_inputs_may_be_left_out_but_count_where_they_are_not(self, load):
         network, given = load(convolution()), random_inputs(16, 24)
         for name, planes in given.pictures.items():
-            changed = NetworkInputs(**given.pictures | {name: planes + 1}, time=0.5)
+            changed = NetworkPictures(given.pictures | {name: planes + 1}, 0.5)
             assert (network(changed) != network(given)).any(), name
-        later = NetworkInputs(**given.pictures, time=0.75)
+        later = NetworkPictures(given.pictures, 0.75)
         np.testing.assert_allclose(network(later) - network(given), 0.0025, atol=1e-6)
         timeless = load(convolution(time=False))
         np.testing.assert_array_equal(timeless(later), timeless(given))
@@ -90,7 +88,7 @@ class TestRunning:
         for node in (*made.graph.input, *made.graph.output):
             node.type.tensor_type.shape.dim[0].dim_param = "N"
         given = random_inputs(8, 8)
-        np.testing.assert_array_equal(load(made)(given), given.warped[3:])
+        np.testing.assert_array_equal(load(made)(given), given.pictures["warped"][3:])
 
     def test_the_checksum_is_the_file_s(self, load, tmp_path):
         network = load(convolution())
@@ -157,13 +155,17 @@ def no_batch() -> onnx.ModelProto:
         helper.make_tensor_value_info("warped", TensorProto.FLOAT, [6, "H", "W"]),
         *inputs(["mask"]),
     ]
-    nodes = [helper.make_node("Identity", ["mask"], [EXTRAPOLATOR_OUTPUT])]
+    nodes = [helper.make_node("Identity", ["mask"], [EXTRAPOLATOR_INTERFACE.output])]
     return model(nodes, takes)
 
 
 def half_floats() -> onnx.ModelProto:
     takes = [picture("warped", 6, TensorProto.FLOAT16), *inputs(["mask"])]
-    nodes = [helper.make_node("Concat", ["mask", "mask", "mask"], [EXTRAPOLATOR_OUTPUT], axis=1)]
+    nodes = [
+        helper.make_node(
+            "Concat", ["mask", "mask", "mask"], [EXTRAPOLATOR_INTERFACE.output], axis=1
+        )
+    ]
     return model(nodes, takes)
 
 
@@ -181,18 +183,22 @@ def two_times() -> onnx.ModelProto:
 
 
 def four_channels_out() -> onnx.ModelProto:
-    nodes = [helper.make_node("Concat", ["mask"] * 4, [EXTRAPOLATOR_OUTPUT], axis=1)]
-    return model(nodes, inputs(["warped", "mask"]), [picture(EXTRAPOLATOR_OUTPUT, "C")])
+    nodes = [helper.make_node("Concat", ["mask"] * 4, [EXTRAPOLATOR_INTERFACE.output], axis=1)]
+    return model(nodes, inputs(["warped", "mask"]), [picture(EXTRAPOLATOR_INTERFACE.output, "C")])
 
 
 def half_size_out() -> onnx.ModelProto:
     nodes = [
         helper.make_node("Concat", ["mask"] * 3, ["three"], axis=1),
         helper.make_node(
-            "AveragePool", ["three"], [EXTRAPOLATOR_OUTPUT], kernel_shape=[2, 2], strides=[2, 2]
+            "AveragePool",
+            ["three"],
+            [EXTRAPOLATOR_INTERFACE.output],
+            kernel_shape=[2, 2],
+            strides=[2, 2],
         ),
     ]
-    made = picture(EXTRAPOLATOR_OUTPUT, 3)
+    made = picture(EXTRAPOLATOR_INTERFACE.output, 3)
     made.type.tensor_type.shape.dim[2].dim_param = "half H"
     made.type.tensor_type.shape.dim[3].dim_param = "half W"
     return model(nodes, inputs(["warped", "mask"]), [made])
@@ -212,7 +218,10 @@ MISFITS: list[tuple[Callable[[], onnx.ModelProto], tuple[str, ...]]] = [
     (half_size_out, ("gives [1, 3, 20, 28]", "[1, 3, 40, 56]")),
     (lambda: filled_warp(exwarp__stride="0"), ("exwarp.stride = '0'", "from 1 to 256")),
     (lambda: filled_warp(exwarp__stride="eight"), ("exwarp.stride = 'eight'",)),
-    (lambda: filled_warp(exwarp__interface="exwarp.extrapolator/9"), ("/9", EXTRAPOLATOR_VERSION)),
+    (
+        lambda: filled_warp(exwarp__interface="exwarp.extrapolator/9"),
+        ("/9", EXTRAPOLATOR_INTERFACE.version),
+    ),
     (lambda: convolution(scale=2, exwarp__stride="1"), ("fails on 7x5 pixels", "exwarp.stride")),
 ]
 
@@ -234,7 +243,7 @@ class TestRefusals:
             load(filled_warp(gain))(random_inputs(8, 8))
 
     def test_the_interface_may_be_stated(self, load):
-        load(filled_warp(exwarp__interface=EXTRAPOLATOR_VERSION))
+        load(filled_warp(exwarp__interface=EXTRAPOLATOR_INTERFACE.version))
 
     @pytest.mark.parametrize(
         "data",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from exwarp_cli.domain.network_api import TIME_INPUT, NetworkInputs
+from exwarp_cli.domain.network_api import TIME_INPUT, NetworkPictures
 from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.extrapolation_network import (
     ARCHITECTURES,
@@ -146,7 +146,7 @@ def test_architectures_differ():
 def test_threads_change_nothing():
     pictures = {name: p[0].numpy() for name, p in example(120, 213).items() if name != TIME_INPUT}
     one, *more = (
-        load_extrapolator(None, threads, "cpu")(NetworkInputs(**pictures, time=0.5))
+        load_extrapolator(None, threads, "cpu")(NetworkPictures(pictures, 0.5))
         for threads in (1, 2, 3)
     )
     for answer in more:

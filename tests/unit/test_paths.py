@@ -10,7 +10,7 @@ import pytest
 
 from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, NODES, PATHS, WARP
 from exwarp_cli.domain.frame import Float32, KeyFrame
-from exwarp_cli.domain.network_api import NetworkInputs
+from exwarp_cli.domain.network_api import NetworkPictures
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.synthesis.extrapolation import encode
 from exwarp_cli.synthesis.history import older_key_frames
@@ -37,9 +37,10 @@ class Painter:
     asked: list[float] = field(default_factory=list)
     checksum: str = "0" * 64
 
-    def __call__(self, inputs: NetworkInputs) -> Float32:
+    def __call__(self, inputs: NetworkPictures) -> Float32:
         self.asked.append(inputs.time)
-        colour = encode(np.full(inputs.warped[:3].shape, self.colour(inputs.time), np.float32))
+        shape = (3, *inputs.shape)
+        colour = encode(np.full(shape, self.colour(inputs.time), np.float32))
         return np.asarray(colour, np.float32)
 
     @staticmethod

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exwarp_cli.domain.frame import Float32, KeyFrame
-from exwarp_cli.domain.network_api import ExtrapolatorInputs
+from exwarp_cli.domain.network_api import LazyInputs
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.motion_fields import SlotField
@@ -33,7 +33,7 @@ class Wild:
 
     checksum = "1" * 64
 
-    def __call__(self, inputs: ExtrapolatorInputs) -> Float32:
+    def __call__(self, inputs: LazyInputs) -> Float32:
         shape = (3, *inputs.shape)
         return np.random.default_rng(7).uniform(-3, 3, shape).astype(np.float32)  # log(1 + 19)
 
@@ -41,7 +41,7 @@ class Wild:
 class Bright(Wild):
     """A network that makes everything as bright as it may be."""
 
-    def __call__(self, inputs: ExtrapolatorInputs) -> Float32:
+    def __call__(self, inputs: LazyInputs) -> Float32:
         return np.full((3, *inputs.shape), 5, np.float32)
 
 
@@ -159,8 +159,8 @@ class TestExtrapolation:
 
     def test_what_fits_is_not_touched(self, causal):
         class Own(Wild):
-            def __call__(self, inputs: ExtrapolatorInputs) -> Float32:
-                return inputs.part(slice(None), slice(None)).warped[3:]
+            def __call__(self, inputs: LazyInputs) -> Float32:
+                return inputs.part(slice(None), slice(None)).pictures["warped"][3:]
 
         plain = replace(causal.without("albedo", "specular"), extrapolator=Own())
         filled = plain.prepared(2).warped

@@ -8,9 +8,8 @@ import pytest
 
 from exwarp_cli.domain.settings import ClusterSettings, SourceSettings, UpsampleSettings
 from exwarp_cli.errors import OutputError, UsageError
-from exwarp_cli.farm.dask_client import threads_per_worker
-from exwarp_cli.farm.dask_cluster import chunks_of
-from exwarp_cli.farm.path_options import absolute
+from exwarp_cli.farm.dask_cluster import chunks_of, threads_per_worker
+from exwarp_cli.farm.farm_job import absolute
 from exwarp_cli.io.files import TEMPORARY_SUFFIX, marker_file
 from exwarp_cli.pipeline.dry_run import require_writable
 

@@ -9,7 +9,7 @@ import pytest
 
 from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.frame import Float32, Window
-from exwarp_cli.domain.network_api import ExtrapolatorInputs
+from exwarp_cli.domain.network_api import LazyInputs
 from exwarp_cli.domain.tiles import REWARP, TILE_PATHS, TileMakers, TilePlan, paths_from_makers
 from exwarp_cli.synthesis.methods import predict_path, predict_tiles
 from exwarp_cli.synthesis.mosaic import HALO, Mosaic, Tiles, extrapolate_in, lay_over
@@ -22,7 +22,7 @@ class Careful(Painter):
 
     shapes: list[tuple[int, int]] = field(default_factory=list)
 
-    def __call__(self, inputs: ExtrapolatorInputs) -> Float32:
+    def __call__(self, inputs: LazyInputs) -> Float32:
         self.shapes.append(inputs.shape)
         return super().__call__(inputs)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from exwarp_cli.domain.network_api import TIME_INPUT, NetworkInputs
+from exwarp_cli.domain.network_api import TIME_INPUT, NetworkPictures
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.extrapolation_network import ARCHITECTURES, STRIDE, Architecture
@@ -116,9 +116,7 @@ class TestModel:
         }
         with torch.no_grad():
             expected = other.average.eval()(**padded, time=given[TIME_INPUT])[0].numpy()
-        found = load_extrapolator(other.folder / MODEL, 1, "cpu")(
-            NetworkInputs(**pictures, time=0.5)
-        )
+        found = load_extrapolator(other.folder / MODEL, 1, "cpu")(NetworkPictures(pictures, 0.5))
         np.testing.assert_allclose(found, expected[:, :height, :width], atol=1e-4)
         assert np.abs(found - pictures["warped"][3:]).mean() > 0.01, "the network does something"
 

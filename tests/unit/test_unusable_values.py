@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.network_api import NetworkInputs
+from exwarp_cli.domain.network_api import NetworkPictures
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import open_scene
 from exwarp_cli.io.frames import SURFACE, read_raw
@@ -82,12 +82,12 @@ def around() -> np.ndarray:
     return out
 
 
-def require_ranges(inputs: NetworkInputs) -> None:
+def require_ranges(inputs: NetworkPictures) -> None:
     for name, planes in inputs.pictures.items():
         assert np.isfinite(planes).all(), name
-    masks = np.concatenate([inputs.mask, inputs.history[3::4]])
+    masks = np.concatenate([inputs.pictures["mask"], inputs.pictures["history"][3::4]])
     assert np.isin(masks, (0, 1)).all()
-    normal, rest = inputs.features[:3], inputs.features[3:]
+    normal, rest = inputs.pictures["features"][:3], inputs.pictures["features"][3:]
     assert np.abs(normal).max() <= 1
     assert rest.min() >= 0 and rest.max() <= 1
 

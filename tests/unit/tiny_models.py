@@ -9,7 +9,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from exwarp_cli.domain.network_api import EXTRAPOLATOR_INPUTS, EXTRAPOLATOR_OUTPUT, TIME_INPUT
+from exwarp_cli.domain.network_api import EXTRAPOLATOR_INTERFACE, TIME_INPUT
 
 Shape = Sequence[int | str]
 OPSET = 17
@@ -25,7 +25,8 @@ def inputs(names: Sequence[str]) -> list[onnx.ValueInfoProto]:
     """The inputs of these names as the interface has them."""
     time = helper.make_tensor_value_info(TIME_INPUT, TensorProto.FLOAT, [1])
     return [
-        time if name == TIME_INPUT else picture(name, EXTRAPOLATOR_INPUTS[name]) for name in names
+        time if name == TIME_INPUT else picture(name, EXTRAPOLATOR_INTERFACE.inputs[name])
+        for name in names
     ]
 
 
@@ -39,7 +40,7 @@ def model(
     """Put a graph together."""
     constants = [numpy_helper.from_array(array, name) for name, array in (weights or {}).items()]
     graph = helper.make_graph(
-        nodes, "tiny", takes, gives or [picture(EXTRAPOLATOR_OUTPUT, 3)], constants
+        nodes, "tiny", takes, gives or [picture(EXTRAPOLATOR_INTERFACE.output, 3)], constants
     )
     made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR)
     helper.set_model_props(made, dict(metadata or {}))
@@ -62,7 +63,7 @@ def filled_warp(gain: float = 1.0, **metadata: str) -> onnx.ModelProto:
     }
     nodes = [
         helper.make_node("Slice", ["warped", "start", "end", "axis"], ["filled"]),
-        helper.make_node("Mul", ["filled", "gain"], [EXTRAPOLATOR_OUTPUT]),
+        helper.make_node("Mul", ["filled", "gain"], [EXTRAPOLATOR_INTERFACE.output]),
     ]
     stated = {key.replace("__", "."): value for key, value in metadata.items()}
     return model(nodes, inputs(["warped", "mask"]), weights=weights, metadata=stated)
@@ -87,7 +88,9 @@ def endless() -> onnx.ModelProto:
     rounds = {"rounds": np.array(1 << 62, np.int64), "begin": np.array(True)}
     made.graph.initializer.extend(numpy_helper.from_array(a, name) for name, a in rounds.items())
     made.graph.node.append(
-        helper.make_node("Loop", ["rounds", "begin", "once"], [EXTRAPOLATOR_OUTPUT], body=body)
+        helper.make_node(
+            "Loop", ["rounds", "begin", "once"], [EXTRAPOLATOR_INTERFACE.output], body=body
+        )
     )
     return made
 
@@ -102,7 +105,7 @@ def blur(side: int = 9) -> onnx.ModelProto:
     box = {"kernel_shape": [side, side], "pads": [side // 2] * 4}
     nodes = [
         helper.make_node("Slice", ["warped", "start", "end", "axis"], ["filled"]),
-        helper.make_node("AveragePool", ["filled"], [EXTRAPOLATOR_OUTPUT], **box),
+        helper.make_node("AveragePool", ["filled"], [EXTRAPOLATOR_INTERFACE.output], **box),
     ]
     return model(nodes, inputs(["warped", "mask"]), weights=weights)
 
@@ -132,26 +135,30 @@ def convolution(
         "start": np.array([3], np.int64),
         "end": np.array([6], np.int64),
         "axis": np.array([1], np.int64),
-        "first": kernel(channels, sum(EXTRAPOLATOR_INPUTS.values())),
+        "first": kernel(channels, sum(EXTRAPOLATOR_INTERFACE.inputs.values())),
         "second": kernel(channels, channels),
         "third": kernel(3, channels),
         "scales": np.array([1, 1, scale, scale], np.float32),
     }
     same = {"kernel_shape": [3, 3], "pads": [1, 1, 1, 1]}
     nodes = [
-        helper.make_node("Concat", list(EXTRAPOLATOR_INPUTS), ["all"], axis=1),
+        helper.make_node("Concat", list(EXTRAPOLATOR_INTERFACE.inputs), ["all"], axis=1),
         helper.make_node("Conv", ["all", "first"], ["a"], strides=[scale, scale], **same),
         helper.make_node("Relu", ["a"], ["b"]),
         helper.make_node("Conv", ["b", "second"], ["c"], **same),
         helper.make_node("Resize", ["c", "", "scales"], ["d"], mode="nearest"),
         helper.make_node("Conv", ["d", "third"], ["e"], **same),
         helper.make_node("Slice", ["warped", "start", "end", "axis"], ["filled"]),
-        helper.make_node("Add", ["e", "filled"], ["f" if time else EXTRAPOLATOR_OUTPUT]),
+        helper.make_node("Add", ["e", "filled"], ["f" if time else EXTRAPOLATOR_INTERFACE.output]),
     ]
-    names = [*EXTRAPOLATOR_INPUTS, TIME_INPUT] if time else list(EXTRAPOLATOR_INPUTS)
+    names = (
+        [*EXTRAPOLATOR_INTERFACE.inputs, TIME_INPUT]
+        if time
+        else list(EXTRAPOLATOR_INTERFACE.inputs)
+    )
     if time:
         weights["hundredth"] = np.array(0.01, np.float32)
         nodes.append(helper.make_node("Mul", [TIME_INPUT, "hundredth"], ["g"]))
-        nodes.append(helper.make_node("Add", ["f", "g"], [EXTRAPOLATOR_OUTPUT]))
+        nodes.append(helper.make_node("Add", ["f", "g"], [EXTRAPOLATOR_INTERFACE.output]))
     stated = {key.replace("__", "."): value for key, value in metadata.items()}
     return model(nodes, inputs(names), weights=weights, metadata=stated)

@@ -27,7 +27,6 @@ from exwarp_cli.errors import (
     InputError,
     LayoutError,
     MissingFrameError,
-    is_thread_limit,
     thread_limit_error,
 )
 from exwarp_cli.io.exr.header import (
@@ -364,8 +363,8 @@ def open_image(path: Path) -> oiio.ImageInput:
     try:
         image = oiio.ImageInput.open(str(path))
     except (RuntimeError, ValueError, UnicodeError) as error:
-        if is_thread_limit(error):  # that is no damage of the file
-            raise thread_limit_error() from error
+        if (limit := thread_limit_error(error)) is not None:  # that is no damage of the file
+            raise limit from error
         image = None
     if image is None:
         reason = _first_line(oiio.geterror)

@@ -205,12 +205,12 @@ def _draw_view(frame: Window, side: int, rng: np.random.Generator) -> Window:
 
 
 def _training_planes(prepared: Prepared, truth: Float32) -> dict[str, np.ndarray]:
-    inputs = prepared.inputs.part(slice(None), slice(None))
-    history = inputs.history.reshape(HISTORY_FRAMES, 4, *inputs.history.shape[1:])
-    colour = np.concatenate([inputs.warped[3:], *history[:, :3]])
+    planes = prepared.inputs.part(slice(None), slice(None)).pictures
+    history = planes["history"].reshape(HISTORY_FRAMES, 4, *planes["history"].shape[1:])
+    colour = np.concatenate([planes["warped"][3:], *history[:, :3]])
     modulation = np.ones_like(truth) if prepared.modulation is None else prepared.modulation
     # What was not rendered rightly is nothing to learn from.
-    truth = np.where(np.isfinite(truth), truth, prepared.finish(inputs.warped[3:])[..., :3])
+    truth = np.where(np.isfinite(truth), truth, prepared.finish(planes["warped"][3:])[..., :3])
     modulation, truth = (
         np.clip(linear, -MOST_LINEAR, MOST_LINEAR).transpose(2, 0, 1)
         for linear in (modulation, truth)
@@ -218,7 +218,7 @@ def _training_planes(prepared: Prepared, truth: Float32) -> dict[str, np.ndarray
     return {
         "colour": colour.astype(np.float16),
         "mask": history[:, 3].astype(np.uint8),
-        "features": inputs.features.astype(np.float16),
+        "features": planes["features"].astype(np.float16),
         "modulation": modulation.astype(np.float16),
         "target": truth.astype(np.float16),
     }

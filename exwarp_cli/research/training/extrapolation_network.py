@@ -16,13 +16,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from exwarp_cli.domain.network_api import EXTRAPOLATOR_INPUTS
+from exwarp_cli.domain.network_api import EXTRAPOLATOR_INTERFACE
 
 # Height and width have to be multiples of it.
 STRIDE = 16
 
 # Channels that the network sees at each pixel: all picture inputs, and the time.
-INPUT_PLANES = sum(EXTRAPOLATOR_INPUTS.values()) + 1
+INPUT_PLANES = sum(EXTRAPOLATOR_INTERFACE.inputs.values()) + 1
 
 # Slope of the activation below zero.
 LEAK = 0.1

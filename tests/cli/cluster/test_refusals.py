@@ -20,7 +20,7 @@ from distributed import Client
 
 from exwarp_cli import __version__
 from exwarp_cli.errors import ClusterError
-from exwarp_cli.farm import dask_client, dask_cluster, dask_worker
+from exwarp_cli.farm import dask_cluster, dask_worker
 from exwarp_cli.pipeline.progress import Progress
 from tests.cli import shots
 from tests.cli.shots import FORWARD
@@ -33,7 +33,7 @@ class TestRefusals:
         return exwarp("upsample", keys, "-o", out, "-m", "s6", *FORWARD, *options)
 
     def test_no_server_listens(self, exwarp, keys, tmp_path, monkeypatch):
-        monkeypatch.setattr(dask_client, "CONNECT_S", 0.3)
+        monkeypatch.setattr(dask_cluster, "CONNECT_S", 0.3)
         begin = time.monotonic()
         result = self.run(exwarp, keys, tmp_path / "out", "--cluster", "tcp://127.0.0.1:9")
         result.refused(9, "tcp://127.0.0.1:9", "dask scheduler")
@@ -45,12 +45,12 @@ class TestRefusals:
         ["nonsense://x:1", "tcp://127.0.0.1:notaport", "127.0.0.1", "tls://127.0.0.1:9", "inproc:"],
     )
     def test_what_is_no_address(self, exwarp, keys, tmp_path, address, monkeypatch):
-        monkeypatch.setattr(dask_client, "CONNECT_S", 0.3)
+        monkeypatch.setattr(dask_cluster, "CONNECT_S", 0.3)
         self.run(exwarp, keys, tmp_path / "out", "--cluster", address).refused(9, address)
 
     @pytest.mark.parametrize("greeting", [b"HTTP/1.0 400 Bad Request\r\n\r\n" + 80 * b"x", b""])
     def test_another_server_listens(self, exwarp, keys, tmp_path, monkeypatch, greeting):
-        monkeypatch.setattr(dask_client, "CONNECT_S", 0.3)
+        monkeypatch.setattr(dask_cluster, "CONNECT_S", 0.3)
         with socket.create_server(("127.0.0.1", 0)) as server:
             threading.Thread(target=greet, args=(server, greeting), daemon=True).start()
             address = f"tcp://127.0.0.1:{server.getsockname()[1]}"

@@ -20,7 +20,9 @@ BEGIN = ("upsample", "shot", "-o", "out")
 
 def every_command() -> list[tuple[click.Command, tuple[str, ...]]]:
     root = click.Context(cli.exwarp, info_name="exwarp")
-    return [(command, path) for _, command, path in config.every_command(root)]
+    return [
+        (ctx.command, tuple(ctx.command_path.split()[1:])) for ctx in config.every_command(root)
+    ]
 
 
 EVERY_OPTION = [

@@ -29,7 +29,7 @@ def parse(project, monkeypatch, capsys) -> Parse:
     """Run a command line up to where the command would begin; return what it would be given."""
     taken: list[dict[str, Any]] = []
 
-    def instead(callback: object) -> Callable[..., None]:
+    def instead(*_: object) -> Callable[..., None]:
         return lambda **parameters: taken.append(parameters)
 
     monkeypatch.setattr(config, "_with_startup_messages", instead)

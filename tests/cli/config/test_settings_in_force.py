@@ -118,6 +118,6 @@ class TestFindings:
 
     def test_doctor_is_not_stopped_by_it(self, exwarp, project, monkeypatch):
         write(project, "[upsample")
-        monkeypatch.setattr(config, "_with_startup_messages", lambda callback: lambda **_: None)
+        monkeypatch.setattr(config, "_with_startup_messages", lambda *_: lambda **_: None)
         assert exwarp("doctor").code == 0
         exwarp("inspect", "x").refused(2, "is not TOML")
