@@ -27,6 +27,9 @@ for name in [name for name in os.environ if name.startswith("EXWARP_")]:
         del os.environ[name]
 os.environ["EXWARP_CONFIG"] = "none"
 
+# Without it every process that a test starts compiles the whole package from its source.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 
 @pytest.fixture(autouse=True)
 def every_core() -> Iterator[None]:
