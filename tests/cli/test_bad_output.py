@@ -14,6 +14,8 @@ from exwarp_cli.io.generated_frames import is_intact
 from tests.cli import shots
 from tests.cli.street import Street
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 TINY = Street(16, 9)
 
 
