@@ -282,10 +282,8 @@ class TestMemory:
     def test_it_does_not_grow_with_the_sequence(self, tmp_path, method):
         """A frame of 256x144 is 1.2 MiB of passes, so 8 more that were kept would be 10."""
         network = save(tmp_path / "n.onnx", convolution())
-        more: tuple[object, ...] = ("-m", method, "--factor", 2)
-        if method != "softsplat":
-            more += ("--extrapolator", network)
-        options = (*FORWARD, *more, "--progress", "none", "--threads", "1")
+        more = ("--factor", 2) if method == "softsplat" else ("--extrapolator", network)
+        options = (*FORWARD, *more, "-m", method, "--progress", "none", "--threads", "1")
         street, commands = Street(256, 144), []
         for name, count in (("short", 6), ("long", 14)):
             keys = shots.sequence(tmp_path / name, shots.plain, (1, 2), street, 0.1)
