@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import compileall
 import os
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+import exwarp_cli
 from exwarp_cli.runtime import cores
 from tests.matrix import FULL
 
@@ -26,6 +29,15 @@ for name in [name for name in os.environ if name.startswith("EXWARP_")]:
     if name not in ("EXWARP_ARTEFACTS", "EXWARP_BLENDER", "EXWARP_CHROMIUM", "EXWARP_TESTS"):
         del os.environ[name]
 os.environ["EXWARP_CONFIG"] = "none"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile the package once, as what is installed is: processes that tests start only read it.
+
+    Where PYTHONDONTWRITEBYTECODE is set, each would compile it anew, for half a second.
+    """
+    if not hasattr(config, "workerinput"):
+        compileall.compile_dir(Path(exwarp_cli.__file__).parent, quiet=1)
 
 
 @pytest.fixture(autouse=True)

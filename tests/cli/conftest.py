@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from unittest.mock import MagicMock
 
 import pytest
 
@@ -19,7 +18,7 @@ from exwarp_cli.pipeline import motion_convention
 from exwarp_cli.runtime.compilation import COMPILED, COMPILING
 from tests.cli import shots
 from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS
-from tests.plots import leave_plots_out
+from tests.plots import leave_lines_out, leave_plots_out
 from tests.unit.tiny_models import convolution, save
 
 
@@ -52,10 +51,12 @@ def without_compilation(text: str) -> str:
     return "".join(line for line in text.splitlines(keepends=True) if not line.startswith(starts))
 
 
-@pytest.fixture(autouse=True)
-def unwritten_plots(monkeypatch):
+@pytest.fixture(scope="module", autouse=True)
+def unwritten_plots() -> Iterator[None]:
     """Leave plots out; `tests/web` and `test_hostile_names` look at what is written."""
-    leave_plots_out(monkeypatch)
+    with pytest.MonkeyPatch.context() as patch:
+        leave_plots_out(patch)
+        yield
 
 
 def run_quietly(*words: object) -> None:
@@ -66,16 +67,15 @@ def run_quietly(*words: object) -> None:
     quiet = ("--progress", "none", *(("--threads", 1) if words[0] == "upsample" else ()))
     with pytest.MonkeyPatch.context() as patch:
         leave_plots_out(patch)
+        leave_lines_out(patch)
         assert cli.run([str(word) for word in (*words, *quiet)]) == 0
 
 
 @pytest.fixture(scope="module")
 def unpainted_plots() -> Iterator[None]:
     """Leave out the lines and axes of plots, too, which take a third of a second a report."""
-    axes = MagicMock()
-    axes.get_legend_handles_labels.return_value = ([], [])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("exwarp_cli.report.plots._add_axes", lambda *_: axes)
+        leave_lines_out(patch)
         yield
 
 

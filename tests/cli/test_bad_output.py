@@ -14,6 +14,8 @@ from exwarp_cli.io.generated_frames import is_intact
 from tests.cli import shots
 from tests.cli.street import Street
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 TINY = Street(16, 9)
 
 
@@ -62,7 +64,9 @@ class TestUnwritable:
     @pytest.mark.skipif(os.name == "nt", reason="limits of POSIX")
     def test_a_full_disk(self, tmp_path):
         """A limit on file sizes stands in for the disk: writing fails in the middle of a file."""
-        keys = shots.sequence(tmp_path / "keys", shots.colour_only, (1, 2))
+        # Few pixels, as kernels are not compiled.
+        street = Street(32, 18)
+        keys = shots.sequence(tmp_path / "keys", shots.colour_only, (1, 2), street)
         smallest = min(len(data) for data in shots.contents(keys).values())
         code = (
             "import resource, sys; from exwarp_cli import cli; limit = int(sys.argv.pop(1)); "
@@ -71,8 +75,8 @@ class TestUnwritable:
         out = tmp_path / "out"
         command = [sys.executable, "-c", code, str(smallest // 4), "upsample", str(keys)]
         options = ["-o", str(out), "-m", "hold", "--progress", "none"]
-        # numba's cache is a file as well
-        environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+        # Numba's cache and bytecode are files as well; Python would cut those off without a word.
+        environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONDONTWRITEBYTECODE": "1"}
         done = subprocess.run(command + options, capture_output=True, text=True, env=environment)
         assert done.returncode == 5, done.stderr
         errors = [x for x in done.stderr.splitlines() if x.startswith("exwarp: error: ")]

@@ -15,6 +15,8 @@ from tests.cli import pictures, shots
 from tests.cli.pictures import TEST_RATE, clip, frame, psnr, shown
 from tests.cli.shots import changed_by, colour_of, contents, names, read
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 KEYS = 5
 
 

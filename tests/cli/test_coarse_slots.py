@@ -12,6 +12,8 @@ from tests.blender_layers import FLOAT, HALF, layer
 from tests.cli import shots
 from tests.cli.street import Street
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 STREET = Street(96, 54)
 KEYS, LEVELS = 3, 106
 

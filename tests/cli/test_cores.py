@@ -20,12 +20,12 @@ SLACK = 0.4
 one core 1.0 to 1.2 were seen, and 1.7 where nothing but the machine held them back."""
 
 CASES = {
-    "s6": ("-m", "s6", "--frames", "1-3"),
+    "s6": ("-m", "s6", "--frames", "1-2"),
     "softsplat": (
         *("-m", "softsplat", "--frames", "1-2", "--ground-truth", MARKET / "truth"),
         *("--video", "video.mp4"),
     ),
-    "s3": ("-m", "s3", "--frames", "2-3"),
+    "s3": ("-m", "s3", "--frames", "2"),
 }
 
 LARGE = """

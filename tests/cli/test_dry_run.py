@@ -15,6 +15,8 @@ from tests.cli.conftest import run_quietly
 from tests.cli.shots import FORWARD
 from tests.cli.street import Street
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 HOW = ("-m", "s6", *FORWARD)
 
 

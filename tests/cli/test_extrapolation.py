@@ -25,6 +25,8 @@ from tests.cli.street import Street
 from tests.matrix import combinations
 from tests.unit.tiny_models import blur, filled_warp, save
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 SETTINGS = ("key", "slot")
 
 D, G = "dropped", "generated"

@@ -14,6 +14,8 @@ from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS, contents, names
 from tests.cli.spoiling import remove, scribble, truncate
 from tests.matrix import combinations
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 FRAMES = 4 * KEYS
 BROKEN = 3
 """Number of the key frame that is lost: its interval has the output frames 9 to 12."""

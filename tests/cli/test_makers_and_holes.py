@@ -15,6 +15,8 @@ from exwarp_cli.domain.decision import infer_maker
 from tests.cli.shots import FORWARD
 from tests.unit import tiny_interpolators
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 BETWEEN = 6
 """Frames between the three key frames."""
 

@@ -12,6 +12,7 @@ import pytest
 from tests.cli import shots
 from tests.cli.shots import VECTORS
 from tests.cli.street import Street
+from tests.matrix import FULL
 
 COUNT = 4
 LAST = COUNT * 4
@@ -82,13 +83,12 @@ def test_light_goes_on_after_the_second_key_frame(keys, upsample, rest, tmp_path
 @pytest.mark.parametrize(
     ("method", "setting", "options"),
     [
-        ("s6", "key", ()),
+        *([("s6", "key", ()), ("softsplat", "slot", ())] if FULL else []),
         ("s6", "key", ("--layers", "all")),
         ("s6", "slot", ()),
         ("s5", "key", ()),
         ("causal", "key", ()),
         ("softsplat", "key", ()),
-        ("softsplat", "slot", ()),
     ],
 )
 def test_any_split_gives_the_whole(

@@ -14,6 +14,8 @@ import pytest
 from tests.cli import shots
 from tests.cli.street import Street
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 TINY = Street(16, 9)
 
 

@@ -16,6 +16,8 @@ from tests.cli import shots
 from tests.cli.conftest import run_quietly
 from tests.cli.street import Street
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 SMALL = Street(48, 27)
 FORWARD = ("--motion", "next=u,-v")
 OPTIONS = ("-m", "s6", *FORWARD)

@@ -11,12 +11,15 @@ import pytest
 from torch import nn
 
 from exwarp_cli.cli import run
+from exwarp_cli.domain.network_api import LOOKAHEAD_INTERFACE, NetworkInterface
 from exwarp_cli.research.training import (
     extrapolator_training,
     lookahead_training,
 )
 from exwarp_cli.research.training.augmentation import PLAIN, Variant
+from exwarp_cli.research.training.extrapolation_network import STRIDE
 from tests.cli.documents import strict
+from tests.unit import tiny_lookahead
 from tests.unit.analytic_scene import write_scene
 
 SMALL = ["--steps", "2", "--every", "1", "--batch", "2", "--patch", "32", "--side", "64"]
@@ -144,6 +147,15 @@ def test_a_network_that_looks_ahead_is_trained(data, tmp_path, capsys, monkeypat
     monkeypatch.setattr(
         lookahead_training, "variants_of", lambda name, seed: [(Variant(speed=2), PLAIN)]
     )
+    exported: list[dict[str, Any]] = []
+
+    # Exporting takes 15 s, and `tests/unit/test_lookahead_training.py` looks at what comes of it.
+    def export(module: nn.Module, path: Path, interface: NetworkInterface, **more: Any) -> None:
+        assert interface == LOOKAHEAD_INTERFACE
+        exported.append(more)
+        tiny_lookahead.save(path, tiny_lookahead.nearer_side())
+
+    monkeypatch.setattr(lookahead_training, "export_network", export)
     asked = ["train", "lookahead", "--data", str(data), "-o", str(tmp_path / "run")]
     asked += ["--cache", str(tmp_path / "crops"), "--steps", "2", "--every", "1", "--batch", "2"]
     asked += ["--width", "4", "--threads", "1"]
@@ -154,9 +166,9 @@ def test_a_network_that_looks_ahead_is_trained(data, tmp_path, capsys, monkeypat
     assert "judged" not in err
     files = {"checkpoint.pt", "curve.csv", "lookahead.onnx", "settings.json"}
     assert {p.name for p in (tmp_path / "run").iterdir()} == files
-    # Exporting takes some seconds, and would give the same file.
-    monkeypatch.setattr(lookahead_training, "export_network", lambda *_, **__: None)
     assert run([*asked, "--json"]) == 0
     out, err = capsys.readouterr()
     assert "going on at step 2 of 2" in err
     assert strict(out)["kind"] == "lookahead"
+    about = "ExWarp look-ahead network, 4 channels, 2 steps on 1 scenes, seed 0"
+    assert exported == [{"stride": STRIDE, "about": about}] * 2

@@ -12,6 +12,8 @@ from exwarp_cli.pipeline import frame_writer
 from tests.cli.shots import KEYS, contents, names
 from tests.matrix import spread
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 QUIET = ("--progress", "none", "--threads", 1)
 FRAMES = 4 * KEYS
 

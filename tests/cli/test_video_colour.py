@@ -19,6 +19,8 @@ from tests.blender_layers import HALF, layer
 from tests.cli import pictures, shots
 from tests.unit.test_video import decode, ffmpeg
 
+pytestmark = pytest.mark.usefixtures("unpainted_plots")
+
 WIDTH, HEIGHT = 64, 32  # libx265 of ffmpeg 9 crashes at widths of 40 and 48
 
 ACESCG = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)

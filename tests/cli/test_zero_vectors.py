@@ -11,6 +11,7 @@ import pytest
 from tests.blender_layers import HALF, Planes, blender_depth, layer
 from tests.cli import shots
 from tests.cli.street import Street
+from tests.matrix import combinations
 
 MOVING, STILL = Street(96, 54, speed=2.0), Street(96, 54, speed=0.0)
 ZERO = np.zeros((54, 96, 4))
@@ -67,13 +68,14 @@ class TestVectorsOfZero:
         words = ("are 0 throughout in frames 1-2", "while the picture moves", "motion blur was on")
         result.refused(4, *words, "Render Properties > Motion Blur")
 
-    @pytest.mark.parametrize("light", [steady, flickering, shadowed])
-    def test_a_still_scene_runs_whatever_its_light_does(self, upsample, tmp_path, light, beside):
-        keys = frames(tmp_path / "keys", STILL, light, beside)
-        upsample(keys, tmp_path / "out", "-m", "softsplat")
-        between = shots.colour_of(tmp_path / "out" / "shot.0003.exr")
-        faded = (light(STILL.colour(0.0), 0) + light(STILL.colour(0.0), 1)) / 2
-        assert shots.psnr(faded, between) > 30
+
+@pytest.mark.parametrize(("beside", "light"), combinations(BESIDE, (flickering, shadowed, steady)))
+def test_a_still_scene_runs_whatever_its_light_does(upsample, tmp_path, light, beside):
+    keys = frames(tmp_path / "keys", STILL, light, beside)
+    upsample(keys, tmp_path / "out", "-m", "softsplat")
+    between = shots.colour_of(tmp_path / "out" / "shot.0003.exr")
+    faded = (light(STILL.colour(0.0), 0) + light(STILL.colour(0.0), 1)) / 2
+    assert shots.psnr(faded, between) > 30
 
 
 def test_by_hand_they_are_taken(upsample, tmp_path):

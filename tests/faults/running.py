@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from exwarp_cli import errors
+from exwarp_cli import cli, errors
 from exwarp_cli.io.files import TEMPORARY_SUFFIX
 from exwarp_cli.io.generated_frames import is_intact
 from tests.cli import shots
@@ -88,10 +88,12 @@ def started(
         if memory is not None:
             resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
 
+    # Python cuts bytecode off without a word where files may not be large.
+    more = {} if largest_file is None else {"PYTHONDONTWRITEBYTECODE": "1"}
     return subprocess.Popen(
         [sys.executable, "-m", module, *map(str, arguments)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace",
-        env=os.environ | dict(environment or {}), start_new_session=True, preexec_fn=bound,
+        env=os.environ | more | dict(environment or {}), start_new_session=True, preexec_fn=bound,
     )  # fmt: skip
 
 
@@ -132,6 +134,11 @@ def _reaped(process: subprocess.Popen[str], deadline: float) -> int:
 def run(*arguments: object, **more: object) -> Outcome:
     """Run a command to its end; arguments are those of `started`."""
     return ended(started(*arguments, **more))  # type: ignore[arg-type]
+
+
+def run_here(*arguments: object, code: int = 0) -> None:
+    """Run a command in this process, which spares the start of one; judge its exit code."""
+    assert cli.run([str(argument) for argument in arguments]) == code
 
 
 def require_whole(folder: Path, rendered: set[bytes]) -> None:

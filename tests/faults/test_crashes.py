@@ -22,6 +22,7 @@ from tests.faults.running import (
     ended,
     require_whole,
     run,
+    run_here,
     started,
 )
 from tests.matrix import FULL
@@ -90,7 +91,7 @@ class TestCrash:
         assert f"{keys}/shot.000" in outcome.error_lines[0]
         require_whole(out, rendered)
         assert shots.names(out)
-        run("upsample", keys, "-o", out, *PLAIN, "--skip-existing").judge(0)
+        run_here("upsample", keys, "-o", out, *PLAIN, "--skip-existing")
         assert shots.contents(out) == undisturbed
 
     def test_a_decoder_never_comes_back(self, keys, rendered, tmp_path):
@@ -134,7 +135,7 @@ def without(keys, tmp_path_factory):
     folder = tmp_path_factory.mktemp("without")
     shutil.copytree(keys, folder / "keys")
     (folder / "keys" / BAD).write_bytes(b"no image")
-    run("upsample", folder / "keys", "-o", folder / "out", *GOING).judge(INCOMPLETE)
+    run_here("upsample", folder / "keys", "-o", folder / "out", *GOING, code=INCOMPLETE)
     return shots.contents(folder / "out")
 
 

@@ -19,6 +19,7 @@ from exwarp_cli import cli
 from tests.cli import shots
 from tests.cli.shots import VECTORS
 from tests.cli.street import Street
+from tests.plots import leave_lines_out, leave_plots_out
 from tests.reference.decisions import PATHS
 from tests.unit import tiny_policies
 
@@ -106,7 +107,10 @@ def take(given: tuple[object, ...], out: Path, *options: object) -> Done:
     report = out.parent / f"{out.name}-report"
     more = ("--progress", "none", "--threads", 1, "--report", report)
     line = ("upsample", keys, "-o", out, *rest, *more, *options)
-    assert cli.run([str(argument) for argument in line]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        leave_plots_out(patch)
+        leave_lines_out(patch)
+        assert cli.run([str(argument) for argument in line]) == 0
     table = (report / "frames.csv").read_text(encoding="utf-8").splitlines()
     document = json.loads((report / "report.json").read_text(encoding="utf-8"))
     return Done(out, document, list(csv.DictReader(table)))
