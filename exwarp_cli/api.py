@@ -98,9 +98,9 @@ def upsample(
         With one sentence, and the exit code of the command. What is written is whole.
     """
     from exwarp_cli.pipeline.job import open_job
-    from exwarp_cli.pipeline.progress import Progress
+    from exwarp_cli.pipeline.progress import Silence
 
-    reporter = Progress() if progress is None else progress
+    reporter = Silence() if progress is None else progress
     job = replace(open_job(settings), reported=has_document or report is not None)
     folder, gallery = find_report_folder(report, is_chunk, job.key_numbers), None
     if folder is not None:
@@ -200,12 +200,12 @@ def compare(
         If the sequences cannot be read or do not fit together.
     """
     from exwarp_cli.pipeline.evaluation import evaluate
-    from exwarp_cli.pipeline.progress import Progress
+    from exwarp_cli.pipeline.progress import Silence
     from exwarp_cli.report.comparison import REFERENCE, TEST, add_baseline
     from exwarp_cli.report.folder import prepare_comparison, write_comparison
     from exwarp_cli.report.gallery import Gallery
 
-    reporter = Progress() if progress is None else progress
+    reporter = Silence() if progress is None else progress
     gallery = None
     if report is not None:
         prepare_comparison(Path(report))

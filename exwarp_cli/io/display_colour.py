@@ -1,4 +1,4 @@
-"""Colour between scene-linear light and displays: primaries, view transforms, the sRGB curve."""
+"""Colour between scene-linear light and displays: primaries, the sRGB curve, and video's labels."""
 
 from __future__ import annotations
 
@@ -6,19 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import OpenImageIO as oiio
 
 from exwarp_cli.domain.colour import SRGB
 from exwarp_cli.domain.frame import Float32, UInt8
-from exwarp_cli.domain.settings import SRGB_VIEW
-from exwarp_cli.errors import InstallationError, UsageError
-from exwarp_cli.io.exr.reader import read_headers
-from exwarp_cli.io.sequences import EXR, Sequence
 
 UInt16 = npt.NDArray[np.uint16]
 Codes = npt.NDArray[np.uint8 | np.uint16]  # of a display
@@ -43,6 +37,7 @@ BRADFORD: Float64 = np.array(
 )
 
 HALF_MAX = 65504.0  # replaces infinity before channels are mixed
+
 MAX_PIXEL_ASPECT = 255  # that a video is labelled with; its inverse is the smallest
 
 # Matrices of Y'CbCr as files are labelled, with the names that the filter ``scale`` has.
@@ -54,25 +49,6 @@ MATRICES = {
     "smpte240m": "smpte240m",
     "bt2020nc": "bt2020",
 }
-
-
-# Views by name: configuration, display and view. The configurations come with OpenColorIO; their
-# versions are fixed, so that another OpenColorIO shows the same picture.
-BUILT_IN = {
-    "aces1": (
-        "ocio://cg-config-v1.0.0_aces-v1.3_ocio-v2.1",
-        "sRGB - Display",
-        "ACES 1.0 - SDR Video",
-    ),
-    "aces2": (
-        "ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5",
-        "sRGB - Display",
-        "ACES 2.0 - SDR 100 nits (Rec.709)",
-    ),
-}
-
-# OpenImageIO's name of scene-linear Rec. 709, in every configuration.
-SOURCE_SPACE = "lin_rec709"
 
 
 @dataclass(frozen=True)
@@ -214,91 +190,3 @@ def from_display(codes: Codes) -> Float32:
 @cache
 def _linear_table(size: int) -> Float32:
     return SRGB.to_linear(np.linspace(0, 1, 256**size, dtype=np.float32))
-
-
-@dataclass(frozen=True)
-class ViewTransform:
-    """A view of an OpenColorIO configuration."""
-
-    name: str  # as the user gives it
-    config: str  # absolute path, or the ``ocio://`` name of a configuration of OpenColorIO's own
-    display: str
-    view: str
-
-    def apply(self, linear: Float32) -> Float32:
-        """Return what a display shows of scene-linear colour.
-
-        `linear` is float32 [H, W, 3 or more], Rec. 709 primaries. NaN count as 0 and infinities as
-        the largest half float. Returns float32 [H, W, 3], light of an sRGB display, 0 to 1: the
-        sRGB curve makes the view's codes of it.
-
-        Raises UsageError, for views in `BUILT_IN` InstallationError, if OpenColorIO cannot do it.
-        """
-        finite = np.nan_to_num(linear[..., :3], nan=0.0, posinf=HALF_MAX, neginf=-HALF_MAX)
-        source = oiio.ImageBuf(np.ascontiguousarray(finite.clip(-HALF_MAX, HALF_MAX)))
-        shown = oiio.ImageBufAlgo.ociodisplay(
-            source, self.display, self.view, SOURCE_SPACE, colorconfig=self.config
-        )
-        if shown.has_error:
-            (first, *_) = shown.geterror().splitlines() or ["nothing"]
-            refused = f"--view-transform {self.name} cannot be used, as OpenImageIO says {first!r}"
-            if self.name in BUILT_IN:
-                raise InstallationError(f"{refused}; install a newer OpenImageIO, or use srgb")
-            raise UsageError(f"{refused}; correct the configuration, the display or the view")
-        codes = np.asarray(shown.get_pixels(oiio.FLOAT), np.float32)
-        return SRGB.to_linear(codes.clip(0, 1))
-
-
-@dataclass(frozen=True)
-class DisplayLook:
-    """How a display shows the frames of a sequence."""
-
-    primaries: Primaries | None = None  # of the frames; None for Rec. 709
-    transform: ViewTransform | None = None  # None for the sRGB curve alone
-
-    def apply(self, linear: Float32, exposure_stops: float = 0.0) -> Float32:
-        """Return the light of a display, Rec. 709, that shows scene-linear colour.
-
-        `linear` and the result are float32 [H, W, 3 or more]; a display clips what is not from 0
-        to 1. `exposure_stops` brighten before the view transform.
-        """
-        if self.primaries is not None:
-            linear = self.primaries.converted(linear)
-        if exposure_stops:
-            linear = brighten(linear, exposure_stops)
-        return linear if self.transform is None else self.transform.apply(linear)
-
-
-def find_display_look(sequence: Sequence, transform: ViewTransform | None) -> DisplayLook:
-    """Return how a display shows a sequence: the header of its first EXR has the primaries."""
-    if sequence.type not in EXR:
-        return DisplayLook(None, transform)
-    header = read_headers(sequence.files[min(sequence.files)])[0]
-    return DisplayLook(primaries_of(header), transform)
-
-
-def find_view_transform(name: str, *shown: Sequence) -> ViewTransform | None:
-    """Return the view transform of a name, for these sequences; None for the sRGB curve alone.
-
-    Raises UsageError for a name that is neither ``srgb``, nor in `BUILT_IN`, nor
-    ``CONFIG:DISPLAY:VIEW``, for a configuration without that view, and for a sequence that is not
-    of scene-linear colour. Raises InstallationError when OpenImageIO has no OpenColorIO, or an
-    older one than a view in `BUILT_IN` needs.
-    """
-    if name == SRGB_VIEW:
-        return None
-    parts = BUILT_IN.get(name) or tuple(name.rsplit(":", 2))
-    if len(parts) != 3 or not (parts[0].startswith("ocio://") or Path(parts[0]).is_absolute()):
-        raise UsageError(
-            f"--view-transform {name} is not one of {', '.join((SRGB_VIEW, *BUILT_IN))}, and not "
-            "CONFIG:DISPLAY:VIEW with the full path of an OpenColorIO configuration"
-        )
-    view = ViewTransform(name, *parts)
-    view.apply(np.zeros((1, 1, 3), np.float32))
-    for sequence in shown:
-        if sequence.type not in EXR:
-            raise UsageError(
-                f"--view-transform is for EXR, and {sequence.pattern} is shown as it is; leave it "
-                "out"
-            )
-    return view

@@ -16,7 +16,6 @@ from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.domain.timeline import parse_frames, ranges
 from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError, UsageError
-from exwarp_cli.io.display_colour import DisplayLook, find_display_look, find_view_transform
 from exwarp_cli.io.exr.reader import read_headers
 from exwarp_cli.io.footage import (
     clip_rate,
@@ -29,6 +28,7 @@ from exwarp_cli.io.generated_frames import frame_rate, read_facts
 from exwarp_cli.io.sequences import Sequence, find_sequence
 from exwarp_cli.io.shot import open_shot
 from exwarp_cli.io.video_reader import is_clip
+from exwarp_cli.io.view_transform import DisplayLook, find_display_look, find_view_transform
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.ground_truth import read_display, truth_rate
 from exwarp_cli.pipeline.motion_convention import find_motion

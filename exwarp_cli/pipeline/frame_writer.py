@@ -19,7 +19,7 @@ from exwarp_cli.domain.frame import Bool, Float32, Image, Window
 from exwarp_cli.domain.results import FrameKind, FrameRecord, WrittenFile
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError, OutputError
-from exwarp_cli.io.display_colour import DisplayLook, to_display, to_display_16
+from exwarp_cli.io.display_colour import to_display, to_display_16
 from exwarp_cli.io.exr.writer import PREFIX, Buffer, Plane, PlaneKey
 from exwarp_cli.io.files import ResourceOwner, output_error, path_exists
 from exwarp_cli.io.generated_frames import (
@@ -34,6 +34,7 @@ from exwarp_cli.io.key_file import open_key_file, plan_key_file, plan_marked_fil
 from exwarp_cli.io.sequences import EXR
 from exwarp_cli.io.video_reader import open_clip
 from exwarp_cli.io.video_writer import VideoLook, VideoWriter
+from exwarp_cli.io.view_transform import DisplayLook
 from exwarp_cli.pipeline.output_plan import OutputPlan, key_is_there
 from exwarp_cli.pipeline.scheduling import AsyncWriter, record_time
 from exwarp_cli.runtime import cores

@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 NEGLIGIBLE = 1.0
 
 
-@dataclass(frozen=True)
+@dataclass
 class TrialInputs:
-    """A key frame to predict, and what it is predicted from."""
+    """A key frame to predict, and what it is predicted from; the gate takes that out."""
 
     key: int | None = None  # None where no key frame can be predicted
     material: TrialMaterial | None = None  # None where an earlier interval brought it along
@@ -238,7 +238,9 @@ class Gate:
     def receive(self, inputs: TrialInputs) -> None:
         """Keep what an interval brings along until its trial is asked for."""
         if inputs.material is not None:
-            self._received = inputs
+            # The interval lives on while it is rendered, and these frames are as large as it is.
+            self._received = TrialInputs(inputs.key, inputs.material)
+            inputs.material = None
 
     def decide(self, inputs: TrialInputs) -> Trial:
         """Return the trial of an interval, of which it or one before brought the material along."""
@@ -248,6 +250,7 @@ class Gate:
             assert self._received.key == inputs.key and self._received.material is not None
             self._last_trial = self._predict(self._received.material)
             self._last_key, self._received = inputs.key, TrialInputs()
+            self._builder.forget()
         return self._last_trial
 
     def _predict(self, material: TrialMaterial) -> Trial:

@@ -132,6 +132,11 @@ class IntervalBuilder:
         ids = self._moving.find(inputs, canvas)
         return self._settle(with_stencils(inputs, ids), (canvas, ids))
 
+    def forget(self) -> None:
+        """Drop what was kept for later intervals."""
+        self._frames, self._past, self._instants = {}, {}, {}
+        self._without_surface = None
+
     def add_history(self, interval: Interval, inputs: IntervalInputs) -> Interval:
         """Return an interval with the history and surface that it was built without.
 

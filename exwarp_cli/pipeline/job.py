@@ -208,9 +208,8 @@ def open_job(settings: UpsampleSettings) -> Job:
     use_threads(settings.threads)
     method = _find_method(settings)
     sources = open_sources(settings.source, method.needs_motion, pictures=True)
-    contents = contents_of(sources, settings.layers)
-    method = _with_tail(method, sources[0], contents)
-    if method.extrapolates:
+    method = _with_tail(method, sources, settings.layers)
+    if method.at(looks_ahead=False).extrapolates:
         scratch = ScratchFrames(LARGE_PIXELS)
         sources = tuple(replace(each, scratch=scratch) for each in sources)
     source = sources[0]
@@ -220,6 +219,7 @@ def open_job(settings: UpsampleSettings) -> Job:
     method = _with_policy(method, policy, settings)
     _require_usable(settings, method, source)
     _require_factor(source, method, interpolator)
+    contents = contents_of(sources, settings.layers)
     models = Models.of(source, network, interpolator, policy)
     keys = source.timeline.select(settings.frames)
     targets = OutputPlan.from_settings(settings, source.keys.sequence, compression)
@@ -254,9 +254,9 @@ def _find_method(settings: UpsampleSettings) -> Method:
     return METHODS[name]
 
 
-def _with_tail(method: Method, source: Source, contents: tuple[Content, ...]) -> Method:
+def _with_tail(method: Method, sources: tuple[Source, ...], layers: str) -> Method:
     """Let the default make what has no next key frame as `causal` does, where it can."""
-    is_alone = len(contents) == 1 and not contents[0].extra
+    source, is_alone = sources[0], len(sources) == 1 and layers == BEAUTY
     has_vectors = source.finding is not None and source.slots is None
     if method.weighs and method.gated and is_alone and has_vectors and source.allows_decisions:
         return replace(method, tail=METHODS[CAUSAL])

@@ -23,7 +23,6 @@ from exwarp_cli.domain.settings import SRGB_VIEW, VIDEO_CODECS, UpsampleSettings
 from exwarp_cli.domain.timeline import Slot, Timeline, ranges
 from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import OutputError, OutputExistsError, UsageError
-from exwarp_cli.io.display_colour import ViewTransform, find_view_transform
 from exwarp_cli.io.files import make_folder, output_error, path_exists, remove_leftovers
 from exwarp_cli.io.footage import clip_rate, digest_frame, is_plain, make_video_look
 from exwarp_cli.io.generated_frames import (
@@ -45,6 +44,7 @@ from exwarp_cli.io.video_writer import (
     read_video_note,
     require_container,
 )
+from exwarp_cli.io.view_transform import ViewTransform, find_view_transform
 from exwarp_cli.pipeline.fingerprint import Fingerprinter, key_fingerprint
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.runtime import cores

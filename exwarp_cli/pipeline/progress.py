@@ -170,6 +170,13 @@ class Progress:
         """Send a watching program the reason why the command fails, and its exit code."""
 
 
+class Silence(Progress):
+    """Shows nothing at all, for callers from Python."""
+
+    def message(self, text: str) -> None:
+        """Drop a line."""
+
+
 class FrameListener(Protocol):
     """Is shown some of the frames of a run, pixel by pixel, while they are in memory.
 

@@ -11,9 +11,9 @@ from exwarp_cli.domain.metric import GENERATED
 from exwarp_cli.domain.results import Score
 from exwarp_cli.domain.settings import SRGB_VIEW
 from exwarp_cli.errors import QualityError, UsageError
-from exwarp_cli.io.display_colour import find_display_look, find_view_transform
 from exwarp_cli.io.footage import close_sequences
 from exwarp_cli.io.sequences import Sequence
+from exwarp_cli.io.view_transform import find_display_look, find_view_transform
 from exwarp_cli.pipeline.evaluation import ComparedFrame, Comparison
 from exwarp_cli.pipeline.ground_truth import read_display
 from exwarp_cli.report.gallery import Album

@@ -88,7 +88,7 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("options", "others", "able"),
         [
-            (("--extrapolator", "x.onnx"), ("s6", "exwarp"), f"use one of {EXTRAPOLATING}"),
+            (("--extrapolator", "x.onnx"), ("s6", "lookahead"), f"use one of {EXTRAPOLATING}"),
             (
                 ("--device", "cuda"),
                 ("s6", "softsplat"),

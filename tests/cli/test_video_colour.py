@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from exwarp_cli.io.display_colour import find_view_transform
 from exwarp_cli.io.video_reader import open_clip
 from exwarp_cli.io.video_writer import read_video_note
+from exwarp_cli.io.view_transform import find_view_transform
 from tests.blender_layers import HALF, layer
 from tests.cli import pictures, shots
 from tests.unit.test_video import decode, ffmpeg

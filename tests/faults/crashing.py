@@ -20,7 +20,7 @@ from exwarp_cli.io.exr.reader import ExrFile
 def main() -> None:
     how, after = sys.argv[1:3]
     del sys.argv[1:3]
-    decode, counted = ExrFile._decode, itertools.count()
+    decode, counted = ExrFile._decode_by_openimageio, itertools.count()
 
     def failing(self: ExrFile, wanted: Any) -> Any:
         here = next(counted) >= int(after) if after.isdigit() else str(self.path).endswith(after)
@@ -32,7 +32,7 @@ def main() -> None:
             time.sleep(1000)
         return decode(self, wanted)
 
-    ExrFile._decode = failing  # type: ignore[method-assign]
+    ExrFile._decode_by_openimageio = failing  # type: ignore[method-assign]
     cli.main()
 
 

@@ -57,10 +57,10 @@ DEFECTS = (
     Defect(
         "blend-sides",
         "kernels/blend.py",
-        "a = np.float32(1) - time if shared[j] else a * (np.float32(1) - time)\n"
-        "        b = time if shared[j] else b * time",
-        "a = time if shared[j] else a * (np.float32(1) - time)\n"
-        "        b = np.float32(1) - time if shared[j] else b * time",
+        "early = np.float32(1) - time if shared[j] else early * (np.float32(1) - time)\n"
+        "        late = time if shared[j] else late * time",
+        "early = time if shared[j] else early * (np.float32(1) - time)\n"
+        "        late = np.float32(1) - time if shared[j] else late * time",
         "unit/test_kernels_blend.py",
     ),
     Defect(

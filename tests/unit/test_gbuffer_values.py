@@ -111,6 +111,8 @@ def deep(monkeypatch):
     """The street as a long one, whose far end has few levels."""
     monkeypatch.setattr(street, "WALL", 150.0)
     monkeypatch.setattr(street, "EAVES", -27.0)
+    for drawn in (street._colour, street._geometry):  # others keep what the short one shows
+        monkeypatch.setattr(street, drawn.__name__, drawn.__wrapped__)
 
 
 def slots(kind: str) -> tuple[tuple[GBuffer, ...], GBuffer]:

@@ -10,6 +10,7 @@ from exwarp_cli.domain.network_api import TIME_INPUT, NetworkPictures
 from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.extrapolation_network import (
     ARCHITECTURES,
+    SIDES,
     STRIDE,
     Architecture,
     _first_visible,
@@ -63,7 +64,8 @@ def test_candidates_are_counted_right():
         given = example(32, 32)
         filled = given["warped"][:, 3:]
         flow = torch.zeros(1, 2 * architecture.flow, 32, 32)
-        sides = network._sides(filled, given["mask"])
+        reach, mask = architecture.reach, given["mask"]
+        sides = [_first_visible(filled, mask, side, reach) for side in SIDES] if reach else []
         when = given[TIME_INPUT].reshape(-1, 1, 1, 1)
         made = network._candidates(filled, given["history"], when, flow, sides)
         assert not architecture.candidates or len(made) == network.candidate_count

@@ -9,14 +9,9 @@ import OpenImageIO as oiio
 import pytest
 
 from exwarp_cli.errors import InstallationError, UsageError
-from exwarp_cli.io import display_colour
-from exwarp_cli.io.display_colour import (
-    BUILT_IN,
-    SOURCE_SPACE,
-    find_view_transform,
-    to_display,
-    to_display_16,
-)
+from exwarp_cli.io import view_transform
+from exwarp_cli.io.display_colour import to_display, to_display_16
+from exwarp_cli.io.view_transform import BUILT_IN, SOURCE_SPACE, find_view_transform
 
 COLOURS = np.array(
     [[[0.18, 0.18, 0.18], [0.02, 0.3, 0.9], [2, 1, 0.5], [-0.1, 0.2, 60], [0, 0, 0]]], np.float32
@@ -118,6 +113,6 @@ def test_configurations_that_are_not_there(config):
 
 
 def test_an_installation_without_the_configuration(monkeypatch):
-    monkeypatch.setitem(display_colour.BUILT_IN, "aces2", ("ocio://aces-v9", "a", "b"))
+    monkeypatch.setitem(view_transform.BUILT_IN, "aces2", ("ocio://aces-v9", "a", "b"))
     with pytest.raises(InstallationError, match="install a newer OpenImageIO, or use srgb"):
         find_view_transform("aces2")
