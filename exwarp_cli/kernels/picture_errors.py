@@ -111,6 +111,15 @@ def _to_xyz(r: np.float32, g: np.float32, b: np.float32) -> tuple[np.float32, ..
 
 
 @device_function
+def _read_row(image: F32, row: int, lines: F32) -> None:
+    """Write the channels of a row to lines [3, W]."""
+    # LLVM vectorises what follows only where the values of a channel lie together.
+    for c in range(3):
+        for i in range(lines.shape[1]):
+            lines[c, i] = image[row, i, c]
+
+
+@device_function
 def _write_opponent_row(r: F32, g: F32, b: F32, row: int, planes: F32) -> None:
     achromatic, red_green, blue_yellow = planes[0, row], planes[1, row], planes[2, row]
     for i in range(r.size):
@@ -129,12 +138,8 @@ def decode_opponent(
     """Write the opponent colours of a display-encoded image."""
     lines = np.empty((3, image.shape[1]), np.float32)
     for row in band_range(image.shape[0], band):
-        for c in range(3):
-            line = lines[c]
-            for i in range(
-                line.size
-            ):  # LLVM vectorises what follows only where pixels lie together
-                line[i] = image[row, i, c]
+        _read_row(image, row, lines)
+        for line in lines:
             for i in range(line.size):
                 v = min(max(line[i], _ZERO), _PEAK) * _UNIT
                 curve = power(v * _SRGB_SCALE + _SRGB_OFFSET, _SRGB_EXPONENT)
@@ -152,10 +157,8 @@ def expose_opponent(
     """Write the opponent colours of a scene-linear image as shown at an exposure."""
     lines = np.empty((3, image.shape[1]), np.float32)
     for row in band_range(image.shape[0], band):
-        for c in range(3):
-            line = lines[c]
-            for i in range(line.size):  # as in `decode_opponent`
-                line[i] = image[row, i, c]
+        _read_row(image, row, lines)
+        for line in lines:
             for i in range(line.size):
                 v = line[i] * gain
                 line[i] = min(v * (v * _N2 + _N1) / (v * (v * _D2 + _D1) + _D0), _ONE)

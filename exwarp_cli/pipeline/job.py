@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -209,7 +210,7 @@ def open_job(settings: UpsampleSettings) -> Job:
     method = _find_method(settings)
     sources = open_sources(settings.source, method.needs_motion, pictures=True)
     method = _with_tail(method, sources, settings.layers)
-    if method.at(looks_ahead=False).extrapolates:
+    if method.last.extrapolates:
         scratch = ScratchFrames(LARGE_PIXELS)
         sources = tuple(replace(each, scratch=scratch) for each in sources)
     source = sources[0]
@@ -273,25 +274,24 @@ def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator
     InputError, MissingExtraError
         When the network cannot be used.
     """
-    extrapolating = [m for m in METHODS.values() if m.extrapolates]
-    interpolating = [m for m in METHODS.values() if m.interpolates or m.weighs]
-    either = [m for m in METHODS.values() if m.runs_network]
     other_device = settings.device != UpsampleSettings.device
-    rules = (
-        ("--extrapolator", settings.extrapolator is not None, "extrapolate", extrapolating),
-        ("--interpolator", settings.interpolator is not None, "interpolate so", interpolating),
-        ("--device", other_device, "run a network", either),
-    )
-    extrapolates = method.at(looks_ahead=False).extrapolates
-    for option, is_set, what, users in rules:
-        is_used = METHODS[method.name] in users or (users is extrapolating and extrapolates)
-        if is_set and not is_used:
+    rules: tuple[tuple[str, bool, str, Callable[[Method], bool]], ...] = (
+        ("--extrapolator", settings.extrapolator is not None, "extrapolate",
+         lambda m: m.last.extrapolates),
+        ("--interpolator", settings.interpolator is not None, "interpolate so",
+         lambda m: m.interpolates or m.weighs),
+        ("--device", other_device, "run a network", lambda m: m.runs_network),
+    )  # fmt: skip
+    for option, is_set, what, uses in rules:
+        # At an effort of 0 the default takes options of the networks that it would run.
+        if is_set and not (uses(method) or uses(METHODS[method.name])):
+            users = [user for user in METHODS.values() if uses(user)]
             names = ", ".join(user.name for user in users)
             raise UsageError(
                 f"{option} is for methods that {what}, and --method {method.name} does not; "
                 f"leave it out, or use {'one of ' if len(users) > 1 else ''}{names}"
             )
-    if not extrapolates:
+    if not method.last.extrapolates:
         return None
     from exwarp_cli.models.picture_network import load_extrapolator
 
@@ -328,7 +328,7 @@ def _find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | Non
         raise UsageError(
             f"--policy is for --causal, and --method {method.name} asks no policy; leave it out"
         )
-    if method.at(looks_ahead=False).judge is DecisionSource.TILES:
+    if method.last.judge is DecisionSource.TILES:
         from exwarp_cli.models.policy_files import (
             PAPER,
             SHIPPED_POLICY,

@@ -105,9 +105,14 @@ class Method:
         """Whether it may warp from one key frame, and carry on how light moved before that."""
         return self.lookahead or self.needs_motion
 
+    @property
+    def last(self) -> Method:
+        """What makes an interval that has no next key frame."""
+        return self.tail or self
+
     def at(self, looks_ahead: bool) -> Method:
         """Return what makes an interval that has a next key frame to go by, or has none."""
-        return self if looks_ahead or self.tail is None else self.tail
+        return self if looks_ahead else self.last
 
     def older_keys(self, looks_ahead: bool) -> int:
         """Return how many key frames before an interval's own its slots may depend on.

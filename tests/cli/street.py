@@ -19,6 +19,9 @@ SKY, SURROUNDINGS, BOX = -1, 0, 1
 RAYS = 4
 """Rays along each side of a pixel that its colour is averaged over."""
 
+DIMMED = 0.5
+"""Light of `Dimmed` later on, as a share of what it was."""
+
 
 @dataclass(frozen=True)
 class Street:
@@ -153,6 +156,17 @@ class Street:
         with np.errstate(divide="ignore", invalid="ignore"):
             image = local[..., :2] / local[..., 2:] * self.focal
         return np.asarray(image + np.array([self.width - 1, self.height - 1]) / 2)
+
+
+@dataclass(frozen=True)
+class Dimmed(Street):
+    """The street, in which the light goes down to `DIMMED` after a time."""
+
+    last_bright: float = 1.0
+
+    def colour(self, time: float) -> np.ndarray:
+        light = 1.0 if time <= self.last_bright else DIMMED
+        return super().colour(time) * [light, light, light, 1]
 
 
 @lru_cache(maxsize=128)

@@ -12,29 +12,13 @@ import pytest
 
 from tests.cli import shots
 from tests.cli.shots import VECTORS
-from tests.cli.street import Street
+from tests.cli.street import Dimmed, Street
 from tests.matrix import spread
 from tests.unit import tiny_lookahead, tiny_models
 
 SMALL = Street(48, 27, speed=0.3)
 KEYS = 10
 """Two blocks of key intervals."""
-
-DARKER = 0.5
-
-
-class Dimmed(Street):
-    """The street, in which the light is switched down after a while."""
-
-    last_bright = 1.0
-
-    def colour(self, time: float) -> np.ndarray:
-        light = 1.0 if time <= self.last_bright else DARKER
-        return np.asarray(super().colour(time) * [light, light, light, 1])
-
-
-class DimmedLater(Dimmed):
-    last_bright = 2.0
 
 
 def keys_of(folder: Path, street: Street, count: int = KEYS) -> Path:
@@ -212,7 +196,7 @@ def test_stills_are_tried_by_estimated_motion(gate, nets, tmp_path):
 @pytest.mark.parametrize("setting", ["key", "slot"])
 def test_causal_extrapolates_where_that_predicts_key_frames_better(gate, setting, tmp_path):
     """The fourth key frame is darker, and so is all that the network makes."""
-    street = DimmedLater(48, 27, speed=0.3)
+    street = Dimmed(48, 27, speed=0.3, last_bright=2)
     model = tiny_models.save(tmp_path / "dark.onnx", tiny_models.filled_warp(0.8))
     options: tuple[object, ...] = ("--causal", "--policy", "paper", "--extrapolator", model)
     if setting == "key":

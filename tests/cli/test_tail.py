@@ -12,7 +12,7 @@ import pytest
 
 from tests.cli import shots
 from tests.cli.shots import VECTORS
-from tests.cli.street import Street
+from tests.cli.street import Dimmed
 from tests.unit import tiny_models
 
 COUNT = 6
@@ -21,15 +21,8 @@ TAIL = tuple(f"shot.{number:04d}.exr" for number in (22, 23, 24))
 Run = Callable[..., tuple[Path, dict[str, Any]]]
 
 
-class Dimmed(Street):
-    """The street, in which the light goes down with the fourth key frame."""
-
-    def colour(self, time: float) -> np.ndarray:
-        light = 1.0 if time <= 2 else 0.5
-        return np.asarray(super().colour(time) * [light, light, light, 1])
-
-
-STREET = Dimmed(48, 27, speed=0.3)
+# The fourth key frame is the first dark one.
+STREET = Dimmed(48, 27, speed=0.3, last_bright=2)
 
 
 @pytest.fixture(scope="module")
