@@ -103,6 +103,7 @@ train: $(STAMP)
 policy: $(STAMP)
 	$(BIN)/exwarp train policy -o $(POLICY) $(OPTIONS)
 	$(BIN)/exwarp train tile-policy -o $(POLICY) $(OPTIONS)
+	$(BIN)/exwarp train look-ahead-policy -o $(POLICY) $(OPTIONS)
 
 judge: $(STAMP)
 	$(BIN)/python -m tests.bench.paths --data $(DATA) --model $(MODEL) --out build/judge $(OPTIONS)

@@ -49,15 +49,18 @@ _scene_options = combined(
 
 
 def _policy_options(
-    usual: PolicySettings | TilePolicySettings, outcome: str, unit: str
+    usual: PolicySettings | TilePolicySettings,
+    outcome: str,
+    unit: str,
+    network: str = "--extrapolator",
 ) -> Decorator[Any]:
-    """Return the options of both trainings of a policy, but for the data."""
+    """Return the options of all trainings of a policy, but for the data."""
     return combined(
         click.option(
             "--tables", type=FILE, help="Use these; default: those that come with ExWarp."
         ),
         click.option("-o", "--output", type=FILE, required=True, help=f"For the {outcome}."),
-        click.option("--extrapolator", type=FILE, metavar="FILE", help="ONNX network for --data."),
+        click.option(network, type=FILE, metavar="FILE", help="ONNX network for --data."),
         click.option("--steps", type=click.IntRange(1), default=usual.steps),
         click.option("--batch", type=click.IntRange(1), default=usual.batch, help=f"In {unit}."),
         click.option("--rate", type=float, default=usual.rate, help="Of learning."),
@@ -227,6 +230,40 @@ def tile_policy(
     scores = train_tile_policy(scenes, output, settings, _say)
     result = _result("tile-policy", output, output / SHIPPED_TILE_POLICY, scores)
     _print_scores(result, tile_policy_card, as_json)
+
+
+@command.command("look-ahead-policy", context_settings={"show_default": True})
+@click.option("--data", type=FILE, help="Folder of rendered scenes to measure.")
+@_policy_options(TilePolicySettings(), "model and scores", "tiles", "--interpolator")
+@json_option
+def look_ahead_policy(
+    data: Path | None,
+    tables: Path | None,
+    output: Path,
+    interpolator: Path | None,
+    as_json: bool,
+    **options: object,
+) -> None:
+    """Find where the look-ahead network pays, tile by tile between key frames.
+
+    A rule is compared with a learned policy, left out on each scene in turn. With --data, frames of
+    the benchmark scenes are measured first, and kept as tables in the output folder.
+    """
+    from exwarp_cli.models.policy_files import SHIPPED_LOOK_AHEAD_POLICY
+
+    require_train()
+    from exwarp_cli.research.training.look_ahead_policy import (
+        find_look_ahead_tables,
+        look_ahead_policy_card,
+        train_look_ahead_policy,
+    )
+
+    settings = TilePolicySettings(**options)  # type: ignore[arg-type]
+    require_sane_policy(settings)
+    scenes = find_look_ahead_tables(data, interpolator, tables, output, _say)
+    scores = train_look_ahead_policy(scenes, output, settings, _say)
+    result = _result("look-ahead-policy", output, output / SHIPPED_LOOK_AHEAD_POLICY, scores)
+    _print_scores(result, look_ahead_policy_card, as_json)
 
 
 def _result(kind: str, folder: Path, model: Path, scores: dict[str, Any]) -> dict[str, Any]:

@@ -115,8 +115,8 @@ if TYPE_CHECKING:
     "--effort",
     type=click.FloatRange(0, 1),
     metavar="SHARE",
-    help="With --causal, and after the last key frame: share of the area that the network may "
-    f"compute, 0 to 1, on average over many shots; else {USUAL_EFFORT:g}. 0 runs no network.",
+    help="Of exwarp and --causal: share of the area that networks may compute, 0 to 1, on average "
+    f"over many shots; else {USUAL_EFFORT:g}. 0 runs no network.",
 )
 @click.option(
     "--gate/--no-gate",

@@ -64,6 +64,28 @@ class NetworkPictures:
         return NetworkPictures(parts, self.time)
 
 
+@dataclass(frozen=True)
+class InputRegion:
+    """Some rows and columns of a network's inputs, each from a first to before a last pixel."""
+
+    inputs: LazyInputs
+    rows: slice
+    columns: slice
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width."""
+        return self.rows.stop - self.rows.start, self.columns.stop - self.columns.start
+
+    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkPictures:
+        """Return the inputs of some rows and columns of the region, or beyond its end."""
+        down, across = (
+            slice(region.start + part.start, region.start + part.stop)
+            for region, part in ((self.rows, rows), (self.columns, columns))
+        )
+        return self.inputs.part(down, across, room)
+
+
 class LazyInputs(Protocol):
     """Inputs that are computed part by part on demand."""
 

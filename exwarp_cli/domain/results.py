@@ -175,11 +175,15 @@ class InterpolatorSummary:
     sha256: str
     card_sha256: str | None  # None without a card
     device: str
+    # Of the policy of tiles that it makes, and the share of their area; None where it makes all.
+    policy_sha256: str | None = None
+    effort: float | None = None
 
     @property
-    def identity(self) -> list[str | None]:
+    def identity(self) -> list[str | float | None]:
         """What its frames depend on, wherever the files lie."""
-        return [self.sha256, self.card_sha256, self.device]
+        tiles = [] if self.policy_sha256 is None else [self.policy_sha256, self.effort]
+        return [self.sha256, self.card_sha256, self.device, *tiles]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.decision import EXTRAPOLATE, PATHS, WARP
+from exwarp_cli.domain.decision import EXTRAPOLATE, LOOKAHEAD, PATHS, SOFTSPLAT, WARP
 from exwarp_cli.domain.frame import Bool
 
 TILE_ROWS = 8  # tiles from a frame's top to its bottom
@@ -81,7 +81,10 @@ def tile_edges(size: int, parts: int) -> Sequence[int]:
 REWARP = "rewarp"
 
 # Letters of the makers in headers and tables.
-MAKER_LETTERS = {WARP: "w", EXTRAPOLATE: "e", REWARP: "r"}
+MAKER_LETTERS = {WARP: "w", EXTRAPOLATE: "e", REWARP: "r", SOFTSPLAT: "s", LOOKAHEAD: "l"}
+
+# Those that run a network.
+DEAR_MAKERS = (EXTRAPOLATE, LOOKAHEAD)
 
 # Paths of tiles, S3 to S6: d1 warps, as a repeated frame gains nothing.
 TILE_PATHS = tuple(name for name, path in PATHS.items() if path.made_by[0] == WARP)
@@ -95,7 +98,14 @@ TILE_STATE = "tiles/1"  # version of the inputs of a tile policy; ``state`` in i
 # edges of moving surfaces and beside them.
 TILE_FEATURES = ("holes", "outlines", "Var_x", "Var_y", "light", "motion")
 
-_MAKERS_TEXT = re.compile(r"([1-9][0-9]*)x([1-9][0-9]*):([wer]+)")
+# The same between two key frames, and the version of these inputs. Of both key frames, moved to the
+# slot: unseen, share of pixels that neither shows; light and motion, mean squared difference in
+# squared display levels, away from edges of moving surfaces and beside them. key_light, key_motion:
+# the same of one key frame moved to the other. apart: light + motion + half of the last two.
+LOOK_AHEAD_FEATURES = ("unseen", "light", "motion", "key_light", "key_motion", "apart")
+LOOK_AHEAD_STATE = "look-ahead tiles/1"
+
+_MAKERS_TEXT = re.compile(r"([1-9][0-9]*)x([1-9][0-9]*):([werls]+)")
 
 
 @dataclass(frozen=True)
@@ -105,6 +115,22 @@ class TileMakers:
     columns: int  # tiles of the display window; see `tile_edges`
     rows: int
     letters: str  # of the tiles, row by row: out of MAKER_LETTERS
+
+    @classmethod
+    def chosen(cls, marks: Bool) -> TileMakers:
+        """Return tiles between key frames: bool [rows, columns], True where a network weighs."""
+        letters = (MAKER_LETTERS[LOOKAHEAD if mark else SOFTSPLAT] for mark in marks.flat)
+        return cls(marks.shape[1], marks.shape[0], "".join(letters))
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether the frame was made of the key frames on both sides."""
+        return self.letters[0] in (MAKER_LETTERS[SOFTSPLAT], MAKER_LETTERS[LOOKAHEAD])
+
+    @property
+    def dear_share(self) -> float:
+        """Return the share of the tiles that a network made, 0 to 1."""
+        return sum(map(self.share, DEAR_MAKERS))
 
     @property
     def text(self) -> str:

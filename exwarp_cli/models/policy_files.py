@@ -42,6 +42,7 @@ FORMAT = "exwarp.policy/1"
 # Policies that come with ExWarp: the paper's, of whole frames, and that of tiles for --causal.
 SHIPPED_POLICY = "policy.npz"
 SHIPPED_TILE_POLICY = "tile-policy.npz"
+SHIPPED_LOOK_AHEAD_POLICY = "look-ahead-policy.npz"  # of tiles between two key frames
 
 # The option by which commands take another policy, and its value for SHIPPED_POLICY.
 OPTION = "--policy"

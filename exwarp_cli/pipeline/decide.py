@@ -42,7 +42,7 @@ from exwarp_cli.policy.state import (
     compare,
 )
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.synthesis.interval import Interval, tile_features
+from exwarp_cli.synthesis.interval import Interval, TileChooser, tile_features
 from exwarp_cli.synthesis.methods import CAUSAL, FRAMEWISE, DecisionSource, Method, predict_path
 from exwarp_cli.synthesis.motion_fields import (
     find_moving,
@@ -168,6 +168,15 @@ class OraclePath:
                 )
                 decisions.append(Decision(node, choice, outputs=(warp, extrapolate)))
         return Choice(Plan(path, tuple(decisions)), timing_ms)
+
+
+def make_chooser(policy: PolicyFile | None, effort: float) -> TileChooser | None:
+    """Return what chooses the tiles between key frames that a network makes; None for all."""
+    if policy is None or effort == 1:
+        return None
+    from exwarp_cli.policy.state import LookAheadPolicy, interpolate_price
+
+    return LookAheadPolicy(policy.network, interpolate_price(policy.efforts, effort))
 
 
 def make_selector(

@@ -273,8 +273,9 @@ class ExtraLayers:
         for content, builder, view in zip(
             self.contents[1:], self.builders, inputs.views, strict=True
         ):
-            # One view decides which network mixes all of them.
-            built = replace(builder.build(view), interpolator=interval.interpolator)
+            # One view decides which network mixes all of them, and how its tiles are chosen.
+            network, chooser = interval.interpolator, interval.chooser
+            built = replace(builder.build(view), interpolator=network, chooser=chooser)
             views.append(ViewInterval(content, view, built))
         self._views = tuple(views)
 

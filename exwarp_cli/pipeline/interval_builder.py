@@ -340,7 +340,7 @@ class IntervalPreparer:
         if judge.gate is not None and inputs.trial is not None:
             judge.gate.receive(inputs.trial)
         with record_time(timing_ms, "geometry", len(slots)):
-            interval = self._builder.build(inputs)
+            interval = replace(self._builder.build(inputs), chooser=self._job.chooser)
         number, recipes = self._timeline.number, inputs.metadata.recipes
         existing = frozenset(
             slot

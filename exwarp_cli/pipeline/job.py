@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.tiles import TILE_STATE
+from exwarp_cli.domain.tiles import LOOK_AHEAD_STATE, TILE_STATE
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.footage import close_sequences, is_plain
 from exwarp_cli.io.generated_frames import parse_compression
 from exwarp_cli.io.layers import BEAUTY
 from exwarp_cli.io.threads import use_threads
+from exwarp_cli.pipeline.decide import make_chooser
 from exwarp_cli.pipeline.extra_layers import Content, contents_of
 from exwarp_cli.pipeline.ground_truth import find_truth, require_truth_size
 from exwarp_cli.pipeline.messages import (
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from exwarp_cli.pipeline.progress import Progress
     from exwarp_cli.pipeline.rendered_frames import RenderedFrames
     from exwarp_cli.pipeline.source import FrameOf, Source
+    from exwarp_cli.synthesis.interval import TileChooser
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,8 @@ class Job:
     network: OnnxExtrapolator | None
     interpolator: OnnxInterpolator | OnnxLookAhead | None
     policy: PolicyFile | None
-    models: Models  # the same three as the report names them
+    chooser: TileChooser | None  # of the tiles that the interpolator makes; None for all
+    models: Models  # the same as the report names them
     contents: tuple[Content, ...]  # what is written of each view
     keys: tuple[int, ...]  # indices of the key frames to do
     targets: OutputPlan
@@ -217,11 +220,14 @@ def open_job(settings: UpsampleSettings) -> Job:
     network = find_network(settings, method)
     interpolator = _find_interpolator(settings, method)
     policy = _find_policy(settings, method)
+    look_ahead_policy = _find_look_ahead_policy(settings, method)
     method = _with_policy(method, policy, settings)
     _require_usable(settings, method, source)
     _require_factor(source, method, interpolator)
     contents = contents_of(sources, settings.layers)
     models = Models.of(source, network, interpolator, policy)
+    if look_ahead_policy is not None:
+        models = models.with_effort(look_ahead_policy, settings.spent)
     keys = source.timeline.select(settings.frames)
     targets = OutputPlan.from_settings(settings, source.keys.sequence, compression)
     truth = None
@@ -233,8 +239,9 @@ def open_job(settings: UpsampleSettings) -> Job:
     if settings.rendered is not None:
         rendered = find_rendered(settings.rendered, source, settings.source.scan)
     return Job(
-        settings, method, sources, network, interpolator, policy, models, contents, keys, targets,
-        truth, rendered,
+        settings, method, sources, network, interpolator, policy,
+        make_chooser(look_ahead_policy, settings.spent), models, contents, keys, targets, truth,
+        rendered,
     )  # fmt: skip
 
 
@@ -342,12 +349,25 @@ def _find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | Non
     return None
 
 
-def require_state(policy: PolicyFile) -> PolicyFile:
-    """Refuse a policy that was trained on other inputs than a state has."""
+def _find_look_ahead_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None:
+    """Load what chooses the tiles between key frames that a network makes; None for all."""
+    if not (method.weighs and method.gated) or settings.spent == 1:
+        return None
+    from exwarp_cli.models.policy_files import SHIPPED_LOOK_AHEAD_POLICY, load_policy
+
+    policy = load_policy(None, SHIPPED_LOOK_AHEAD_POLICY)
+    return require_state(policy, LOOK_AHEAD_STATE)
+
+
+def require_state(policy: PolicyFile, *versions: str | int) -> PolicyFile:
+    """Refuse a policy that was trained on other inputs than a state has.
+
+    `versions` are those that it may have; usually the ones of `causal`.
+    """
     from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 
     inputs, version = policy.network.sizes[0], policy.metadata.get("state")
-    if inputs != INPUTS or version not in (STATE_VERSION, TILE_STATE):
+    if inputs != INPUTS or version not in (versions or (STATE_VERSION, TILE_STATE)):
         raise LayoutError(
             f"{policy.path} takes {inputs} inputs of version {version!r}, and a state has {INPUTS} "
             f"of version {STATE_VERSION}, or of {TILE_STATE!r} for tiles; train the policy again"

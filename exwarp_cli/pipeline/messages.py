@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import abc
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -103,6 +103,12 @@ class Models:
             )
         return cls(extrapolator, interpolator_summary, policy_summary)
 
+    def with_effort(self, policy: PolicyFile, effort: float) -> Models:
+        """Return them with the policy of the tiles that the interpolator makes."""
+        assert self.interpolator is not None
+        interpolator = replace(self.interpolator, policy_sha256=policy.checksum, effort=effort)
+        return replace(self, interpolator=interpolator)
+
 
 def announce_models(progress: Progress, models: Models, source: Source) -> None:
     """Name the models, and what they lack of the input."""
@@ -119,6 +125,8 @@ def announce_models(progress: Progress, models: Models, source: Source) -> None:
             )
     if interpolator is not None:
         views = "both key frames, warped" if interpolator.card_sha256 is None else "colour alone"
+        if interpolator.effort is not None:
+            views += f", in tiles where they disagree (effort {interpolator.effort:g})"
         progress.message(
             f"interpolation by {interpolator.name}, {Path(interpolator.file).name} (sha256 "
             f"{interpolator.sha256[:8]}) on {interpolator.device}, from {views}"

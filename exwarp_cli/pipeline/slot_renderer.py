@@ -249,7 +249,7 @@ class SlotRenderer:
             decision=plan.decision_of(slot.index) if isinstance(plan, Plan) else None,
             replaced=self._writer.is_in_the_way(number),
             trial=prepared.trial,
-            tiles=plan.makers(slot.index) if isinstance(plan, TilePlan) else None,
+            tiles=plan.makers(slot.index) if isinstance(plan, TilePlan) else predicted.tiles,
         )
 
     def _read_record(self, slot: Slot, header: Mapping[str, Any]) -> FrameRecord:

@@ -33,7 +33,7 @@ from exwarp_cli.domain.decision import (
     walk_tree,
 )
 from exwarp_cli.domain.frame import Bool, GBuffer, Int32
-from exwarp_cli.domain.tiles import TILE_FEATURES, TilePlan
+from exwarp_cli.domain.tiles import LOOK_AHEAD_FEATURES, TILE_FEATURES, TilePlan
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels.connected_components import measure_component_areas
 from exwarp_cli.kernels.frame_statistics import (
@@ -295,6 +295,25 @@ def scale_tile_features(features: F64, width: int) -> F64:
     )
 
 
+# Of `LOOK_AHEAD_FEATURES`: a share of pixels, and squared display levels.
+_SHARE, _SQUARES = Scale(0.01, 1.0), Scale(1.0, 4000.0)
+LOOK_AHEAD_SCALES = (_SHARE, *(_SQUARES,) * (len(LOOK_AHEAD_FEATURES) - 1))
+
+
+def look_ahead_inputs(features: F64, time: float) -> F64:
+    """Return the network's inputs for tiles between two key frames, float64 [N, 44].
+
+    `features` are `LOOK_AHEAD_FEATURES`, float64 [N, 6]; the time is the slot's, 0 < time < 1. The
+    node is that which decides about the nearest of the slots 1 to 3 first. There is no other state:
+    what is made of other slots changes nothing.
+    """
+    scaled = [scale.scale_array(features[:, i]) for i, scale in enumerate(LOOK_AHEAD_SCALES)]
+    slot = min(max(round(time * FACTOR), 1), FACTOR - 1)
+    first = next(node for node in NODES if NODE_SLOTS[node] == slot)
+    marks = [np.full(len(features), node == first, np.float64) for node in NODES]
+    return np.tile(np.stack([*scaled, *marks], axis=-1), STATE_COUNT)
+
+
 def tile_inputs(
     slots: Sequence[F64],  # scaled features of slots 1 to 3, float64 [N, 6] each
     node: str,
@@ -339,6 +358,19 @@ class TilePolicy:
             _, choices = self._kernel.decide_many(to_fixed(tile_inputs(slots, node)))
             chosen[node] = choices == 1
         return TilePlan(columns, rows, tuple(map(str, tile_paths(chosen))))
+
+
+class LookAheadPolicy:
+    """The policy for tiles between two key frames; see `TilePolicy`."""
+
+    def __init__(self, network: QuantisedMlp, price: int = 0) -> None:
+        self._kernel = MlpKernel(apply_price(network, price))
+
+    def __call__(self, features: F64, time: float) -> Bool:
+        """Choose the tiles that a network makes, bool [rows, columns]; see `look_ahead_inputs`."""
+        states = look_ahead_inputs(features.reshape(-1, len(LOOK_AHEAD_FEATURES)), time)
+        _, choices = self._kernel.decide_many(to_fixed(states))
+        return np.asarray(choices.reshape(features.shape[:2]) == 1)
 
 
 def interpolate_price(efforts: Sequence[Sequence[float]], share: float) -> int:

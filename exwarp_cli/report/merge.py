@@ -394,7 +394,8 @@ def _common_facts(run: RunSummary) -> dict[str, Any]:
         )
     if model := run.interpolator:
         facts["network that interpolates"] = (
-            f"{model.name} on {model.device}, sha256 {model.sha256}, card {model.card_sha256}"
+            f"{model.name} on {model.device}, sha256 {model.sha256}, card {model.card_sha256}, "
+            f"policy {model.policy_sha256}, effort {model.effort}"
         )
     if policy := run.policy:
         missing = " and ".join(policy.missing) or "nothing"

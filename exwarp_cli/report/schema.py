@@ -18,7 +18,6 @@ import numpy as np
 
 from exwarp_cli.domain.decision import (
     CHOICES,
-    EXTRAPOLATE,
     FEATURES,
     LOOKAHEAD,
     NODES,
@@ -257,13 +256,14 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
     """Count decisions, and state what the gate decided and what the network computed.
 
     ``gate``: each trial with the key intervals that it decided for; ``look_ahead``: the frames that
-    warping and the network made; ``cost``: the network's share of the new frames' area.
+    softsplat and the network made, in parts where tiles were chosen; ``cost``: the networks' share
+    of the new frames' area.
     """
     paths: list[str] = []
-    decides = run.decides or any(frame.tiles is not None for frame in run.frames)
+    decides = run.decides or any(map(_is_decided_by_tile, run.frames))
     for interval in _complete_intervals(run) if decides else ():
         taken = [frame.path for frame in interval if frame.path]
-        tiles = {frame.slot: frame.tiles for frame in interval}
+        tiles = {f.slot: f.tiles for f in interval if _is_decided_by_tile(f)}
         second, third = tiles.get(2), tiles.get(3)
         if taken:
             paths.append(taken[-1])
@@ -274,8 +274,8 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
     keys: dict[tuple[Trial, bool], dict[int, None]] = {}
     for frame in run.frames:
         if frame.trial is not None:
-            # After the last key frame look-ahead methods go tile by tile.
-            looks_ahead = run.lookahead and frame.tiles is None
+            # After the last key frame look-ahead methods go by the decision tree, tile by tile.
+            looks_ahead = run.lookahead and not _is_decided_by_tile(frame)
             keys.setdefault((frame.trial, looks_ahead), {})[frame.key] = None
     trials = []
     for (trial, looks_ahead), intervals in keys.items():
@@ -289,12 +289,18 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
                 "keys": list(intervals),
             }
         )
-    makers = Counter(frame.made_by for frame in run.frames)
-    counts = {"cheap": makers[SOFTSPLAT], "dear": makers[LOOKAHEAD]}
-    block |= {"gate": trials or None, "look_ahead": counts if trials and run.lookahead else None}
+    made = [
+        float(frame.made_by == LOOKAHEAD) if frame.tiles is None else frame.tiles.dear_share
+        for frame in run.frames
+        if frame.made_by in (SOFTSPLAT, LOOKAHEAD)
+    ]
+    dear_frames = round(sum(made), 3)
+    counts = {"cheap": round(len(made) - dear_frames, 3), "dear": dear_frames}
+    chooses = bool(trials) or any(frame.tiles is not None for frame in run.frames)
+    block |= {"gate": trials or None, "look_ahead": counts if chooses and run.lookahead else None}
 
     cost = None
-    if trials or decides:
+    if chooses or decides:
         cost = mean(share for f in run.frames if (share := _network_share(f, run)) is not None)
     block["cost"] = cost
     if cost is not None:
@@ -302,10 +308,15 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
     return block
 
 
+def _is_decided_by_tile(frame: FrameRecord) -> bool:
+    """Return True if the decision tree was walked for each tile of a frame."""
+    return frame.tiles is not None and not frame.tiles.looks_ahead
+
+
 def _network_share(frame: FrameRecord, run: RunSummary) -> float | None:
     """Return the share of a frame that a network made; None where nothing chose it."""
     if frame.tiles is not None:
-        return frame.tiles.share(EXTRAPOLATE)
+        return frame.tiles.dear_share
     if run.lookahead and frame.kind is FrameKind.GENERATED:
         return float(frame.made_by == LOOKAHEAD)
     return None

@@ -30,7 +30,7 @@ from exwarp_cli.synthesis.history import (
     step_back,
 )
 from exwarp_cli.synthesis.look_ahead import LookAhead
-from exwarp_cli.synthesis.mosaic import Mosaic, Tiles, extrapolate_in
+from exwarp_cli.synthesis.mosaic import Mosaic, Tiles, run_in_tiles
 from exwarp_cli.synthesis.motion_fields import (
     SlotField,
     compose,
@@ -38,7 +38,12 @@ from exwarp_cli.synthesis.motion_fields import (
     fill_unknown,
     reproject,
 )
-from exwarp_cli.synthesis.predicted_error import KeyResidual, key_residual
+from exwarp_cli.synthesis.predicted_error import (
+    KeyResidual,
+    TileEvidence,
+    key_residual,
+    look_ahead_features,
+)
 from exwarp_cli.synthesis.residual_flow import CarriedLight, LightFlow, find_light_flow
 from exwarp_cli.synthesis.trajectory import (
     displacement,
@@ -50,6 +55,10 @@ from exwarp_cli.synthesis.warp import Coverage, CoverageSide
 
 # Times of slots 1 to 3 at the usual factor.
 QUARTERS = tuple(index / FACTOR for index in range(1, FACTOR))
+
+# Chooses the tiles whose key frames a network weighs, bool [rows, columns], by their
+# `LOOK_AHEAD_FEATURES`, float64 [rows, columns, 6], and the time of the slot.
+TileChooser = Callable[[F64, float], Bool]
 
 T = TypeVar("T")
 
@@ -102,6 +111,7 @@ class Interval:
     # Frames of slots, by index, that were rendered after all, with settled motion; their vectors
     # may lead over another time than the key frames' do.
     rendered: Mapping[int, KeyFrame] = field(default_factory=dict)
+    chooser: TileChooser | None = None  # of the tiles in which a network weighs; None for all
     _warps: dict[int, CarriedLight] = field(default_factory=dict, init=False)
     _mixers: dict[int, LookAhead] = field(default_factory=dict, init=False)
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
@@ -248,10 +258,16 @@ class Interval:
         else:
             fields = self.back(slot), self.forward(slot)
         coverage = None if sides is None else Coverage(sides, fields, time, self.linear)
-        network = None
+        network, chooser = None, self.chooser
         if weighs and isinstance(self.interpolator, LookAheadNetwork):
             network = self.interpolator
-        mixer = LookAhead(*fields, time, self.linear, coverage, network, self.tiles)
+
+        def choose(evidence: TileEvidence) -> Bool:
+            assert chooser is not None
+            return chooser(look_ahead_features(evidence, self.residual), time)
+
+        choice = None if network is None or chooser is None else (self.mosaic, choose)
+        mixer = LookAhead(*fields, time, self.linear, coverage, network, self.tiles, choice)
         if self.linear:  # else no layers follow
             self._mixers[slot] = mixer
         return mixer
@@ -345,7 +361,9 @@ class Interval:
         assert network is not None
 
         def answer(inputs: LazyInputs) -> Float32:
-            return extrapolate_in(mosaic, chosen, lambda *part: network(inputs.part(*part)))
+            out = np.zeros((3, *mosaic.shape), np.float32)
+            run_in_tiles(mosaic, chosen, lambda *part: network(inputs.part(*part)), out)
+            return out
 
         return self._extrapolate(slot, network if chosen.all() else answer)
 

@@ -7,20 +7,24 @@ In the method `lookahead` a network weighs both sides, pixel by pixel.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.network_api import (
+    CANDIDATES,
     LOOKAHEAD_INTERFACE,
+    InputRegion,
     LookAheadNetwork,
     NetworkPictures,
     Tile,
+    TileSpan,
 )
 from exwarp_cli.kernels import blend
 from exwarp_cli.runtime.frame_pool import pool
-from exwarp_cli.synthesis.mosaic import Tiles
+from exwarp_cli.synthesis.mosaic import Mosaic, Tiles, run_in_tiles
 from exwarp_cli.synthesis.motion_fields import SlotField
 from exwarp_cli.synthesis.predicted_error import TileEvidence, evidence_of_sides
 from exwarp_cli.synthesis.residual_flow import add_flow, disagreement, flow_weight, search_flow
@@ -39,6 +43,9 @@ NEAREST, FURTHEST = np.float32(1e-2), np.float32(1e4)
 # Of each tile of a slot, float16 [5, h, w].
 Weights = list[tuple[Tile, np.ndarray]]
 
+# Where tiles lie, and what chooses those that a network weighs by what is measured of all.
+TileChoice = tuple[Mosaic, Callable[[TileEvidence], Bool]]
+
 
 class LookAhead:
     """Makes the colour of a slot from the key frames on both sides: its beauty, then its layers."""
@@ -55,6 +62,8 @@ class LookAhead:
         # That weighs what both sides show; None for the weights of softmax splatting.
         network: LookAheadNetwork | None = None,
         tiles: Tiles | None = None,  # for which `evidence` of the beauty is kept; None for none
+        # Chooses the tiles, bool [rows, columns], in which the network weighs; None for all.
+        choice: TileChoice | None = None,
     ) -> None:
         self._sides = Mover(back, linear), Mover(forward, linear)
         self._time = time
@@ -64,8 +73,9 @@ class LookAhead:
         self._weights: Weights = []
         self._shifted: tuple[Mover, Mover] | None = None
         self._flow_weight = np.zeros((0, 0), np.float32)
-        self._tiles = tiles
+        self._tiles, self._choice = tiles, choice
         self.evidence: TileEvidence | None = None
+        self.chosen: Bool | None = None  # tiles in which the network weighed; None without a choice
 
     @property
     def weighs(self) -> bool:
@@ -123,7 +133,12 @@ class LookAhead:
         if self._network is not None:
             layer = Candidates(out, sides, self._flow_weight, self._time, self._linear)
             if leads:
-                out, self._weights = layer.weigh(self._network, keep=self._linear)
+                part = None
+                if self._choice is not None and self.evidence is not None:
+                    mosaic, choose = self._choice
+                    self.chosen = choose(self.evidence)
+                    part = None if self.chosen.all() else (mosaic, self.chosen)
+                out, self._weights = layer.weigh(self._network, keep=self._linear, part=part)
             else:
                 out = layer.mix(self._weights)
         return self._sides[0].light(out)
@@ -184,21 +199,48 @@ class Candidates:
         pictures["agreement"][0] = self._agreement[rows, columns]
         return NetworkPictures(pictures, self.time)
 
-    def weigh(self, network: LookAheadNetwork, keep: bool) -> tuple[Float32, Weights]:
-        """Have a network weigh the candidates.
+    def weigh(
+        self, network: LookAheadNetwork, keep: bool, part: tuple[Mosaic, Bool] | None = None
+    ) -> tuple[Float32, Weights]:
+        """Have a network weigh the candidates, in chosen tiles alone where `part` names them.
 
         Returns the slot's colour, float32 [H, W, C], coded as the candidates are, and with `keep`
         the weights, for further layers: 10 bytes a pixel.
         """
         out: Float32 = pool.empty(self._mixed.shape, np.float32)
         weights: Weights = []
-        for tile, answer in network.weigh(self):
+        answers = network.weigh(self) if part is None else self._weigh_in(network, *part)
+        for tile, answer in answers:
             # Rounded before they are used, so that the beauty is what its layers add up to.
             rounded = answer.astype(np.float16)
             self._mix(tile, rounded, out)
             if keep:
                 weights.append((tile, rounded))
         return out, weights
+
+    def _weigh_in(
+        self, network: LookAheadNetwork, mosaic: Mosaic, chosen: Bool
+    ) -> Iterator[tuple[Tile, np.ndarray]]:
+        """Yield the weights of each row of tiles; what `softsplat` makes counts beside chosen ones.
+
+        Weights change smoothly there, so that no seam shows in any layer.
+        """
+        weights = np.zeros((CANDIDATES, *self.shape), np.float16)
+
+        def answer(rows: slice, columns: slice) -> Float32:
+            region = InputRegion(self, rows, columns)
+            out = np.empty((CANDIDATES, *region.shape), np.float32)
+            for (down, across), planes in network.weigh(region):
+                out[:, down.kept, across.kept] = planes
+            return out
+
+        run_in_tiles(mosaic, chosen, answer, weights)
+        ramp, (_, width) = mosaic.weight(chosen), self.shape
+        for top, bottom in mosaic.down:
+            part, share = weights[:, top:bottom], ramp[top:bottom]
+            part[1:] *= share
+            part[0] = 1 - share * (1 - part[0])
+            yield (TileSpan(top, bottom, top, bottom), TileSpan(0, width, 0, width)), part
 
     def mix(self, weights: Weights) -> Float32:
         """Mix the candidates of another layer by the weights of the beauty."""

@@ -21,7 +21,7 @@ from exwarp_cli.domain.decision import (
 from exwarp_cli.domain.frame import Float32, KeyFrame
 from exwarp_cli.domain.network_api import HISTORY_FRAMES, LookAheadNetwork
 from exwarp_cli.domain.results import FrameKind
-from exwarp_cli.domain.tiles import REWARP, Risk, TilePlan
+from exwarp_cli.domain.tiles import REWARP, Risk, TileMakers, TilePlan
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.camera import F64
 from exwarp_cli.synthesis.interval import Interval
@@ -51,6 +51,7 @@ class Predicted:
     sources: tuple[int, ...]  # numbers of the key frames that colour came from, ascending
     made_by: str  # WARP, EXTRAPOLATE, SOFTSPLAT, LOOKAHEAD, BLEND, INTERPOLATE or HOLD
     risk: Risk | None = None  # how wrong it is expected to be
+    tiles: TileMakers | None = None  # between key frames, where tiles were chosen
 
 
 class DecisionSource(Enum):
@@ -250,11 +251,14 @@ def _look_ahead(name: str, weighs: bool, interval: Interval, slot: int) -> Predi
     frames, sources = _both_frames(interval, interval.following)
     mixer = interval.look_ahead(slot, weighs)
     pixels = mixer.make(*frames)
-    made_by, risk = LOOKAHEAD if mixer.weighs else SOFTSPLAT, None
+    made_by, risk, tiles = LOOKAHEAD if mixer.weighs else SOFTSPLAT, None, None
+    if mixer.chosen is not None:
+        tiles = TileMakers.chosen(mixer.chosen)
+        made_by = LOOKAHEAD if mixer.chosen.any() else SOFTSPLAT
     if mixer.evidence is not None:
         terms = terms_of(interval.tiles, mixer.evidence, interval.residual, pixels)
         risk = predict_risk(terms, MIXED, interval.time(slot))
-    return Predicted(pixels, FrameKind.GENERATED, name, sources, made_by, risk)
+    return Predicted(pixels, FrameKind.GENERATED, name, sources, made_by, risk, tiles)
 
 
 def _onnx(interval: Interval, slot: int) -> Predicted:

@@ -34,6 +34,8 @@ GRID = 16
 # A tile is mixed into its neighbours within this share of its height, and at most in HALO.
 RAMP = 1 / 8
 
+Float = npt.NDArray[np.floating]
+
 # First row or column, and the one after the last.
 Span = tuple[int, int]
 
@@ -123,7 +125,7 @@ class Mosaic:
         first, last = self.down[len(self.down) // 2]
         return min(max(int((last - first) * RAMP), 1), HALO - 1)
 
-    def means(self, values: npt.NDArray[np.floating]) -> F64:
+    def means(self, values: Float) -> F64:
         """Return the means over each tile, float64 [rows, columns], of values [H, W]."""
         tiles = [[values[a:b, c:d] for c, d in self.across] for a, b in self.down]
         return np.array([[tile.mean(dtype=np.float64) for tile in row] for row in tiles])
@@ -198,17 +200,14 @@ class Mosaic:
         return boxes
 
 
-def extrapolate_in(
+def run_in_tiles(
     mosaic: Mosaic,
     chosen: Bool,
-    # Returns planes float32 [3, h, w] of rows and columns of the frame.
+    # Returns planes float32 [C, h, w] of rows and columns of the frame.
     answer: Callable[[slice, slice], Float32],
-) -> Float32:
-    """Run a network in chosen tiles, bool [rows, columns], and in the ramps around them.
-
-    Returns float32 [3, H, W]: 0 where nothing was asked for.
-    """
-    out = np.zeros((3, *mosaic.shape), np.float32)
+    out: Float,  # [C, H, W]
+) -> None:
+    """Run a network in chosen tiles, bool [rows, columns], and write there and in the ramps."""
     cores: list[tuple[slice, slice, Float32]] = []
     for box, rows, columns in mosaic.parts(chosen):
         planes = answer(rows, columns)
@@ -222,7 +221,6 @@ def extrapolate_in(
         cores.append((down, across, core))
     for down, across, core in cores:  # over what others made around their own tiles
         out[:, down, across] = core
-    return out
 
 
 def lay_over(below: Float32, above: Float32, weight: Float32) -> Float32:

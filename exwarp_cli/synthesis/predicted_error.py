@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, KeyFrame
-from exwarp_cli.domain.tiles import Risk, encode_level
+from exwarp_cli.domain.tiles import LOOK_AHEAD_FEATURES, Risk, encode_level
 from exwarp_cli.synthesis.camera import F64
 from exwarp_cli.synthesis.mosaic import Tiles
 from exwarp_cli.synthesis.warp import Warped, linear_to_srgb
@@ -138,6 +138,19 @@ def evidence_of_sides(
     at_edges = beside_edges(tiles.sample(field))
     maps = np.where(at_edges, 0, squares), np.where(at_edges, squares, 0), before & after
     return TileEvidence(*tiles.means(maps))
+
+
+def look_ahead_features(evidence: TileEvidence, residual: KeyResidual | None) -> F64:
+    """Return what a policy of tiles sees between two key frames: `LOOK_AHEAD_FEATURES`.
+
+    float64 [rows, columns, 6]; without a residual its parts are 0.
+    """
+    none = np.zeros_like(evidence.light)
+    of_keys = (none, none) if residual is None else (residual.light, residual.motion)
+    apart = evidence.light + evidence.motion + (of_keys[0] + of_keys[1]) / 2
+    parts = evidence.unseen, evidence.light, evidence.motion, *of_keys, apart
+    assert len(parts) == len(LOOK_AHEAD_FEATURES)
+    return np.stack(parts, axis=-1)
 
 
 def evidence_of_warp(tiles: Tiles, hole: Bool) -> TileEvidence:

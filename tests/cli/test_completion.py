@@ -41,7 +41,9 @@ class TestOffers:
     def test_commands(self, offered):
         assert offered("") == list(cli.COMMANDS)
         assert offered("m") == ["merge-reports", "models"]
-        assert offered("train", "") == ["extrapolator", "lookahead", "policy", "tile-policy"]
+        assert offered("train", "") == [
+            *("extrapolator", "look-ahead-policy", "lookahead", "policy", "tile-policy"),
+        ]
         assert offered("--co") == ["--config"]
         assert offered("--config", "x", "up") == ["upsample"]
 

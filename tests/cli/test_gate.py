@@ -69,7 +69,7 @@ def assert_same_colour(folder: Path, other: Path) -> None:
 
 def test_a_network_that_predicts_key_frames_better_makes_the_frames(gate, dimmed, nets):
     net = ("--interpolator", nets["before"])
-    out, document = gate(dimmed, "gated", *net, "--frames", "1-8", "--no-tail")
+    out, document = gate(dimmed, "gated", *net, "--frames", "1-8", "--no-tail", "--effort", 1)
     alone, _ = gate(dimmed, "alone", *net, "--frames", "1-8", "-m", "lookahead", "--no-tail")
     assert_same_colour(out, alone)
     (trial,) = document["decisions"]["gate"]
@@ -96,7 +96,7 @@ def test_a_network_that_predicts_them_worse_makes_none(gate, nets, request, shot
 
 def test_without_the_gate_the_network_makes_all_frames(gate, steady, nets):
     net = ("--interpolator", nets["after"], "--frames", "1-3")
-    out, document = gate(steady, "open", *net, "--no-gate")
+    out, document = gate(steady, "open", *net, "--no-gate", "--effort", 1)
     alone, _ = gate(steady, "alone", *net, "-m", "lookahead")
     assert_same_colour(out, alone)
     assert document["decisions"]["gate"] is None

@@ -1,4 +1,4 @@
-"""`--causal` chooses tile by tile, and `--effort` says how much the network may compute."""
+"""Networks run in chosen tiles alone, and `--effort` says how much they may compute."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import pytest
 from exwarp_cli.domain.tiles import TileMakers
 from tests.cli import shots
 from tests.cli.street import Street
+from tests.unit import tiny_lookahead
 
 pytestmark = pytest.mark.usefixtures("unpainted_plots")
 
@@ -30,6 +31,12 @@ class Done:
     folder: Path
     report: dict[str, Any]
     rows: list[dict[str, str]]
+
+    @classmethod
+    def read(cls, folder: Path, report: Path) -> Done:
+        document = json.loads((report / "report.json").read_text(encoding="utf-8"))
+        with (report / "frames.csv").open(newline="", encoding="utf-8") as file:
+            return cls(folder, document, list(csv.DictReader(file)))
 
     @property
     def tiles(self) -> list[TileMakers]:
@@ -51,9 +58,7 @@ def take(upsample, keys, network, tmp_path) -> Callable[..., Done]:
     def run(name: str, *options: object) -> Done:
         out, report = tmp_path / name, tmp_path / f"{name}-report"
         upsample(keys, out, "--extrapolator", network, "--report", report, *options)
-        document = json.loads((report / "report.json").read_text(encoding="utf-8"))
-        with (report / "frames.csv").open(newline="", encoding="utf-8") as file:
-            return Done(out, document, list(csv.DictReader(file)))
+        return Done.read(out, report)
 
     return run
 
@@ -130,3 +135,72 @@ def test_the_paper_s_policy_chooses_for_whole_frames(take):
     assert {row["tiles"] for row in done.rows} == {""}
     assert sum(done.report["decisions"]["paths"].values()) == COUNT
     assert done.report["decisions"]["cost"] is None
+
+
+@pytest.fixture
+def ahead(upsample, keys, tmp_path) -> Callable[..., Done]:
+    """Upsample the street by default, with a tiny network between key frames."""
+    model = tiny_lookahead.save(tmp_path / "tiny.onnx", tiny_lookahead.nearer_side())
+
+    def run(name: str, *options: object) -> Done:
+        out, report = tmp_path / name, tmp_path / f"{name}-report"
+        upsample(keys, out, "--interpolator", model, "--report", report, *options)
+        return Done.read(out, report)
+
+    return run
+
+
+BETWEEN = 3 * (COUNT - 1)  # new frames that have a next key frame
+
+
+def test_between_key_frames_tiles_of_one_frame_differ(ahead):
+    """No policy that chooses alike everywhere does this; and all that is said of it agrees."""
+    done = ahead("out", "--no-gate")
+    tiles = done.tiles[:BETWEEN]
+    assert all({"s", "l"} == set(each.letters) for each in tiles)
+    dear = sum(each.dear_share for each in tiles)
+    decisions = done.report["decisions"]
+    assert decisions["look_ahead"]["dear"] == pytest.approx(dear, abs=1e-3)
+    assert sum(decisions["look_ahead"].values()) == pytest.approx(BETWEEN)
+    after = sum(each.dear_share for each in done.tiles[BETWEEN:])
+    assert decisions["cost"] == pytest.approx((dear + after) / (3 * COUNT))
+    assert sum(decisions["paths"].values()) == len(done.tiles[-1].letters)
+    assert done.report["interpolator"]["effort"] == 0.5
+    with OpenEXR.File(str(done.folder / "shot.0003.exr"), header_only=True) as file:
+        assert file.header()["exwarp:tiles"] == done.tiles[1].text
+
+
+def test_between_key_frames_the_ends_of_effort_are_methods(ahead, upsample, keys, tmp_path):
+    model = ("--interpolator", tmp_path / "tiny.onnx")
+    for effort, method, options in ((1, "lookahead", model), (0, "softsplat", ())):
+        done = ahead(f"e{effort}", "--no-gate", "--effort", effort)
+        upsample(keys, tmp_path / method, "-m", method, *options)
+        for number in range(2, BETWEEN + COUNT - 1):
+            name = f"shot.{number:04d}.exr"
+            made, fixed = (shots.colour_of(at / name) for at in (done.folder, tmp_path / method))
+            np.testing.assert_array_equal(made, fixed)
+
+
+def test_between_key_frames_chunks_and_threads_change_nothing(ahead):
+    whole = shots.contents(ahead("whole").folder)
+    parts: dict[str, bytes] = {}
+    for frames in ("1", "2-3"):
+        parts |= shots.contents(ahead(frames, "--frames", frames, "--threads", 1).folder)
+    assert parts == whole
+
+
+def test_another_effort_makes_frames_between_key_frames_again(ahead):
+    ahead("out", "--no-gate", "--effort", 0.3)
+    kept = ahead("out", "--no-gate", "--effort", 0.3, "--skip-existing")
+    assert kept.report["frames"]["resumed"] == 4 * COUNT
+    assert kept.report["decisions"]["look_ahead"]["dear"] > 0
+    made = ahead("out", "--no-gate", "--effort", 0.9, "--skip-existing")
+    assert made.report["frames"]["resumed"] == COUNT  # key frames
+
+
+def test_tiles_are_chosen_with_layers_too(ahead):
+    done = ahead("out", "--no-gate", "--layers", "all")
+    assert {"s", "l"} == set(TileMakers.parsed(done.rows[1]["tiles"]).letters)
+    whole = ahead("whole", "--no-gate", "--layers", "all", "--effort", 1)
+    made, all_tiles = (shots.colour_of(one.folder / "shot.0002.exr") for one in (done, whole))
+    assert not np.array_equal(made, all_tiles)

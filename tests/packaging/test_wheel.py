@@ -63,7 +63,8 @@ def test_the_wheel_holds_the_package_and_its_models_alone(dist):
     assert {name.split("/")[0] for name in names} == {
         "exwarp_cli", f"exwarp-{__version__}.dist-info",
     }  # fmt: skip
-    for name in ("extrapolator.onnx", "lookahead.onnx", "tile-policy.npz", "policy.npz"):
+    policies = "tile-policy.npz", "look-ahead-policy.npz", "policy.npz"
+    for name in ("extrapolator.onnx", "lookahead.onnx", *policies):
         assert f"exwarp_cli/_models/{name}" in names
     assert any(name.endswith(".v") for name in names), "the predictor's Verilog"
     assert any(name.endswith("viewer.js") for name in names), "the report's page"

@@ -26,7 +26,9 @@ def train():
 def test_every_stage_is_a_command_with_its_options(train, capsys):
     assert train.main(["--data", "scenes", "-o", "out", "--list"]) == 0
     lines = [shlex.split(line) for line in capsys.readouterr().out.splitlines()]
-    assert [line[2] for line in lines] == ["lookahead", "extrapolator", "tile-policy", "policy"]
+    assert [line[2] for line in lines] == [
+        *("lookahead", "extrapolator", "tile-policy", "look-ahead-policy", "policy"),
+    ]
     assert set(command.commands) == {line[2] for line in lines}
     for _, _, name, *options in lines:
         with click.Context(command.commands[name]) as context:

@@ -12,7 +12,7 @@ from exwarp_cli.domain.frame import Float32, Window
 from exwarp_cli.domain.network_api import LazyInputs
 from exwarp_cli.domain.tiles import REWARP, TILE_PATHS, TileMakers, TilePlan, paths_from_makers
 from exwarp_cli.synthesis.methods import predict_path, predict_tiles
-from exwarp_cli.synthesis.mosaic import HALO, Mosaic, Tiles, extrapolate_in, lay_over
+from exwarp_cli.synthesis.mosaic import HALO, Mosaic, Tiles, lay_over, run_in_tiles
 from tests.unit.test_paths import SLOTS, Painter, interval, painted
 
 
@@ -110,7 +110,8 @@ class TestMosaic:
             shape = 3, rows.stop - rows.start, columns.stop - columns.start
             return np.full(shape, len(asked), np.float32)
 
-        made = extrapolate_in(shown, chosen, answer)
+        made = np.zeros((3, *shown.shape), np.float32)
+        run_in_tiles(shown, chosen, answer, made)
         boxes = shown.parts(chosen)
         assert len(boxes) > 1
         for number, (box, _, _) in enumerate(boxes, start=1):

@@ -40,7 +40,7 @@ from exwarp_cli.policy.state import (
     tile_inputs,
     tile_paths,
 )
-from exwarp_cli.research.training.augmentation import Variant
+from exwarp_cli.research.training.augmentation import PLAIN, Look, Variant
 from exwarp_cli.research.training.outcome_tables import (
     TrainingTable,
     extrapolator,
@@ -137,7 +137,11 @@ class TileTable(TrainingTable):
 
 
 def measure_tiles(
-    scene: RenderedScene, network: OnnxExtrapolator, say: Callable[[str], None]
+    scene: RenderedScene,
+    network: OnnxExtrapolator,
+    say: Callable[[str], None],
+    look: Look = PLAIN,  # as which it is delivered
+    variants: Sequence[Variant] = VARIANTS,
 ) -> TileTable:
     """Make the frames of all makers of a scene's key intervals, and measure their tiles.
 
@@ -148,7 +152,8 @@ def measure_tiles(
     errors: list[F64] = []
     numbers: list[npt.NDArray[np.int32]] = []
     clips = SceneClip(scene)
-    intervals = ((clip, k) for clip in map(clips.seen_as, VARIANTS) for k in clip.intervals)
+    played = (clips.seen_as(variant, look) for variant in variants)
+    intervals = ((clip, k) for clip in played for k in clip.intervals)
     for clip, k in intervals:
         truth = {slot: encode_display(clip.truth(k, slot).pixels) for slot in (2, 3)}
         interval = replace(clip.causal(k, "key"), extrapolator=network)
@@ -381,14 +386,17 @@ def tile_policy_card(report: dict[str, Any]) -> str:
 
     In per cent of what E gains everywhere, in dB over all scenes.
     """
+    s4 = f"Always S4, at half of the area, gains {report['always_s4_percent']:.0f} %."
+    return f"{gain_card(report, 'E', report['extrapolator_gain_db'])} {s4}"
+
+
+def gain_card(report: dict[str, Any], network: str, by_scene: Mapping[str, float]) -> str:
+    """Return a report's ``gain_percent`` as a table, and a network's gain in each scene, dB."""
     curves = report["gain_percent"]
     shares = list(next(iter(curves.values())))
     lines = [table_row("choice", *(f"{float(share):.0%} of the area" for share in shares))]
     lines.append(table_rule(1 + len(shares)))
     for name, gains in curves.items():
         lines.append(table_row(name, *(f"{gains[share]:.0f} %" for share in shares)))
-    everywhere = ", ".join(
-        f"{scene} {gain:+.2f}" for scene, gain in report["extrapolator_gain_db"].items()
-    )
-    s4 = f"Always S4, at half of the area, gains {report['always_s4_percent']:.0f} %."
-    return "\n".join([*lines, "", f"E everywhere gains, in dB: {everywhere}. {s4}"])
+    everywhere = ", ".join(f"{scene} {gain:+.2f}" for scene, gain in by_scene.items())
+    return "\n".join([*lines, "", f"{network} everywhere gains, in dB: {everywhere}."])

@@ -1,0 +1,305 @@
+"""The policy of tiles between key frames: what a network gains there, and the rule that it pays by.
+
+Where the two key frames disagree, moved to the slot, the look-ahead network gains most. The rule
+that computes it there alone is put into the paper's network of 8-bit integers; a learned network is
+trained beside it, left out on every scene, and takes the rule's place if it is clearly better.
+Written to the output folder: ``look-ahead-policy.npz``, ``look-ahead-policy.json`` with what each
+choice gains at equal cost, and the checksum of the first.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from exwarp_cli.accelerator.mlp import QuantisedMlp
+from exwarp_cli.domain.tiles import LOOK_AHEAD_FEATURES, LOOK_AHEAD_STATE
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.errors import UsageError
+from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
+from exwarp_cli.io.files import atomic_write_text, make_folder
+from exwarp_cli.metrics.display import encode_display
+from exwarp_cli.models.model_file import shipped_folder
+from exwarp_cli.models.picture_network import OnnxLookAhead, load_lookahead
+from exwarp_cli.models.policy_files import SHIPPED_LOOK_AHEAD_POLICY, save_network
+from exwarp_cli.policy.state import INPUTS, look_ahead_inputs
+from exwarp_cli.research.training.outcome_tables import (
+    TrainingTable,
+    read_tables,
+    require_no_tables,
+)
+from exwarp_cli.research.training.policy_training import (
+    add_checksums,
+    require_two_scenes,
+)
+from exwarp_cli.research.training.q_learning import (
+    LAYERS,
+    fit_network,
+    integer_values,
+    quantise,
+)
+from exwarp_cli.research.training.scene_clip import SceneClip
+from exwarp_cli.research.training.tile_policy_training import (
+    EFFORTS,
+    F64,
+    MOST,
+    SHARES,
+    TILE_TABLES,
+    UNIT,
+    VARIANTS,
+    Say,
+    gain_card,
+)
+from exwarp_cli.research.training.training_settings import TilePolicySettings
+from exwarp_cli.runtime.stop import check_stop
+from exwarp_cli.synthesis.predicted_error import look_ahead_features
+
+SCHEMA = "exwarp.look-ahead-policy-scores/1"
+REPORT = "look-ahead-policy.json"
+
+# Folder of the tables, in that of the tables of tiles.
+TABLES = "look-ahead"
+
+# Points of the network's gain, at a quarter of the area, by which a learned policy has to be
+# better than the rule.
+CLEARLY = 5.0
+QUARTER = 0.25
+
+
+@dataclass(frozen=True)
+class LookAheadTable(TrainingTable):
+    """All tiles of the slots between a scene's key frames."""
+
+    schema = "exwarp.look-ahead-table/1"
+    kind, row = "table of tiles", "tile"
+    facts = ("scene", "network")
+    arrays: ClassVar = {
+        "slot": (np.int32, np.int32, ()),
+        "features": (np.float32, np.float64, (len(LOOK_AHEAD_FEATURES),)),
+        "errors": (np.float32, np.float64, (2,)),
+    }
+
+    scene: str
+    slot: npt.NDArray[np.int32]  # int32 [N], 1 to 3
+    features: F64  # float64 [N, 6]
+    # float64 [N, 2]: mean squared error, squared display levels, by `softsplat` and `lookahead`
+    errors: F64
+    network: str  # checksum of the network whose frames were judged
+
+    @cached_property
+    def states(self) -> F64:
+        """The network's inputs, float64 [N, 1, 44]."""
+        states = np.empty((len(self), 1, INPUTS))
+        for slot in range(1, FACTOR):
+            of_slot = self.slot == slot
+            states[of_slot, 0] = look_ahead_inputs(self.features[of_slot], slot / FACTOR)
+        return states
+
+    @property
+    def gains(self) -> F64:
+        """What the network takes from each tile's squared error, float64 [N]."""
+        return np.asarray(self.errors[:, 0] - self.errors[:, 1])
+
+
+def measure_look_ahead(scene: RenderedScene, network: OnnxLookAhead, say: Say) -> LookAheadTable:
+    """Make the frames between a scene's key frames with and without the network; measure tiles."""
+    scene = scene.as_far_as_rendered()
+    parts: list[tuple[npt.NDArray[np.int32], F64, F64]] = []
+    clips = SceneClip(scene)
+    intervals = ((clip, k) for clip in map(clips.seen_as, VARIANTS) for k in clip.intervals)
+    for clip, k in intervals:
+        interval = replace(clip.interval(k, "key"), interpolator=network)
+        assert interval.following is not None
+        frames = interval.key.image.pixels, interval.following.image.pixels
+        for slot in range(1, FACTOR):
+            truth = encode_display(clip.truth(k, slot).pixels)
+            errors = []
+            for weighs in (False, True):
+                mixer = interval.look_ahead(slot, weighs)
+                shown = encode_display(mixer.make(*frames))
+                squares = np.square(shown[..., :3] - truth[..., :3]).mean(axis=-1)
+                errors.append(interval.mosaic.means(squares).ravel())
+            assert mixer.evidence is not None
+            features = look_ahead_features(mixer.evidence, interval.residual)
+            count = len(errors[0])
+            parts.append(
+                (
+                    np.full(count, slot, np.int32),
+                    features.reshape(count, -1),
+                    np.stack(errors, axis=-1),
+                )
+            )
+            interval.forget(slot)
+        say(f"{scene.name}: {len(parts) // (FACTOR - 1)} key intervals")
+        check_stop()
+    slots, features, errors_of = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return LookAheadTable(scene.name, slots, features, errors_of, network.checksum)
+
+
+def find_look_ahead_tables(
+    data: Path | None, model: Path | None, tables: Path | None, output: Path, say: Say
+) -> list[LookAheadTable]:
+    """Measure benchmark scenes and write their tables, or read those that are there.
+
+    Parameters and errors are those of `outcome_tables.find_tables`.
+    """
+    if data is None:
+        if model is not None:
+            raise UsageError("--interpolator is for measuring scenes; give --data too")
+        return read_tables(LookAheadTable, tables or shipped_folder() / TILE_TABLES / TABLES)
+    require_no_tables(tables)
+    folder = output / TILE_TABLES / TABLES
+    make_folder(folder)
+    network = load_lookahead(model, 1, "cpu")
+    found = []
+    for scene in find_scenes(data, BENCHMARK):
+        path = folder / f"{scene.name}.npz"
+        table = LookAheadTable.load(path) if path.exists() else None
+        if table is None or table.network != network.checksum:
+            measure_look_ahead(scene, network, say).save(path)
+            table = LookAheadTable.load(path)
+        found.append(table)
+    return found
+
+
+def rule_network(states: F64) -> QuantisedMlp:
+    """Return the paper's network with a rule in it: its margin is how far key frames are apart.
+
+    It is calibrated on states, float64 [N, 44].
+    """
+    weights = [np.zeros((out, into)) for into, out in pairwise(LAYERS)]
+    for layer in weights:
+        layer[0, 0] = 1.0
+    weights[0][0] = np.arange(INPUTS) == LOOK_AHEAD_FEATURES.index("apart")
+    weights[-1][:, 0] = 0.0, 1.0
+    return quantise(weights, [np.zeros(len(layer)) for layer in weights], states)
+
+
+def train_look_ahead(
+    tables: Sequence[LookAheadTable], settings: TilePolicySettings
+) -> QuantisedMlp:
+    """Learn from the tables of some scenes, which count alike; return the integer network."""
+    states = [torch.from_numpy(table.states).float() for table in tables]
+    rewards = [
+        torch.from_numpy(np.clip(table.gains / UNIT, -MOST, MOST)).float() for table in tables
+    ]
+    count = -(-settings.batch // len(states))
+
+    def draw(target: nn.Module) -> tuple[Tensor, Tensor]:
+        """Draw tiles: states [B, 1, 44], and the rewards of both choices [B, 1, 2]."""
+        rows = [torch.randint(len(scene), (count,)) for scene in states]
+        state = torch.cat([scene[row] for scene, row in zip(states, rows, strict=True)])
+        gain = torch.cat([scene[row] for scene, row in zip(rewards, rows, strict=True)])
+        return state, torch.stack([torch.zeros_like(gain), gain], dim=-1)[:, None]
+
+    layers = fit_network(settings, draw, functional.smooth_l1_loss)
+    all_states = np.concatenate([table.states[:, 0] for table in tables])
+    return quantise([w for w, _ in layers], [b for _, b in layers], all_states)
+
+
+def margins_of(network: QuantisedMlp, table: LookAheadTable) -> F64:
+    """Return by how much the network is worth more than softsplat, float64 [N]."""
+    outputs = integer_values(network, table.states)[:, 0]
+    return np.asarray(outputs[:, 1] - outputs[:, 0], np.float64)
+
+
+def price_for(share: float, margins: Sequence[F64]) -> float:
+    """Return the price at which a share of the area is computed, on average over the scenes."""
+    prices = np.unique(np.concatenate(margins))
+    first, last = -1, len(prices) - 1
+    while last - first > 1:
+        middle = (first + last) // 2
+        if np.mean([(margin > prices[middle]).mean() for margin in margins]) > share:
+            first = middle
+        else:
+            last = middle
+    return float(prices[last])
+
+
+def gain_at(share: float, tables: Sequence[LookAheadTable], margins: Sequence[F64]) -> float:
+    """Return what a choice gains at a share of the area, in % of the network's gain in dB."""
+    price, gained, everything = price_for(share, margins), 0.0, 0.0
+    for table, margin in zip(tables, margins, strict=True):
+        plain, dear = table.errors.mean(axis=0)
+        chosen = np.where(margin > price, table.errors[:, 1], table.errors[:, 0]).mean()
+        gained += np.log10(plain / chosen)
+        everything += np.log10(plain / dear)
+    return 100 * gained / everything
+
+
+def train_look_ahead_policy(
+    tables: Sequence[LookAheadTable], output: Path, settings: TilePolicySettings, say: Say
+) -> dict[str, Any]:
+    """Compare the rule with learning, and write the better; return what the scores file holds."""
+    require_two_scenes(len(tables))
+    make_folder(output)
+    rule = rule_network(np.concatenate([table.states[:, 0] for table in tables]))
+    margins = {"both sides and key frames apart": [margins_of(rule, table) for table in tables]}
+    learned = margins["learned, scene left out"] = []
+    for index, table in enumerate(tables):
+        say(f"without {table.scene}")
+        network = train_look_ahead([t for i, t in enumerate(tables) if i != index], settings)
+        learned.append(margins_of(network, table))
+    rng = np.random.default_rng(settings.seed)
+    for table in tables:
+        residual = table.features[:, [LOOK_AHEAD_FEATURES.index("key_" + n) for n in _KINDS]]
+        sides = table.features[:, [LOOK_AHEAD_FEATURES.index(n) for n in _KINDS]]
+        rules = {
+            "both sides apart": sides.sum(axis=-1),
+            "key residual alone": residual.sum(axis=-1),
+            "coin": rng.random(len(table)),
+            "the truth": table.gains,
+        }
+        for name, values in rules.items():
+            margins.setdefault(name, []).append(values)
+    gains = {
+        name: {f"{share:g}": round(gain_at(share, tables, m), 1) for share in SHARES}
+        for name, m in margins.items()
+    }
+    plain, learnt = (gains[name][f"{QUARTER:g}"] for name in list(gains)[:2])
+    best = rule
+    if learnt >= plain + CLEARLY:
+        say(f"on all {len(tables)} scenes")
+        best = train_look_ahead(tables, settings)
+    own = [margins_of(best, table) for table in tables]
+    metadata = {
+        "about": "ExWarp's predictor of tiles between key frames: "
+        + ("where both key frames are apart" if best is rule else "learned on rendered scenes"),
+        "state": LOOK_AHEAD_STATE,
+        "scenes": [table.scene for table in tables],
+        "efforts": [[share, round(price_for(share, own))] for share in EFFORTS],
+    }
+    save_network(output / SHIPPED_LOOK_AHEAD_POLICY, best, metadata)
+    report = {
+        "schema": SCHEMA,
+        "settings": asdict(settings),
+        "is_learned": best is not rule,
+        "tiles": {table.scene: len(table) for table in tables},
+        "network_gain_db": {
+            t.scene: round(10 * float(np.log10(np.divide(*t.errors.mean(axis=0)))), 3)
+            for t in tables
+        },
+        "gain_percent": gains,
+    }
+    atomic_write_text(output / REPORT, json.dumps(report, indent=1) + "\n")
+    add_checksums(output, [SHIPPED_LOOK_AHEAD_POLICY])
+    return report
+
+
+_KINDS = ("light", "motion")
+
+
+def look_ahead_policy_card(report: dict[str, Any]) -> str:
+    """Return what the scores file holds: what choices gain at some shares of the area."""
+    return gain_card(report, "The network", report["network_gain_db"])
