@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from exwarp_cli.domain.decision import CHOICES, FEATURES, HOLD, NODES
+from exwarp_cli.domain.decision import CHOICES, FEATURES, HOLD, LOOKAHEAD, NODES, SOFTSPLAT
 from exwarp_cli.domain.metric import KEY_FRAMES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.settings import SRGB_VIEW
@@ -71,6 +71,10 @@ TRIALS_NOTE = (
     "Both predict a rendered key frame from the ones around it, and the better one makes the new "
     "frames. dB: PSNR; between key frames the mean of the frame's tiles."
 )
+
+LOOK_AHEAD_KINDS = ((SOFTSPLAT, "cheap"), (LOOKAHEAD, "dear"))
+
+TILES_NOTE = "Frames that are made of both, tile by tile, are counted in parts."
 
 PULSE_NOTE = (
     "How much softer (below 0) or sharper new frames are than the key frames around, weighted "
@@ -339,11 +343,14 @@ def _decisions(run: RunSummary, decisions: dict[str, Any]) -> list[Block]:
             )
             for trial in trials
         ]
-        titles = (f"{name.removesuffix('_db')}, dB" for name in (cheap, dear))
-        columns = ("key frame", *titles, "used", "intervals")
-        title = "The network on the shot's own key frames"
+        names = [name.removesuffix("_db") for name in (cheap, dear)]
+        columns = ("key frame", *(f"{name}, dB" for name in names), "used", "intervals")
+        title = f"{' and '.join(names)} on the shot's own key frames"
         blocks.append(Table(title, columns, rows, TRIALS_NOTE))
-    if decisions["warp_share"] is not None:
+    if ahead := decisions["look_ahead"]:
+        made = [(name, format_number(ahead[kind], 1)) for name, kind in LOOK_AHEAD_KINDS]
+        blocks.append(Table("Between key frames", ("method", "frames"), made, TILES_NOTE))
+    if any(decisions["paths"].values()):
         nodes = [
             [node, *(format_number(decisions["nodes"][node][choice], 0) for choice in CHOICES)]
             for node in NODES

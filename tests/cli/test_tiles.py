@@ -166,6 +166,9 @@ def test_between_key_frames_tiles_of_one_frame_differ(ahead):
     assert decisions["cost"] == pytest.approx((dear + after) / (3 * COUNT))
     assert sum(decisions["paths"].values()) == len(done.tiles[-1].letters)
     assert done.report["interpolator"]["effort"] == 0.5
+    page = (done.folder.parent / "out-report" / "report.html").read_text(encoding="utf-8")
+    assert "Between key frames" in page and "Paths of the tiles" in page
+    assert f">{decisions['look_ahead']['dear']:.1f}</bdi>" in page
     with OpenEXR.File(str(done.folder / "shot.0003.exr"), header_only=True) as file:
         assert file.header()["exwarp:tiles"] == done.tiles[1].text
 
