@@ -31,6 +31,9 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
+# One more than there are cores, as tests wait for the processes that they start.
+WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
+
 # The first folder under examples/ that holds rendered key frames.
 EXAMPLE ?= $(firstword $(patsubst examples/%/keys,%,$(wildcard examples/*/keys)))
 METHOD ?= exwarp
@@ -52,10 +55,10 @@ MODEL ?= models/extrapolator.onnx
 .PHONY: test test-full check golden faults planted hardware bench bench-check profile demo scenes things blender train policy judge paper docs clean
 
 test: check
-	$(BIN)/pytest --numprocesses auto --dist worksteal
+	$(BIN)/pytest --numprocesses $(WORKERS) --dist worksteal
 
 test-full: check
-	EXWARP_TESTS=full $(BIN)/pytest --numprocesses auto --dist worksteal
+	EXWARP_TESTS=full $(BIN)/pytest --numprocesses $(WORKERS) --dist worksteal
 
 check: $(STAMP)
 	$(BIN)/ruff check
@@ -68,7 +71,7 @@ golden: $(STAMP)
 
 faults: $(STAMP)
 	$(BIN)/pip install --group faults
-	EXWARP_TESTS=full $(BIN)/pytest --numprocesses auto --dist worksteal tests/faults
+	EXWARP_TESTS=full $(BIN)/pytest --numprocesses $(WORKERS) --dist worksteal tests/faults
 	$(BIN)/python -m tests.faults.fuzz $(OPTIONS)
 
 planted: $(STAMP)
@@ -145,5 +148,6 @@ $(STAMP): pyproject.toml
 	    { echo "make: $(PYTHON) cannot make virtual environments; on Debian and Ubuntu: apt install python3-venv" >&2; exit 1; }
 	test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
-	$(BIN)/python -m pip install --quiet --editable . --group test
+	@# Modules are compiled when they are imported; most of what is installed never is.
+	$(BIN)/python -m pip install --quiet --no-compile --editable . --group test
 	@touch $@

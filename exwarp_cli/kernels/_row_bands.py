@@ -15,6 +15,7 @@ from threading import local
 from typing import Any
 
 import numba
+import numpy as np
 
 Band = tuple[int, int]  # number of the band, and how many bands there are
 
@@ -24,6 +25,9 @@ ALL: Band = (0, 1)
 # thread that wakes starts late: with one band a thread, two cores took a tenth more time for the
 # inputs of a network.
 MIN_BANDS = 8
+
+# Values of arrays that one thread works on: waking another one takes as long.
+SMALL = 2**15
 
 _own = local()
 
@@ -43,10 +47,11 @@ def band_slice(count: int, band: Band) -> slice:
 def run_bands(kernel: Callable[..., None], arguments: Sequence[Any], threads: int) -> None:
     """Run a kernel, which takes a band as its last argument, on several threads.
 
-    The caller is one of them. With one thread the kernel runs once, over everything. An exception
-    of the kernel is raised when no thread works on the arguments any more.
+    The caller is one of them. With one thread, or for small arrays, the kernel runs once, over
+    everything. An exception of the kernel is raised when no thread works on the arguments any more.
     """
-    if threads == 1:
+    largest = max((values.size for values in _arrays(arguments)), default=SMALL)
+    if threads == 1 or largest < SMALL:
         kernel(*arguments, ALL)
         return
     bands = max(threads, MIN_BANDS)
@@ -61,6 +66,15 @@ def run_bands(kernel: Callable[..., None], arguments: Sequence[Any], threads: in
     for helper in helpers:
         if not helper.cancelled():
             helper.result()
+
+
+def _arrays(arguments: Sequence[Any]) -> Iterator[np.ndarray]:
+    """Yield the arrays among arguments, and in tuples of them."""
+    for value in arguments:
+        if isinstance(value, np.ndarray):
+            yield value
+        elif isinstance(value, tuple):
+            yield from _arrays(value)
 
 
 def _run_remaining(

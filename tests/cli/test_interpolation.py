@@ -55,7 +55,7 @@ class TestFrames:
         sums = [hashlib.sha256(path.read_bytes()).hexdigest() for path in (model, card)]
         assert document["interpolator"] == {
             "name": "Tiny", "file": str(model), "sha256": sums[0], "card_sha256": sums[1],
-            "device": "cpu",
+            "device": "cpu", "policy_sha256": None, "effort": None,
         }  # fmt: skip
         assert document["extrapolator"] is None
         assert document["timing_ms"]["interpolate"] > 0 and document["timing_ms"]["warp"] is None

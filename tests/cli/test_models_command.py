@@ -10,7 +10,7 @@ import pytest
 
 from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training import extranet_import
-from tests.unit.extranet_checkpoint import checkpoint, state
+from tests.unit.training.extranet_checkpoint import checkpoint, state
 
 COMMAND = ("models", "import-extranet")
 
@@ -21,7 +21,7 @@ def given(tmp_path) -> Path:
 
 
 def test_a_checkpoint_becomes_a_model(exwarp, given, network, tmp_path, monkeypatch):
-    # Exporting takes 20 s, and `tests/unit/test_extranet.py` looks at what comes of it.
+    # Exporting takes 20 s, and `tests/unit/training/test_extranet.py` looks at what comes of it.
     monkeypatch.setattr(
         extranet_import, "export_network", lambda _, path, *__, **___: shutil.copy(network, path)
     )

@@ -42,7 +42,7 @@ def train(data: Path, output: Path, *more: str) -> int:
 def test_a_network_is_trained_and_named(data, network, tmp_path, capsys, monkeypatch):
     about: list[str] = []
 
-    # Exporting takes 20 s, and `tests/unit/test_networks.py` looks at what comes of it.
+    # Exporting takes 20 s, and `tests/unit/training/test_networks.py` looks at what comes of it.
     def export(module: nn.Module, path: Path, *_: Any, **more: Any) -> None:
         about.append(more["about"])
         shutil.copy(network, path)
@@ -149,7 +149,7 @@ def test_a_network_that_looks_ahead_is_trained(data, tmp_path, capsys, monkeypat
     )
     exported: list[dict[str, Any]] = []
 
-    # Exporting takes 15 s, and `tests/unit/test_lookahead_training.py` looks at what comes of it.
+    # Exporting takes 15 s; what comes of it is looked at in tests/unit/training.
     def export(module: nn.Module, path: Path, interface: NetworkInterface, **more: Any) -> None:
         assert interface == LOOKAHEAD_INTERFACE
         exported.append(more)

@@ -16,7 +16,7 @@ from exwarp_cli.research.training import outcome_tables
 from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.outcome_tables import PolicyTable, View
 from tests.cli.documents import document_of
-from tests.unit.policy_tables import tempting
+from tests.unit.training.policy_tables import tempting
 
 MINIATURE = Path(__file__).parents[1] / "data" / "miniature" / "variety-0074"
 QUICK = ("--steps", 5, "--batch", 16)

@@ -7,9 +7,16 @@ from collections.abc import Iterator
 import pytest
 
 from exwarp_cli.io.dataset import open_scene
+from exwarp_cli.kernels import _row_bands
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis import trajectory
 from tests.unit.analytic_scene import write_scene
+
+
+@pytest.fixture(autouse=True)
+def bands_of_small_arrays(monkeypatch) -> None:
+    """Let several threads share the small arrays of tests, as they share large ones."""
+    monkeypatch.setattr(_row_bands, "SMALL", 0)
 
 
 @pytest.fixture(scope="session")

@@ -53,6 +53,14 @@ def test_every_turn_is_taken_once(number, size):
     assert (seen == (1 if number == 1 else max(number, MIN_BANDS))).all()
 
 
+@pytest.mark.parametrize("size", [5, 1000])
+def test_small_arrays_are_one_turn(size, monkeypatch):
+    monkeypatch.setattr(_row_bands, "SMALL", 1000)
+    values, seen = np.zeros(size), np.zeros(size)
+    _row_bands.run_bands(lambda pair, band: count(*pair, band), ((values, seen),), 2)
+    assert (values == 1).all() and (seen == (1 if size < 1000 else MIN_BANDS)).all()
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_kernels_give_the_same_in_any_number_of_shares(name, monkeypatch):
     expected = CASES[name](True)

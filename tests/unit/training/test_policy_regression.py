@@ -12,7 +12,7 @@ from exwarp_cli.policy.outcomes import PENALTIES, choice_rewards
 from exwarp_cli.research.training import policy_training
 from exwarp_cli.research.training.outcome_tables import PolicyTable
 from exwarp_cli.research.training.policy_training import fit_regression, predict_rewards
-from tests.unit.policy_tables import random_table
+from tests.unit.training.policy_tables import random_table
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from exwarp_cli.research.training.extrapolation_network import (
     _sample,
     build_network,
 )
-from tests.unit.network_inputs import example
+from tests.unit.training.network_inputs import example
 
 
 @pytest.fixture(params=ARCHITECTURES)

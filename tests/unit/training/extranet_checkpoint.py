@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-NAMES = Path(__file__).parents[1] / "data" / "extranet-state-dict.txt"
+NAMES = Path(__file__).parents[2] / "data" / "extranet-state-dict.txt"
 """A line for each tensor: its name, then its shape."""
 
 

@@ -19,7 +19,7 @@ from exwarp_cli.research.training.policy_training import (
     score_random,
 )
 from tests.reference import scores as naive
-from tests.unit.policy_tables import random_table
+from tests.unit.training.policy_tables import random_table
 
 TABLE = random_table(60, 4)
 EVERY = np.ones(len(TABLE), np.bool_)

@@ -21,7 +21,7 @@ from exwarp_cli.research.training.extrapolator_training import (
 )
 from exwarp_cli.research.training.resumable_training import CHECKPOINT
 from exwarp_cli.research.training.training_settings import ExtrapolatorSettings
-from tests.unit.network_inputs import example
+from tests.unit.training.network_inputs import example
 
 TINY = ExtrapolatorSettings(architecture="blend", width=4, steps=4)
 SMALL = replace(TINY, architecture="small", scenes={"training": []})

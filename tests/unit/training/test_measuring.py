@@ -44,7 +44,7 @@ from tests.matrix import FULL, spread
 from tests.reference.quality import psnr_db, srgb_255
 from tests.unit.tiny_models import convolution, filled_warp, save
 
-FOLDER = Path(__file__).parents[1] / "data" / "miniature" / "variety-0074"
+FOLDER = Path(__file__).parents[2] / "data" / "miniature" / "variety-0074"
 PLAIN = [view for view in VIEWS if view.variant == Variant() and not view.begins]
 FAST = [view for view in VIEWS if view.variant == Variant(4, speed=2)]
 BEGINNING = [view for view in VIEWS if view.variant == Variant() and view.begins]

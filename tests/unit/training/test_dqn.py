@@ -29,7 +29,7 @@ from exwarp_cli.research.training.q_learning import (
     train_decisions,
 )
 from exwarp_cli.research.training.training_settings import PolicySettings
-from tests.unit.policy_tables import tempting
+from tests.unit.training.policy_tables import tempting
 
 SETTINGS = PolicySettings(steps=250, batch=96, rate=3e-3, lag=25, seed=3)
 KNOWN, UNSEEN = tempting(300, 1), tempting(200, 2)

@@ -22,7 +22,7 @@ from exwarp_cli.research.training.outcome_tables import (
     find_tables,
     join_views,
 )
-from tests.unit.policy_tables import NETWORK, random_table
+from tests.unit.training.policy_tables import NETWORK, random_table
 
 GROUPS = ("key-phase0-speed1 64x36", "slot-phase0-speed1 64x36", "key-phase2-speed1 64x36")
 TABLE = random_table(14, 3, "lab", GROUPS)

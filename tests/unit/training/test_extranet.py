@@ -23,7 +23,7 @@ from exwarp_cli.research.training.extranet_import import (
     release_features,
 )
 from tests.reference import extranet as reference
-from tests.unit.extranet_checkpoint import checkpoint, save, shapes, state
+from tests.unit.training.extranet_checkpoint import checkpoint, save, shapes, state
 
 
 def inputs(height: int, width: int, seed: int = 3) -> dict[str, np.ndarray]:

@@ -7,7 +7,7 @@ import torch
 
 from exwarp_cli.research.training.extrapolation_network import build_network
 from exwarp_cli.research.training.extrapolator_training import grow_weights
-from tests.unit.network_inputs import example
+from tests.unit.training.network_inputs import example
 
 
 def learnt(name: str, width: int) -> torch.nn.Module:

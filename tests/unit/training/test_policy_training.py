@@ -41,7 +41,7 @@ from exwarp_cli.research.training.policy_training import (
 )
 from exwarp_cli.research.training.q_learning import integer_values, q_values
 from exwarp_cli.research.training.training_settings import PolicySettings, require_sane_policy
-from tests.unit.policy_tables import NETWORK, random_table, tempting
+from tests.unit.training.policy_tables import NETWORK, random_table, tempting
 
 GROUPS = ("key-phase0-speed1 64x36", "slot-phase0-speed1 64x36", "slot-phase0-speed1 32x18")
 SETTINGS = PolicySettings(steps=20, batch=32, rate=2e-3, lag=5, seed=2)
