@@ -74,7 +74,9 @@ TABLES = "look-ahead"
 # Points of the network's gain, at a quarter of the area, by which a learned policy has to be
 # better than the rule.
 CLEARLY = 5.0
-QUARTER = 0.25
+QUARTER = "0.25"
+
+RULE, LEARNED = "both sides and key frames apart", "learned, scene left out"
 
 
 @dataclass(frozen=True)
@@ -245,37 +247,23 @@ def train_look_ahead_policy(
     require_two_scenes(len(tables))
     make_folder(output)
     rule = rule_network(np.concatenate([table.states[:, 0] for table in tables]))
-    margins = {"both sides and key frames apart": [margins_of(rule, table) for table in tables]}
-    learned = margins["learned, scene left out"] = []
-    for index, table in enumerate(tables):
-        say(f"without {table.scene}")
-        network = train_look_ahead([t for i, t in enumerate(tables) if i != index], settings)
-        learned.append(margins_of(network, table))
-    rng = np.random.default_rng(settings.seed)
-    for table in tables:
-        residual = table.features[:, [LOOK_AHEAD_FEATURES.index("key_" + n) for n in _KINDS]]
-        sides = table.features[:, [LOOK_AHEAD_FEATURES.index(n) for n in _KINDS]]
-        rules = {
-            "both sides apart": sides.sum(axis=-1),
-            "key residual alone": residual.sum(axis=-1),
-            "coin": rng.random(len(table)),
-            "the truth": table.gains,
-        }
-        for name, values in rules.items():
-            margins.setdefault(name, []).append(values)
-    gains = {
-        name: {f"{share:g}": round(gain_at(share, tables, m), 1) for share in SHARES}
-        for name, m in margins.items()
+    margins = {
+        RULE: [margins_of(rule, table) for table in tables],
+        LEARNED: _learned_margins(tables, settings, say),
+        **_simpler_margins(tables, settings.seed),
     }
-    plain, learnt = (gains[name][f"{QUARTER:g}"] for name in list(gains)[:2])
-    best = rule
-    if learnt >= plain + CLEARLY:
+    gains = {
+        name: {f"{share:g}": round(gain_at(share, tables, of_choice), 1) for share in SHARES}
+        for name, of_choice in margins.items()
+    }
+    is_learned = bool(gains[LEARNED][QUARTER] >= gains[RULE][QUARTER] + CLEARLY)
+    best, how = rule, "where both key frames are apart"
+    if is_learned:
         say(f"on all {len(tables)} scenes")
-        best = train_look_ahead(tables, settings)
+        best, how = train_look_ahead(tables, settings), "learned on rendered scenes"
     own = [margins_of(best, table) for table in tables]
     metadata = {
-        "about": "ExWarp's predictor of tiles between key frames: "
-        + ("where both key frames are apart" if best is rule else "learned on rendered scenes"),
+        "about": f"ExWarp's predictor of tiles between key frames: {how}",
         "state": LOOK_AHEAD_STATE,
         "scenes": [table.scene for table in tables],
         "efforts": [[share, round(price_for(share, own))] for share in EFFORTS],
@@ -284,7 +272,7 @@ def train_look_ahead_policy(
     report = {
         "schema": SCHEMA,
         "settings": asdict(settings),
-        "is_learned": best is not rule,
+        "is_learned": is_learned,
         "tiles": {table.scene: len(table) for table in tables},
         "network_gain_db": {
             t.scene: round(10 * float(np.log10(np.divide(*t.errors.mean(axis=0)))), 3)
@@ -297,7 +285,32 @@ def train_look_ahead_policy(
     return report
 
 
-_KINDS = ("light", "motion")
+def _learned_margins(
+    tables: Sequence[LookAheadTable], settings: TilePolicySettings, say: Say
+) -> list[F64]:
+    """Return the margins of each scene by a policy that was trained on the others."""
+    margins = []
+    for index, table in enumerate(tables):
+        say(f"without {table.scene}")
+        network = train_look_ahead([t for i, t in enumerate(tables) if i != index], settings)
+        margins.append(margins_of(network, table))
+    return margins
+
+
+def _simpler_margins(tables: Sequence[LookAheadTable], seed: int) -> dict[str, list[F64]]:
+    """Return the margins of simpler rules, and of knowing the truth."""
+    rng = np.random.default_rng(seed)
+
+    def total(table: LookAheadTable, *names: str) -> F64:
+        columns = [LOOK_AHEAD_FEATURES.index(name) for name in names]
+        return np.asarray(table.features[:, columns].sum(axis=-1))
+
+    return {
+        "both sides apart": [total(table, "light", "motion") for table in tables],
+        "key residual alone": [total(table, "key_light", "key_motion") for table in tables],
+        "coin": [rng.random(len(table)) for table in tables],
+        "the truth": [table.gains for table in tables],
+    }
 
 
 def look_ahead_policy_card(report: dict[str, Any]) -> str:
