@@ -101,7 +101,8 @@ TILE_FEATURES = ("holes", "outlines", "Var_x", "Var_y", "light", "motion")
 # The same between two key frames, and the version of these inputs. Of both key frames, moved to the
 # slot: unseen, share of pixels that neither shows; light and motion, mean squared difference in
 # squared display levels, away from edges of moving surfaces and beside them. key_light, key_motion:
-# the same of one key frame moved to the other. apart: light + motion + half of the last two.
+# the same of one key frame moved to the other. apart: light + motion + half of the last two, in
+# proportion to the mean of all tiles.
 LOOK_AHEAD_FEATURES = ("unseen", "light", "motion", "key_light", "key_motion", "apart")
 LOOK_AHEAD_STATE = "look-ahead tiles/1"
 

@@ -295,9 +295,8 @@ def scale_tile_features(features: F64, width: int) -> F64:
     )
 
 
-# Of `LOOK_AHEAD_FEATURES`: a share of pixels, and squared display levels.
-_SHARE, _SQUARES = Scale(0.01, 1.0), Scale(1.0, 4000.0)
-LOOK_AHEAD_SCALES = (_SHARE, *(_SQUARES,) * (len(LOOK_AHEAD_FEATURES) - 1))
+# Of `LOOK_AHEAD_FEATURES`: a share of pixels, squared display levels, and a proportion.
+LOOK_AHEAD_SCALES = (Scale(0.01, 1.0), *(Scale(1.0, 4000.0),) * 4, Scale(0.1, 30.0))
 
 
 def look_ahead_inputs(features: F64, time: float) -> F64:

@@ -24,6 +24,9 @@ APART = np.float32(1.5)
 
 PEAK = np.float32(255)
 
+# Squared display levels: where key frames are less apart in the mean, little is to be gained.
+NEGLIGIBLE = 8.0
+
 # What the predicted mean squared error of a tile is a sum of, each in squared display levels.
 #
 # detail: squared differences of neighbouring pixels, which sampling softens. light, motion: squared
@@ -147,7 +150,8 @@ def look_ahead_features(evidence: TileEvidence, residual: KeyResidual | None) ->
     """
     none = np.zeros_like(evidence.light)
     of_keys = (none, none) if residual is None else (residual.light, residual.motion)
-    apart = evidence.light + evidence.motion + (of_keys[0] + of_keys[1]) / 2
+    squares = evidence.light + evidence.motion + (of_keys[0] + of_keys[1]) / 2
+    apart = squares / (squares.mean() + NEGLIGIBLE)
     parts = evidence.unseen, evidence.light, evidence.motion, *of_keys, apart
     assert len(parts) == len(LOOK_AHEAD_FEATURES)
     return np.stack(parts, axis=-1)

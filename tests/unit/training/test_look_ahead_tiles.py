@@ -37,7 +37,12 @@ from exwarp_cli.research.training.look_ahead_policy import (
 )
 from exwarp_cli.research.training.training_settings import TilePolicySettings
 from exwarp_cli.synthesis.methods import METHODS, Predicted
-from exwarp_cli.synthesis.predicted_error import KeyResidual, TileEvidence, look_ahead_features
+from exwarp_cli.synthesis.predicted_error import (
+    NEGLIGIBLE,
+    KeyResidual,
+    TileEvidence,
+    look_ahead_features,
+)
 from tests.unit.test_lookahead import Chooser, interval, made
 
 SETTINGS = TilePolicySettings(steps=150, batch=32, lag=20, seed=3)
@@ -138,10 +143,13 @@ class TestFrames:
 
 class TestState:
     def test_features_are_what_disagrees(self):
-        one = np.ones((1, 1))
-        evidence, residual = TileEvidence(5 * one, 2 * one, 0.25 * one), KeyResidual(6 * one, one)
-        assert look_ahead_features(evidence, residual).tolist() == [[[0.25, 5, 2, 6, 1, 10.5]]]
-        assert look_ahead_features(evidence, None).tolist() == [[[0.25, 5, 2, 0, 0, 7]]]
+        two = np.array([[1.0, 0.0]])
+        evidence, residual = TileEvidence(5 * two, 2 * two, 0.25 * two), KeyResidual(6 * two, two)
+        first, second = look_ahead_features(evidence, residual)[0]
+        assert first.tolist() == [0.25, 5, 2, 6, 1, 10.5 / (10.5 / 2 + NEGLIGIBLE)]
+        assert not second.any()
+        alone = look_ahead_features(evidence, None)[0, 0]
+        assert alone.tolist() == [0.25, 5, 2, 0, 0, 7 / (7 / 2 + NEGLIGIBLE)]
 
     @pytest.mark.parametrize(
         ("time", "node"), [(0.1, "d1"), (0.5, "d2"), (0.75, "d3"), (0.9, "d3")]
@@ -163,7 +171,7 @@ class TestPolicy:
     def test_it_is_the_paper_s_network_in_integers(self, shipped):
         assert shipped.network.sizes == PAPER_SIZES
         assert shipped.metadata["state"] == LOOK_AHEAD_STATE and not shipped.of_tiles
-        features = np.random.default_rng(0).random((8, 3, 6)) * 300
+        features = np.random.default_rng(0).random((8, 3, 6)) * [1, 300, 300, 300, 300, 4]
         states = to_fixed(look_ahead_inputs(features.reshape(-1, 6), 0.5))
         price = interpolate_price(shipped.efforts, 0.4)
         outputs = infer_reference(apply_price(shipped.network, price), states).accumulators[-1]
@@ -173,13 +181,13 @@ class TestPolicy:
     def test_no_constant_decides_so(self, shipped):
         """Where the key frames disagree the network weighs them, and elsewhere it does not."""
         features = np.zeros((1, 2, 6))
-        features[0, 1] = [0, 100, 100, 200, 200, 400]
+        features[0, 1] = [0, 100, 100, 200, 200, 9]
         for effort in (0.1, 0.9):
             policy = LookAheadPolicy(shipped.network, interpolate_price(shipped.efforts, effort))
             assert policy(features, 0.5).tolist() == [[False, True]]
 
     def test_more_effort_takes_more_tiles(self, shipped):
-        features = np.exp(np.random.default_rng(1).normal(2, 2, (8, 14, 6)))
+        features = np.exp(np.random.default_rng(1).normal(0, 1.5, (8, 14, 6)))
         counts = [
             LookAheadPolicy(shipped.network, interpolate_price(shipped.efforts, e))(features, 0.5)
             for e in (0.1, 0.3, 0.5, 0.9)
@@ -192,8 +200,9 @@ def table(scene: str, seed: int, tells: int, count: int = 600) -> LookAheadTable
     """Tiles in which the network gains by one feature alone, if it is large."""
     rng = np.random.default_rng(seed)
     features = np.exp(rng.normal(2, 1.5, (count, 6)))
-    features[:, 0] = rng.random(count)
-    gains = np.where(features[:, tells] > 10, 20.0, -5.0)
+    features[:, 0], features[:, APART] = rng.random(count), features[:, APART] / 10
+    large = features[:, tells] > np.median(features[:, tells])
+    gains = np.where(large, 20.0, -5.0)
     errors = np.stack([np.full(count, 100.0), 100 - gains], axis=-1)
     slots = rng.integers(1, 4, count).astype(np.int32)
     return LookAheadTable(scene, slots, features, errors, "n" * 64)
