@@ -31,9 +31,6 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-# One more than there are cores, as tests wait for the processes that they start.
-WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
-
 # The first folder under examples/ that holds rendered key frames.
 EXAMPLE ?= $(firstword $(patsubst examples/%/keys,%,$(wildcard examples/*/keys)))
 METHOD ?= exwarp
@@ -55,10 +52,10 @@ MODEL ?= models/extrapolator.onnx
 .PHONY: test test-full check golden faults planted hardware bench bench-check profile demo scenes things blender train policy judge paper docs clean
 
 test: check
-	$(BIN)/pytest --numprocesses $(WORKERS) --dist worksteal
+	$(BIN)/pytest --numprocesses auto --dist worksteal
 
 test-full: check
-	EXWARP_TESTS=full $(BIN)/pytest --numprocesses $(WORKERS) --dist worksteal
+	EXWARP_TESTS=full $(BIN)/pytest --numprocesses auto --dist worksteal
 
 check: $(STAMP)
 	$(BIN)/ruff check
@@ -71,7 +68,7 @@ golden: $(STAMP)
 
 faults: $(STAMP)
 	$(BIN)/pip install --group faults
-	EXWARP_TESTS=full $(BIN)/pytest --numprocesses $(WORKERS) --dist worksteal tests/faults
+	EXWARP_TESTS=full $(BIN)/pytest --numprocesses auto --dist worksteal tests/faults
 	$(BIN)/python -m tests.faults.fuzz $(OPTIONS)
 
 planted: $(STAMP)
