@@ -34,7 +34,7 @@ os.environ["EXWARP_CONFIG"] = "none"
 def pytest_configure(config: pytest.Config) -> None:
     """Compile the package once, as what is installed is: processes that tests start only read it.
 
-    Where PYTHONDONTWRITEBYTECODE is set, each would compile it anew, which takes 0.5 s.
+    Where PYTHONDONTWRITEBYTECODE is set, each would compile it again, in 0.5 s.
     """
     if not hasattr(config, "workerinput"):
         compileall.compile_dir(Path(exwarp_cli.__file__).parent, quiet=1)

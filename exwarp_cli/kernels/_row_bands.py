@@ -50,8 +50,7 @@ def run_bands(kernel: Callable[..., None], arguments: Sequence[Any], threads: in
     The caller is one of them. With one thread, or for small arrays, the kernel runs once, over
     everything. An exception of the kernel is raised when no thread works on the arguments any more.
     """
-    largest = max((values.size for values in _arrays(arguments)), default=SMALL)
-    if threads == 1 or largest < SMALL:
+    if threads == 1 or max((a.size for a in _arrays(arguments)), default=SMALL) < SMALL:
         kernel(*arguments, ALL)
         return
     bands = max(threads, MIN_BANDS)

@@ -172,7 +172,7 @@ class OraclePath:
 
 def make_chooser(policy: PolicyFile | None, effort: float) -> TileChooser | None:
     """Return what chooses the tiles between key frames that a network makes; None for all."""
-    if policy is None or effort == 1:
+    if policy is None:
         return None
     from exwarp_cli.policy.state import LookAheadPolicy, interpolate_price
 

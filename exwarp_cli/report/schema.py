@@ -289,11 +289,8 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
                 "keys": list(intervals),
             }
         )
-    made = [
-        float(frame.made_by == LOOKAHEAD) if frame.tiles is None else frame.tiles.dear_share
-        for frame in run.frames
-        if frame.made_by in (SOFTSPLAT, LOOKAHEAD)
-    ]
+    ahead = [frame for frame in run.frames if frame.made_by in (SOFTSPLAT, LOOKAHEAD)]
+    made = [share for f in ahead if (share := _network_share(f, run)) is not None]
     dear_frames = round(sum(made), 3)
     counts = {"cheap": round(len(made) - dear_frames, 3), "dear": dear_frames}
     chooses = bool(trials) or any(frame.tiles is not None for frame in run.frames)

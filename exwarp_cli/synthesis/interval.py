@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from threading import Lock
 from typing import Generic, TypeVar
 
@@ -258,19 +259,18 @@ class Interval:
         else:
             fields = self.back(slot), self.forward(slot)
         coverage = None if sides is None else Coverage(sides, fields, time, self.linear)
-        network, chooser = None, self.chooser
+        network = choice = None
         if weighs and isinstance(self.interpolator, LookAheadNetwork):
             network = self.interpolator
-
-        def choose(evidence: TileEvidence) -> Bool:
-            assert chooser is not None
-            return chooser(look_ahead_features(evidence, self.residual), time)
-
-        choice = None if network is None or chooser is None else (self.mosaic, choose)
+            if self.chooser is not None:
+                choice = self.mosaic, partial(self._choose_tiles, self.chooser, time)
         mixer = LookAhead(*fields, time, self.linear, coverage, network, self.tiles, choice)
         if self.linear:  # else no layers follow
             self._mixers[slot] = mixer
         return mixer
+
+    def _choose_tiles(self, chooser: TileChooser, time: float, evidence: TileEvidence) -> Bool:
+        return chooser(look_ahead_features(evidence, self.residual), time)
 
     def _side(self, slot: int, ahead: bool) -> CoverageSide | None:
         """Return how the surfaces of the key frame before a slot, or after it, move to the slot.

@@ -133,15 +133,19 @@ class LookAhead:
         if self._network is not None:
             layer = Candidates(out, sides, self._flow_weight, self._time, self._linear)
             if leads:
-                part = None
-                if self._choice is not None and self.evidence is not None:
-                    mosaic, choose = self._choice
-                    self.chosen = choose(self.evidence)
-                    part = None if self.chosen.all() else (mosaic, self.chosen)
+                part = self._choose()
                 out, self._weights = layer.weigh(self._network, keep=self._linear, part=part)
             else:
                 out = layer.mix(self._weights)
         return self._sides[0].light(out)
+
+    def _choose(self) -> tuple[Mosaic, Bool] | None:
+        """Choose the tiles in which the network weighs; return None for all."""
+        if self._choice is None or self.evidence is None:
+            return None
+        mosaic, choose = self._choice
+        self.chosen = choose(self.evidence)
+        return None if self.chosen.all() else (mosaic, self.chosen)
 
 
 def _warp_along(

@@ -6,6 +6,7 @@ import csv
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -52,15 +53,21 @@ def keys(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def take(upsample, keys, network, tmp_path) -> Callable[..., Done]:
-    """Upsample the street by W and a tiny E."""
+def done(upsample, keys, tmp_path) -> Callable[..., Done]:
+    """Upsample the street by an option with its network, and others."""
 
-    def run(name: str, *options: object) -> Done:
+    def run(model: tuple[str, Path], name: str, *options: object) -> Done:
         out, report = tmp_path / name, tmp_path / f"{name}-report"
-        upsample(keys, out, "--extrapolator", network, "--report", report, *options)
+        upsample(keys, out, *model, "--report", report, *options)
         return Done.read(out, report)
 
     return run
+
+
+@pytest.fixture
+def take(done, network) -> Callable[..., Done]:
+    """Upsample the street by W and a tiny E."""
+    return partial(done, ("--extrapolator", network))
 
 
 def test_tiles_of_one_frame_differ(take):
@@ -138,16 +145,10 @@ def test_the_paper_s_policy_chooses_for_whole_frames(take):
 
 
 @pytest.fixture
-def ahead(upsample, keys, tmp_path) -> Callable[..., Done]:
+def ahead(done, tmp_path) -> Callable[..., Done]:
     """Upsample the street by default, with a tiny network between key frames."""
     model = tiny_lookahead.save(tmp_path / "tiny.onnx", tiny_lookahead.nearer_side())
-
-    def run(name: str, *options: object) -> Done:
-        out, report = tmp_path / name, tmp_path / f"{name}-report"
-        upsample(keys, out, "--interpolator", model, "--report", report, *options)
-        return Done.read(out, report)
-
-    return run
+    return partial(done, ("--interpolator", model))
 
 
 BETWEEN = 3 * (COUNT - 1)  # new frames that have a next key frame
