@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -27,6 +27,9 @@ from exwarp_cli.research.training.training_settings import (
     require_sane_policy,
     require_train,
 )
+
+if TYPE_CHECKING:
+    from exwarp_cli.research.training.tile_policy_training import TileTraining
 
 DEFAULTS = ExtrapolatorSettings()
 AHEAD = LookAheadSettings()
@@ -215,21 +218,11 @@ def tile_policy(
     With --data, every maker's frames of the benchmark scenes are measured first, and kept as tables
     in the output folder. Each scene is left out of one training and judged by it.
     """
-    from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY
-
     require_train()
-    from exwarp_cli.research.training.tile_policy_training import (
-        find_tile_tables,
-        tile_policy_card,
-        train_tile_policy,
-    )
+    from exwarp_cli.research.training.tile_policy_training import TRAINING
 
     settings = TilePolicySettings(**options)  # type: ignore[arg-type]
-    require_sane_policy(settings)
-    scenes = find_tile_tables(data, extrapolator, tables, output, _say)
-    scores = train_tile_policy(scenes, output, settings, _say)
-    result = _result("tile-policy", output, output / SHIPPED_TILE_POLICY, scores)
-    _print_scores(result, tile_policy_card, as_json)
+    _train_tiles(TRAINING, (data, extrapolator, tables), output, settings, as_json)
 
 
 @command.command("look-ahead-policy", context_settings={"show_default": True})
@@ -249,21 +242,26 @@ def look_ahead_policy(
     A rule is compared with a learned policy, left out on each scene in turn. With --data, frames of
     the benchmark scenes are measured first, and kept as tables in the output folder.
     """
-    from exwarp_cli.models.policy_files import SHIPPED_LOOK_AHEAD_POLICY
-
     require_train()
-    from exwarp_cli.research.training.look_ahead_policy import (
-        find_look_ahead_tables,
-        look_ahead_policy_card,
-        train_look_ahead_policy,
-    )
+    from exwarp_cli.research.training.look_ahead_policy import TRAINING
 
     settings = TilePolicySettings(**options)  # type: ignore[arg-type]
+    _train_tiles(TRAINING, (data, interpolator, tables), output, settings, as_json)
+
+
+def _train_tiles(
+    training: TileTraining[Any, Any],
+    sources: tuple[Path | None, Path | None, Path | None],  # scenes, network, tables
+    output: Path,
+    settings: TilePolicySettings,
+    as_json: bool,
+) -> None:
+    """Train a policy of tiles, and print its scores."""
     require_sane_policy(settings)
-    scenes = find_look_ahead_tables(data, interpolator, tables, output, _say)
-    scores = train_look_ahead_policy(scenes, output, settings, _say)
-    result = _result("look-ahead-policy", output, output / SHIPPED_LOOK_AHEAD_POLICY, scores)
-    _print_scores(result, look_ahead_policy_card, as_json)
+    found = training.find(*sources, output, _say)
+    scores = training.train(found, output, settings, _say)
+    result = _result(training.kind, output, output / training.model, scores)
+    _print_scores(result, training.card, as_json)
 
 
 def _result(kind: str, folder: Path, model: Path, scores: dict[str, Any]) -> dict[str, Any]:

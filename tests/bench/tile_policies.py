@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import itertools
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from exwarp_cli.research.training.tile_policy_training import (
     TileTable,
     choice_margins,
     gain_at,
+    kept_table,
     measure_tiles,
     train_tiles,
 )
@@ -87,11 +89,9 @@ def measured(
     folder: Path, kind: str, scene: RenderedScene, network: OnnxExtrapolator, look: Look = PLAIN
 ) -> TileTable:
     """Measure a scene's tiles, or read what was measured before."""
-    path = folder / f"{scene.name}-{kind}.npz"
-    if not path.exists():
-        variants = VARIANTS if kind == "still" else HALF
-        measure_tiles(scene, network, print, look, variants).save(path)
-    return TileTable.load(path)
+    variants = VARIANTS if kind == "still" else HALF
+    measure = partial(measure_tiles, scene, network, print, look, variants)
+    return kept_table(TileTable, folder / f"{scene.name}-{kind}.npz", network, measure)
 
 
 def scores(

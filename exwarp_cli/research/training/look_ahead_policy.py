@@ -19,47 +19,39 @@ from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from torch import Tensor, nn
-from torch.nn import functional
 
 from exwarp_cli.accelerator.mlp import QuantisedMlp
 from exwarp_cli.domain.tiles import LOOK_AHEAD_FEATURES, LOOK_AHEAD_STATE
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.errors import UsageError
-from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
+from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.metrics.display import encode_display
-from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import OnnxLookAhead, load_lookahead
 from exwarp_cli.models.policy_files import SHIPPED_LOOK_AHEAD_POLICY, save_network
 from exwarp_cli.policy.state import INPUTS, look_ahead_inputs
-from exwarp_cli.research.training.outcome_tables import (
-    TrainingTable,
-    read_tables,
-    require_no_tables,
-)
 from exwarp_cli.research.training.policy_training import (
     add_checksums,
     require_two_scenes,
 )
-from exwarp_cli.research.training.q_learning import (
-    LAYERS,
-    fit_network,
-    integer_values,
-    quantise,
-)
+from exwarp_cli.research.training.q_learning import LAYERS, quantise
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.research.training.tile_policy_training import (
     EFFORTS,
     F64,
-    MOST,
-    SHARES,
     TILE_TABLES,
-    UNIT,
     VARIANTS,
+    Margins,
     Say,
+    TableOfTiles,
+    TileTraining,
+    choice_margins,
+    fit_tiles,
     gain_card,
+    gain_percent,
+    gains_by_share,
+    gains_in_db,
+    margins_unseen,
+    price_for,
 )
 from exwarp_cli.research.training.training_settings import TilePolicySettings
 from exwarp_cli.runtime.stop import check_stop
@@ -80,7 +72,7 @@ RULE, LEARNED = "both sides and key frames apart", "learned, scene left out"
 
 
 @dataclass(frozen=True)
-class LookAheadTable(TrainingTable):
+class LookAheadTable(TableOfTiles):
     """All tiles of the slots between a scene's key frames."""
 
     schema = "exwarp.look-ahead-table/1"
@@ -149,32 +141,6 @@ def measure_look_ahead(scene: RenderedScene, network: OnnxLookAhead, say: Say) -
     return LookAheadTable(scene.name, slots, features, errors_of, network.checksum)
 
 
-def find_look_ahead_tables(
-    data: Path | None, model: Path | None, tables: Path | None, output: Path, say: Say
-) -> list[LookAheadTable]:
-    """Measure benchmark scenes and write their tables, or read those that are there.
-
-    Parameters and errors are those of `outcome_tables.find_tables`.
-    """
-    if data is None:
-        if model is not None:
-            raise UsageError("--interpolator is for measuring scenes; give --data too")
-        return read_tables(LookAheadTable, tables or shipped_folder() / TILE_TABLES / TABLES)
-    require_no_tables(tables)
-    folder = output / TILE_TABLES / TABLES
-    make_folder(folder)
-    network = load_lookahead(model, 1, "cpu")
-    found = []
-    for scene in find_scenes(data, BENCHMARK):
-        path = folder / f"{scene.name}.npz"
-        table = LookAheadTable.load(path) if path.exists() else None
-        if table is None or table.network != network.checksum:
-            measure_look_ahead(scene, network, say).save(path)
-            table = LookAheadTable.load(path)
-        found.append(table)
-    return found
-
-
 def rule_network(states: F64) -> QuantisedMlp:
     """Return the paper's network with a rule in it: its margin is how far key frames are apart.
 
@@ -192,52 +158,29 @@ def train_look_ahead(
     tables: Sequence[LookAheadTable], settings: TilePolicySettings
 ) -> QuantisedMlp:
     """Learn from the tables of some scenes, which count alike; return the integer network."""
-    states = [torch.from_numpy(table.states).float() for table in tables]
-    rewards = [
-        torch.from_numpy(np.clip(table.gains / UNIT, -MOST, MOST)).float() for table in tables
-    ]
-    count = -(-settings.batch // len(states))
-
-    def draw(target: nn.Module) -> tuple[Tensor, Tensor]:
-        """Draw tiles: states [B, 1, 44], and the rewards of both choices [B, 1, 2]."""
-        rows = [torch.randint(len(scene), (count,)) for scene in states]
-        state = torch.cat([scene[row] for scene, row in zip(states, rows, strict=True)])
-        gain = torch.cat([scene[row] for scene, row in zip(rewards, rows, strict=True)])
-        return state, torch.stack([torch.zeros_like(gain), gain], dim=-1)[:, None]
-
-    layers = fit_network(settings, draw, functional.smooth_l1_loss)
-    all_states = np.concatenate([table.states[:, 0] for table in tables])
-    return quantise([w for w, _ in layers], [b for _, b in layers], all_states)
+    gained = [np.stack([np.zeros(len(t)), t.gains], axis=-1)[:, None] for t in tables]
+    return fit_tiles(tables, gained, settings, {})
 
 
-def margins_of(network: QuantisedMlp, table: LookAheadTable) -> F64:
-    """Return by how much the network is worth more than softsplat, float64 [N]."""
-    outputs = integer_values(network, table.states)[:, 0]
-    return np.asarray(outputs[:, 1] - outputs[:, 0], np.float64)
+def area_at(margins: Margins, price: float) -> float:
+    """Return the share of the area that the network computes at a price."""
+    return float((margins > price).mean())
 
 
-def price_for(share: float, margins: Sequence[F64]) -> float:
-    """Return the price at which a share of the area is computed, on average over the scenes."""
-    prices = np.unique(np.concatenate(margins))
-    first, last = -1, len(prices) - 1
-    while last - first > 1:
-        middle = (first + last) // 2
-        if np.mean([(margin > prices[middle]).mean() for margin in margins]) > share:
-            first = middle
-        else:
-            last = middle
-    return float(prices[last])
-
-
-def gain_at(share: float, tables: Sequence[LookAheadTable], margins: Sequence[F64]) -> float:
+def gain_at(share: float, tables: Sequence[LookAheadTable], margins: Sequence[Margins]) -> float:
     """Return what a choice gains at a share of the area, in % of the network's gain in dB."""
-    price, gained, everything = price_for(share, margins), 0.0, 0.0
-    for table, margin in zip(tables, margins, strict=True):
-        plain, dear = table.errors.mean(axis=0)
-        chosen = np.where(margin > price, table.errors[:, 1], table.errors[:, 0]).mean()
-        gained += np.log10(plain / chosen)
-        everything += np.log10(plain / dear)
-    return 100 * gained / everything
+    price = price_for(share, margins, area_at)
+    errors = (
+        np.where(margin[:, 0] > price, table.errors[:, 1], table.errors[:, 0]).mean()
+        for table, margin in zip(tables, margins, strict=True)
+    )
+    return gain_percent(map(_fixed_errors, tables), errors)
+
+
+def _fixed_errors(table: LookAheadTable) -> tuple[float, float]:
+    """Return the errors of `softsplat` and of `lookahead`."""
+    softsplat, lookahead = table.errors.mean(axis=0)
+    return softsplat, lookahead
 
 
 def train_look_ahead_policy(
@@ -248,25 +191,22 @@ def train_look_ahead_policy(
     make_folder(output)
     rule = rule_network(np.concatenate([table.states[:, 0] for table in tables]))
     margins = {
-        RULE: [margins_of(rule, table) for table in tables],
-        LEARNED: _learned_margins(tables, settings, say),
+        RULE: [choice_margins(rule, table) for table in tables],
+        LEARNED: margins_unseen(tables, train_look_ahead, settings, say),
         **_simpler_margins(tables, settings.seed),
     }
-    gains = {
-        name: {f"{share:g}": round(gain_at(share, tables, of_choice), 1) for share in SHARES}
-        for name, of_choice in margins.items()
-    }
+    gains = gains_by_share(margins, lambda share, of_choice: gain_at(share, tables, of_choice))
     is_learned = bool(gains[LEARNED][QUARTER] >= gains[RULE][QUARTER] + CLEARLY)
     best, how = rule, "where both key frames are apart"
     if is_learned:
         say(f"on all {len(tables)} scenes")
         best, how = train_look_ahead(tables, settings), "learned on rendered scenes"
-    own = [margins_of(best, table) for table in tables]
+    own = [choice_margins(best, table) for table in tables]
     metadata = {
         "about": f"ExWarp's predictor of tiles between key frames: {how}",
         "state": LOOK_AHEAD_STATE,
         "scenes": [table.scene for table in tables],
-        "efforts": [[share, round(price_for(share, own))] for share in EFFORTS],
+        "efforts": [[share, round(price_for(share, own, area_at))] for share in EFFORTS],
     }
     save_network(output / SHIPPED_LOOK_AHEAD_POLICY, best, metadata)
     report = {
@@ -274,10 +214,7 @@ def train_look_ahead_policy(
         "settings": asdict(settings),
         "is_learned": is_learned,
         "tiles": {table.scene: len(table) for table in tables},
-        "network_gain_db": {
-            t.scene: round(10 * float(np.log10(np.divide(*t.errors.mean(axis=0)))), 3)
-            for t in tables
-        },
+        "network_gain_db": gains_in_db(tables, map(_fixed_errors, tables)),
         "gain_percent": gains,
     }
     atomic_write_text(output / REPORT, json.dumps(report, indent=1) + "\n")
@@ -285,34 +222,34 @@ def train_look_ahead_policy(
     return report
 
 
-def _learned_margins(
-    tables: Sequence[LookAheadTable], settings: TilePolicySettings, say: Say
-) -> list[F64]:
-    """Return the margins of each scene by a policy that was trained on the others."""
-    margins = []
-    for index, table in enumerate(tables):
-        say(f"without {table.scene}")
-        network = train_look_ahead([t for i, t in enumerate(tables) if i != index], settings)
-        margins.append(margins_of(network, table))
-    return margins
-
-
 def _simpler_margins(tables: Sequence[LookAheadTable], seed: int) -> dict[str, list[F64]]:
-    """Return the margins of simpler rules, and of knowing the truth."""
+    """Return the margins of simpler rules, float64 [N, 1] each, and of knowing the truth."""
     rng = np.random.default_rng(seed)
 
     def total(table: LookAheadTable, *names: str) -> F64:
         columns = [LOOK_AHEAD_FEATURES.index(name) for name in names]
-        return np.asarray(table.features[:, columns].sum(axis=-1))
+        return np.asarray(table.features[:, columns].sum(axis=-1, keepdims=True))
 
     return {
         "both sides apart": [total(table, "light", "motion") for table in tables],
         "key residual alone": [total(table, "key_light", "key_motion") for table in tables],
-        "coin": [rng.random(len(table)) for table in tables],
-        "the truth": [table.gains for table in tables],
+        "coin": [rng.random((len(table), 1)) for table in tables],
+        "the truth": [table.gains[:, None] for table in tables],
     }
 
 
 def look_ahead_policy_card(report: dict[str, Any]) -> str:
     """Return what the scores file holds: what choices gain at some shares of the area."""
     return gain_card(report, "The network", report["network_gain_db"])
+
+
+def _load_network(model: Path | None) -> OnnxLookAhead:
+    """Load the network on one thread."""
+    return load_lookahead(model, 1, "cpu")
+
+
+TRAINING = TileTraining(
+    "look-ahead-policy", SHIPPED_LOOK_AHEAD_POLICY, LookAheadTable, Path(TILE_TABLES, TABLES),
+    "--interpolator", _load_network, measure_look_ahead, train_look_ahead_policy,
+    look_ahead_policy_card,
+)  # fmt: skip

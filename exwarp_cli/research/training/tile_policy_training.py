@@ -10,11 +10,11 @@ gained when it was left out, beside simpler rules at equal cost, and the file's 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ from torch.nn import functional
 
 from exwarp_cli.accelerator.mlp import QuantisedMlp
 from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
+from exwarp_cli.domain.network_api import NetworkModel
 from exwarp_cli.domain.tiles import REWARP, TILE_FEATURES, TILE_STATE
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import UsageError
@@ -81,7 +82,7 @@ SHARES = (0.1, 0.25, 0.5, 0.75)
 EFFORTS = tuple(i / 20 for i in range(1, 20))
 
 # The nodes after warping and after extrapolating; none after slot 3.
-AFTER = {"d2": ("d5", "d4"), "d4": None, "d5": None}
+AFTER = {"d2": ("d5", "d4")}
 
 # What errors are of: slot, maker, and a path whose frame shows it.
 MADE = ((2, WARP, "S6"), (2, EXTRAPOLATE, "S3"), (3, WARP, "S6"), (3, EXTRAPOLATE, "S3"),
@@ -96,8 +97,24 @@ VARIANTS = tuple(
 )
 
 
+class TableOfTiles(TrainingTable):
+    """A table of a scene's tiles."""
+
+    scene: str
+    network: str  # checksum of the network whose frames were judged
+
+    @property
+    def states(self) -> F64:
+        """The policy's inputs at each node that decides, float64 [N, nodes, 44]."""
+        raise NotImplementedError
+
+
+Table = TypeVar("Table", bound=TableOfTiles)
+Network = TypeVar("Network", bound=NetworkModel)
+
+
 @dataclass(frozen=True)
-class TileTable(TrainingTable):
+class TileTable(TableOfTiles):
     """All tiles of a scene's key intervals."""
 
     schema = "exwarp.tile-table/1"
@@ -178,35 +195,57 @@ def measure_tiles(
     )
 
 
-def find_tile_tables(
-    data: Path | None,
-    model: Path | None,
-    tables: Path | None,
-    output: Path,
-    say: Callable[[str], None],
-) -> list[TileTable]:
-    """Measure the tiles of benchmark scenes and write their tables, or read those that are there.
+def kept_table(
+    kind: type[Table], path: Path, network: NetworkModel, measure: Callable[[], Table]
+) -> Table:
+    """Return the table of a file, measured first if it is missing or of another network."""
+    table = kind.load(path) if path.exists() else None
+    if table is None or table.network != network.checksum:
+        measure().save(path)
+        table = kind.load(path)
+    return table
 
-    A scene whose table is in the output folder, made with the same network, is not measured again.
-    Parameters and errors are those of `outcome_tables.find_tables`.
-    """
-    if data is None:
-        if model is not None:
-            raise UsageError("--extrapolator is for measuring scenes; give --data too")
-        folder = tables or shipped_folder() / TILE_TABLES
-        return read_tables(TileTable, folder)
-    require_no_tables(tables)
-    make_folder(output / TILE_TABLES)
-    found = []
-    for scene in find_scenes(data, BENCHMARK):
-        network = extrapolator(model)
-        path = output / TILE_TABLES / f"{scene.name}.npz"
-        table = TileTable.load(path) if path.exists() else None
-        if table is None or table.network != network.checksum:
-            measure_tiles(scene, network, say).save(path)
-            table = TileTable.load(path)
-        found.append(table)
-    return found
+
+@dataclass(frozen=True)
+class TileTraining(Generic[Table, Network]):
+    """A training of a policy of tiles, from measuring scenes to what it prints."""
+
+    kind: str  # as the command names it
+    model: str  # name of the policy's file
+    table: type[Table]
+    folder: Path  # of tables, beside the models and in the output
+    option: str  # that names the network
+    load: Callable[[Path | None], Network]
+    measure: Callable[[RenderedScene, Network, Say], Table]
+    train: Callable[[Sequence[Table], Path, TilePolicySettings, Say], dict[str, Any]]
+    card: Callable[[dict[str, Any]], str]
+
+    def find(
+        self, data: Path | None, model: Path | None, tables: Path | None, output: Path, say: Say
+    ) -> list[Table]:
+        """Measure the tiles of benchmark scenes and write their tables, or read those there are.
+
+        A scene whose table is in the output folder, made with the same network, is not measured
+        again. Parameters and errors are those of `outcome_tables.find_tables`.
+        """
+        if data is None:
+            if model is not None:
+                raise UsageError(f"{self.option} is for measuring scenes; give --data too")
+            return read_tables(self.table, tables or shipped_folder() / self.folder)
+        require_no_tables(tables)
+        folder = output / self.folder
+        make_folder(folder)
+        scenes = find_scenes(data, BENCHMARK)
+        network = self.load(model)
+        return [
+            kept_table(
+                self.table,
+                folder / f"{scene.name}.npz",
+                network,
+                partial(self.measure, scene, network, say),
+            )
+            for scene in scenes
+        ]
 
 
 def gains(table: TileTable) -> F64:
@@ -226,25 +265,35 @@ def train_tiles(tables: Sequence[TileTable], settings: TilePolicySettings) -> Qu
 
     The same on one kind of processor.
     """
+    after = {
+        TILE_NODES.index(node): [TILE_NODES.index(name) for name in following]
+        for node, following in AFTER.items()
+    }
+    return fit_tiles(tables, [gains(table) for table in tables], settings, after)
+
+
+def fit_tiles(
+    tables: Sequence[TableOfTiles],
+    gained: Sequence[F64],  # of each table, float64 [N, nodes, 2]: what either choice gains
+    settings: TilePolicySettings,
+    after: Mapping[int, Sequence[int]],  # by node, the nodes after either choice
+) -> QuantisedMlp:
+    """Learn what choices gain, and the best that follows them; see `train_tiles`."""
     states = [torch.from_numpy(table.states).float() for table in tables]
-    rewards = [
-        torch.from_numpy(np.clip(gains(table) / UNIT, -MOST, MOST)).float() for table in tables
-    ]
+    rewards = [torch.from_numpy(np.clip(gain / UNIT, -MOST, MOST)).float() for gain in gained]
     count = -(-settings.batch // len(states))
 
     def draw(target: nn.Module) -> tuple[Tensor, Tensor]:
-        """Draw tiles, as many of each scene: states [B, 3, 44], and the returns [B, 3, 2]."""
+        """Draw tiles, as many of each scene: states [B, nodes, 44], and returns [B, nodes, 2]."""
         rows = [torch.randint(len(scene), (count,)) for scene in states]
         state, aim = (
             torch.cat([scene[row] for scene, row in zip(part, rows, strict=True)])
             for part in (states, rewards)
         )
-        best = target(state).amax(dim=-1)
-        for index, node in enumerate(TILE_NODES):
-            following = AFTER[node]
-            if following is not None:
-                ahead = [best[:, TILE_NODES.index(name)] for name in following]
-                aim[:, index] += torch.stack(ahead, dim=-1)
+        if after:
+            best = target(state).amax(dim=-1)
+            for node, following in after.items():
+                aim[:, node] += best[:, list(following)]
         return state, aim
 
     layers = fit_network(settings, draw, functional.smooth_l1_loss)
@@ -252,8 +301,23 @@ def train_tiles(tables: Sequence[TileTable], settings: TilePolicySettings) -> Qu
     return quantise([w for w, _ in layers], [b for _, b in layers], all_states)
 
 
-def choice_margins(network: QuantisedMlp, table: TileTable) -> npt.NDArray[np.int64]:
-    """Return by how much extrapolating is worth more than warping, int64 [N, 3]."""
+def margins_unseen(
+    tables: Sequence[Table],
+    train: Callable[[Sequence[Table], TilePolicySettings], QuantisedMlp],
+    settings: TilePolicySettings,
+    say: Say,
+) -> list[Margins]:
+    """Return the margins of each scene by a network that was trained on the others."""
+    unseen = []
+    for index, table in enumerate(tables):
+        say(f"without {table.scene}")
+        network = train([t for i, t in enumerate(tables) if i != index], settings)
+        unseen.append(choice_margins(network, table))
+    return unseen
+
+
+def choice_margins(network: QuantisedMlp, table: TableOfTiles) -> npt.NDArray[np.int64]:
+    """Return by how much a network's frame is worth more at each node, int64 [N, nodes]."""
     outputs = integer_values(network, table.states)
     return outputs[..., 1] - outputs[..., 0]
 
@@ -281,13 +345,22 @@ def error_of(table: TileTable, chosen: Chosen) -> float:
     return float((second.mean() + third.mean()) / 2)
 
 
-def price_for(share: float, margins: Sequence[Margins]) -> float:
-    """Return the price at which E computes a share of the scenes' area on average."""
+def cost_at(margins: Margins, price: float) -> float:
+    """Return the share of slots 2 and 3 that E computes at a price."""
+    return cost(choose(margins, price))
+
+
+def price_for(
+    share: float,
+    margins: Sequence[Margins],
+    cost_of: Callable[[Margins, float], float] = cost_at,
+) -> float:
+    """Return the price at which a network computes a share of the scenes' area on average."""
     low, high = (float(f(np.concatenate([m.ravel() for m in margins]))) for f in (np.min, np.max))
     low -= 1
     for _ in range(60):
         middle = (low + high) / 2
-        if np.mean([cost(choose(m, middle)) for m in margins]) > share:
+        if np.mean([cost_of(m, middle) for m in margins]) > share:
             low = middle
         else:
             high = middle
@@ -301,12 +374,40 @@ def gain_at(share: float, tables: Sequence[TileTable], margins: Sequence[Margins
 
 
 def _gain(tables: Sequence[TileTable], chosen: Sequence[Chosen]) -> float:
+    return gain_percent(map(_fixed_errors, tables), map(error_of, tables, chosen))
+
+
+def gain_percent(fixed: Iterable[tuple[float, float]], errors: Iterable[float]) -> float:
+    """Return what choices gain, in % of a network's gain in dB over all scenes.
+
+    `fixed` are each scene's errors without the network and by it alone; `errors` by the choices.
+    """
     gained = everything = 0.0
-    for table, choice in zip(tables, chosen, strict=True):
-        warped, extrapolated = _fixed_errors(table)
-        gained += np.log10(warped / error_of(table, choice))
-        everything += np.log10(warped / extrapolated)
+    for (without, alone), error in zip(fixed, errors, strict=True):
+        gained += np.log10(without / error)
+        everything += np.log10(without / alone)
     return 100 * float(gained / everything)
+
+
+def gains_by_share(
+    margins: Mapping[str, Sequence[Margins]],
+    gain_of: Callable[[float, Sequence[Margins]], float],
+) -> dict[str, dict[str, float]]:
+    """Return what each choice gains at each of `SHARES`, in %, as the scores file has it."""
+    return {
+        name: {f"{share:g}": round(gain_of(share, of_choice), 1) for share in SHARES}
+        for name, of_choice in margins.items()
+    }
+
+
+def gains_in_db(
+    tables: Sequence[TableOfTiles], fixed: Iterable[tuple[float, float]]
+) -> dict[str, float]:
+    """Return what a network gains everywhere in each scene, dB; `fixed` as in `gain_percent`."""
+    return {
+        table.scene: round(10 * float(np.log10(without / alone)), 3)
+        for table, (without, alone) in zip(tables, fixed, strict=True)
+    }
 
 
 def _fixed_errors(table: TileTable) -> tuple[float, float]:
@@ -338,11 +439,7 @@ def train_tile_policy(
     """Train with every scene left out once, then on all; return what ``tile-policy.json`` holds."""
     require_two_scenes(len(tables))
     make_folder(output)
-    unseen: list[Margins] = []
-    for index, table in enumerate(tables):
-        say(f"without {table.scene}")
-        network = train_tiles([t for i, t in enumerate(tables) if i != index], settings)
-        unseen.append(choice_margins(network, table))
+    unseen = margins_unseen(tables, train_tiles, settings, say)
     say(f"on all {len(tables)} scenes")
     network = train_tiles(tables, settings)
     own = [choice_margins(network, table) for table in tables]
@@ -361,19 +458,12 @@ def train_tile_policy(
             margins.setdefault(name, []).append(of_table)
     # Slot 2 is extrapolated everywhere, and warped on.
     always_s4 = [{n: np.full(len(table), n == "d2") for n in TILE_NODES} for table in tables]
-    errors = {table.scene: _fixed_errors(table) for table in tables}
     report = {
         "schema": SCHEMA,
         "settings": asdict(settings),
         "tiles": {table.scene: len(table) for table in tables},
-        "extrapolator_gain_db": {
-            scene: round(10 * float(np.log10(warped / extrapolated)), 3)
-            for scene, (warped, extrapolated) in errors.items()
-        },
-        "gain_percent": {
-            name: {f"{share:g}": round(gain_at(share, tables, m), 1) for share in SHARES}
-            for name, m in margins.items()
-        },
+        "extrapolator_gain_db": gains_in_db(tables, map(_fixed_errors, tables)),
+        "gain_percent": gains_by_share(margins, lambda share, m: gain_at(share, tables, m)),
         "always_s4_percent": round(_gain(tables, always_s4), 1),
     }
     atomic_write_text(output / REPORT, json.dumps(report, indent=1) + "\n")
@@ -400,3 +490,9 @@ def gain_card(report: dict[str, Any], network: str, by_scene: Mapping[str, float
         lines.append(table_row(name, *(f"{gains[share]:.0f} %" for share in shares)))
     everywhere = ", ".join(f"{scene} {gain:+.2f}" for scene, gain in by_scene.items())
     return "\n".join([*lines, "", f"{network} everywhere gains, in dB: {everywhere}."])
+
+
+TRAINING = TileTraining(
+    "tile-policy", SHIPPED_TILE_POLICY, TileTable, Path(TILE_TABLES), "--extrapolator",
+    extrapolator, measure_tiles, train_tile_policy, tile_policy_card,
+)  # fmt: skip

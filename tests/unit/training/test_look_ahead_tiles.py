@@ -28,13 +28,13 @@ from exwarp_cli.policy.state import (
 )
 from exwarp_cli.research.training.look_ahead_policy import (
     REPORT,
+    TRAINING,
     LookAheadTable,
-    find_look_ahead_tables,
-    margins_of,
-    price_for,
+    area_at,
     rule_network,
     train_look_ahead_policy,
 )
+from exwarp_cli.research.training.tile_policy_training import choice_margins, price_for
 from exwarp_cli.research.training.training_settings import TilePolicySettings
 from exwarp_cli.synthesis.methods import METHODS, Predicted
 from exwarp_cli.synthesis.predicted_error import (
@@ -211,14 +211,14 @@ def table(scene: str, seed: int, tells: int, count: int = 600) -> LookAheadTable
 class TestTraining:
     def test_the_rule_goes_by_how_far_key_frames_are_apart(self):
         one = table("hall", 0, APART)
-        margins = margins_of(rule_network(one.states[:, 0]), one)
+        margins = choice_margins(rule_network(one.states[:, 0]), one)[:, 0]
         order = np.argsort(one.features[:, APART])
         assert (np.diff(margins[order]) >= 0).all() and margins.max() > margins.min()
 
     def test_a_price_takes_no_more_than_its_share(self):
         margins = [np.random.default_rng(seed).random(500) for seed in range(3)]
         for share in (0.1, 0.5, 0.9):
-            price = price_for(share, margins)
+            price = price_for(share, margins, area_at)
             found = np.mean([(margin > price).mean() for margin in margins])
             assert share - 2e-3 < found <= share
 
@@ -232,8 +232,8 @@ class TestTraining:
         sums = json.loads((tmp_path / "checksums.json").read_text())
         data = (tmp_path / SHIPPED_LOOK_AHEAD_POLICY).read_bytes()
         assert sums == {SHIPPED_LOOK_AHEAD_POLICY: hashlib.sha256(data).hexdigest()}
-        margins = margins_of(apply_price(policy.network, interpolate_price(policy.efforts, 0.25)),
-                             tables[0])  # fmt: skip
+        priced = apply_price(policy.network, interpolate_price(policy.efforts, 0.25))
+        margins = choice_margins(priced, tables[0])[:, 0]
         pays = tables[0].gains > 0
         assert tables[0].gains[margins > 0].mean() > tables[0].gains.mean() + 5
         assert pays[margins > 0].mean() > 0.9
@@ -244,10 +244,10 @@ class TestTraining:
 
     def test_a_network_is_for_measuring(self, tmp_path):
         with pytest.raises(UsageError, match="--interpolator is for measuring scenes"):
-            find_look_ahead_tables(None, Path("own.onnx"), None, tmp_path, SAY)
+            TRAINING.find(None, Path("own.onnx"), None, tmp_path, SAY)
 
     def test_the_tables_that_come_with_exwarp_give_its_policy(self, tmp_path, shipped):
-        tables = find_look_ahead_tables(None, None, None, tmp_path, SAY)
+        tables = TRAINING.find(None, None, None, tmp_path, SAY)
         assert [one.scene for one in tables] == shipped.metadata["scenes"]
         rule = rule_network(np.concatenate([one.states[:, 0] for one in tables]))
         for made_again, kept in zip(rule.layers, shipped.network.layers, strict=True):
