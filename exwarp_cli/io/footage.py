@@ -110,7 +110,7 @@ def find_footage(spec: str, gaps: bool = False, scan: str = SourceSettings.scan)
         clip = open_clip(path, scan)
         files = dict.fromkeys(range(1, clip.count + 1), clip.path)
         base, frames = f"{clip.path.stem}.", ClipFrames(clip)
-        return ClipSequence(clip.path, base, CLIP_PADDING, ".png", files, frames)
+        return ClipSequence(base, CLIP_PADDING, ".png", clip.path, files, frames)
     suffix = path.suffix.lower()
     is_plain_path = suffix in STILLS
     if spec and path.is_dir():
