@@ -61,11 +61,6 @@ class VideoColour:
     transfer: str = "iec61966-2-1"
     full_range: bool = False  # whether 0 to 255 are used, else 16 to 235
 
-    @property
-    def range(self) -> str:
-        """The range by the name that filters take."""
-        return "pc" if self.full_range else "tv"
-
 
 @dataclass(frozen=True)
 class Primaries:
@@ -149,13 +144,6 @@ def parse_pixel_aspect(ratio: object) -> Fraction:
         return Fraction(1)
     # A float32 of 16/15 is no exact fraction; videos hold one of small numbers.
     return Fraction(ratio).limit_denominator(limit)
-
-
-def brighten(pixels: Float32, stops: float) -> Float32:
-    """Multiply scene-linear colour by two to the power of `stops`; beyond float32 is infinity."""
-    with np.errstate(over="ignore"):
-        brighter: Float32 = pixels * np.float32(2.0**stops)
-    return brighter
 
 
 def to_display(pixels: Float32) -> UInt8:

@@ -64,13 +64,13 @@ class ClipFrames:
         """Decode a frame, cheaply as long as numbers grow; raises DamagedFileError."""
         thread = threading.get_ident()
         if thread not in self._readers:
-            self._readers[thread] = ClipReader(self.clip).__enter__()
+            self._readers[thread] = ClipReader(self.clip)
         return Image(self._readers[thread].read(number - 1), self.display, self.display)
 
     def close(self) -> None:
         """Stop decoding; a later call begins again."""
         for thread in list(self._readers):
-            self._readers.pop(thread).__exit__(None, None, None)
+            self._readers.pop(thread).close()
 
 
 @dataclass(frozen=True)

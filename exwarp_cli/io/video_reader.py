@@ -11,7 +11,7 @@ import re
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -24,7 +24,7 @@ from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.display_colour import MATRICES, VideoColour, from_display
 from exwarp_cli.io.ffmpeg import EXACT_SCALING, FfmpegError, FfmpegReader, run_ffmpeg
-from exwarp_cli.io.files import ResourceOwner, system_failure, with_retries
+from exwarp_cli.io.files import system_failure, with_retries
 from exwarp_cli.io.video_timing import (
     IN_ORDER,
     ON_DAMAGE,
@@ -133,12 +133,12 @@ class Clip:
         decoded = (first or 0) - 1
         ahead: deque[tuple[int, bytes]] = deque()
         try:
-            with FfmpegReader(["-xerror", *begin, *self._decoding_options(cut)]) as ffmpeg:
+            with self._decoder_from(["-xerror", *begin], cut) as ffmpeg:
                 for index, source in enumerate(shown, start=start):
                     # A B-frame is not known to be sound before the frame after it is.
                     needed = packets.last_needed(source)
                     while decoded < needed:
-                        data = ffmpeg.read(self._frame_size)
+                        data = ffmpeg.read()
                         if data is None:
                             why = f"it ends after {index} of {self.count} frames"
                             raise damaged_clip(self.path, why)
@@ -168,17 +168,19 @@ class Clip:
         shown = self.pacing.shown[start:]
         begin = self._key_before(self._first_needed(shown[0])) or 0
         seek = ["-ss", f"{float(self._packets.time(begin)):.6f}"] if begin else []
-        options = [*ON_DAMAGE, *seek, *self._decoding_options("")]
-        with FfmpegReader(options) as ffmpeg:
-            intact = intact_frames(ffmpeg, self._frame_size, self._packets, begin, self.rate)
+        with self._decoder_from([*ON_DAMAGE, *seek]) as ffmpeg:
+            intact = intact_frames(ffmpeg, self._packets, begin, self.rate)
             decoded, data = -1, b""
             for source in shown:
                 while decoded < source:
                     decoded, data = next(intact, (self._packets.count, b""))
                 yield None if decoded > source else self._to_light(data)
 
-    def _decoding_options(self, cut: str) -> list[str]:
-        """Return what makes ffmpeg write full-range RGB, after filters that choose frames."""
+    def _decoder_from(self, begin: list[str], cut: str = "") -> FfmpegReader:
+        """Return an ffmpeg that reads by the options `begin`, and writes full-range RGB.
+
+        `cut` are filters that choose frames.
+        """
         names = ("rgb48le", "rgba64le") if self.deep else ("rgb24", "rgba")
         pixels = names[self.has_alpha]
         fields = f"{DEINTERLACE}," if self._is_deinterlaced else ""
@@ -186,16 +188,13 @@ class Clip:
             f"scale={self.width}:{self.height}:in_color_matrix={MATRICES[self.look.colour.matrix]}:"
             f"out_range=pc:{EXACT_SCALING},format={pixels}"
         )
-        return [
-            *(*IN_ORDER, *self._decoder, "-i", f"file:{self.path}", "-map", "0:V:0"),
+        options = [
+            *(*begin, *IN_ORDER, *self._decoder, "-i", f"file:{self.path}", "-map", "0:V:0"),
             *("-vf", f"{fields}{cut}{conversion}", "-fps_mode", "passthrough"),
             *("-f", "rawvideo", "-pix_fmt", pixels, "-"),
         ]
-
-    @property
-    def _frame_size(self) -> int:
-        """Bytes of a decoded frame."""
-        return self.width * self.height * (3 + self.has_alpha) * (1 + self.deep)
+        frame_bytes = self.width * self.height * (3 + self.has_alpha) * (1 + self.deep)
+        return FfmpegReader(options, frame_bytes)
 
     def _to_light(self, data: bytes) -> Float32:
         """Turn sRGB codes into scene-linear light, premultiplied if there is alpha."""
@@ -220,8 +219,8 @@ class Clip:
         return keys[before]
 
 
-class ClipReader(ResourceOwner):
-    """Frames of a video by their index, cheaply as long as that grows; a context manager."""
+class ClipReader:
+    """Frames of a video by their index, cheaply as long as that grows; `close` ends ffmpeg."""
 
     def __init__(self, clip: Clip) -> None:
         self._clip = clip
@@ -230,9 +229,6 @@ class ClipReader(ResourceOwner):
         self._last: tuple[int, Float32] | None = None
         self._damaged: set[int] = set()
         self._is_damaged = False
-
-    def _open(self, stack: ExitStack) -> None:
-        stack.callback(self._stop_decoding)
 
     def read(self, index: int) -> Float32:
         """Return a frame as `Clip.frames` yields it.
@@ -253,7 +249,7 @@ class ClipReader(ResourceOwner):
         try:
             frame = self._decode(index)
         except DamagedFileError as error:
-            self._stop_decoding()
+            self.close()
             if self._is_damaged or system_failure(clip.path, error) is not None:
                 raise
             # Once there is damage, ffmpeg decodes on over it, and does not begin at each frame.
@@ -264,7 +260,7 @@ class ClipReader(ResourceOwner):
             if system_failure(clip.path, damage) is None:
                 self._damaged.add(index)
             else:
-                self._stop_decoding()  # the end of what was read is not the end of the file
+                self.close()  # the end of what was read is not the end of the file
             raise damage
         self._last = index, frame
         return frame
@@ -272,7 +268,7 @@ class ClipReader(ResourceOwner):
     def _decode(self, index: int) -> Float32 | None:
         """Return a frame, or None if damage affects it; raises DamagedFileError at first damage."""
         if self._frames is None or index < self._next:
-            self._stop_decoding()
+            self.close()
             clip = self._clip
             # Inside a group of pictures, ffmpeg hands out frames before it stops at earlier damage.
             is_checked = self._is_damaged or not clip.begins_group(index)
@@ -284,7 +280,8 @@ class ClipReader(ResourceOwner):
                 return frame
         raise IndexError(f"{self._clip.path} has no frame {index}")
 
-    def _stop_decoding(self) -> None:
+    def close(self) -> None:
+        """Stop decoding; a later `read` begins again."""
         if self._frames is not None:
             self._frames.close()  # type: ignore[attr-defined]  # a generator
         self._frames = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from fractions import Fraction
 from pathlib import Path
 
@@ -401,7 +402,7 @@ class TestFrames:
     def test_a_reader_goes_forward_and_back(self, tmp_path):
         clip = open_clip(make(tmp_path / "a.mp4"))
         whole = list(clip.frames())
-        with ClipReader(clip) as reader:
+        with closing(ClipReader(clip)) as reader:
             for index in (0, 1, 1, 4, 20, 3):
                 assert np.array_equal(reader.read(index), whole[index])
             with pytest.raises(IndexError):
