@@ -52,6 +52,7 @@ SEALED = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 JPEG_QUALITY = 97  # of 100: from there on files grow much faster than errors fall
 
 _DTYPES = {oiio.UINT8: np.uint8, oiio.UINT16: np.uint16, oiio.HALF: np.float16}
+_OIIO_TYPES = {np.dtype(kind): base for base, kind in _DTYPES.items()}
 _FILM_TRANSFERS = ("Printing density", "Logarithmic")
 # Structure, which the writer sets itself; and what belongs to the key frame's own pixels.
 _NOT_CARRIED = ("oiio:", "compression", "smpte:", "dpx:TimeCode", "jpeg:Compression", "Software")
@@ -100,7 +101,8 @@ def read_still(path: Path) -> tuple[Image, StillTemplate]:
 
     def read(file: Any) -> tuple[np.ndarray, StillTemplate]:
         template = _read_template(path, file.spec())
-        codes = file.read_image(0, 0, 0, file.spec().nchannels, _oiio_type(template.dtype))
+        kind = _OIIO_TYPES.get(template.dtype, oiio.FLOAT)
+        codes = file.read_image(0, 0, 0, file.spec().nchannels, kind)
         if (problem := file.geterror()) or codes is None:
             raise _damaged_error(path, problem)
         return np.asarray(codes), template
@@ -159,7 +161,24 @@ def write_still(
     suffix = path.suffix.lower()
     template = _widen_grey(image.pixels, template)
     codes = _to_codes(image.pixels, template)
-    spec = _make_spec(codes, template, suffix)
+    height, width, channels = codes.shape
+    spec = oiio.ImageSpec(width, height, channels, _OIIO_TYPES.get(template.dtype, oiio.FLOAT))
+    for name, kind, value in template.metadata:
+        spec.attribute(name, kind, value)
+        # OpenImageIO's Python drops other integers than those of 32 bits, EXIF's orientation too.
+        if spec.getattribute(name) is None and isinstance(value, int) and abs(value) < 1 << 31:
+            spec.attribute(name, value)
+    if template.has_alpha:
+        spec.alpha_channel = channels - 1
+        spec.attribute("oiio:UnassociatedAlpha", int(not template.premultiplied))
+    if template.bits < 8 * template.dtype.itemsize:
+        spec.attribute("oiio:BitsPerSample", template.bits)
+    if not spec.get_string_attribute("DateTime"):
+        spec.attribute("DateTime", _NO_DATE)  # else the writer's clock, and no two runs alike
+    if suffix == ".webp":
+        spec.attribute("Compression", "lossless:100")
+    if suffix in (".jpg", ".jpeg"):
+        spec.attribute("Compression", f"jpeg:{JPEG_QUALITY}")
     software = f"ExWarp {__version__}"
     if suffix in SEALED:  # other formats cut such texts off
         facts = json.dumps(dict(attributes), sort_keys=True, ensure_ascii=True)
@@ -321,28 +340,6 @@ def _unpremultiply(colour: Float32, alpha: Float32) -> Float32:
     return np.divide(colour, alpha, out=np.zeros_like(colour), where=alpha > 0)
 
 
-def _make_spec(codes: np.ndarray, template: StillTemplate, suffix: str) -> Any:
-    height, width, channels = codes.shape
-    spec = oiio.ImageSpec(width, height, channels, _oiio_type(template.dtype))
-    for name, kind, value in template.metadata:
-        spec.attribute(name, kind, value)
-        # OpenImageIO's Python drops other integers than those of 32 bits, EXIF's orientation too.
-        if spec.getattribute(name) is None and isinstance(value, int) and abs(value) < 1 << 31:
-            spec.attribute(name, value)
-    if template.has_alpha:
-        spec.alpha_channel = channels - 1
-        spec.attribute("oiio:UnassociatedAlpha", int(not template.premultiplied))
-    if template.bits < 8 * template.dtype.itemsize:
-        spec.attribute("oiio:BitsPerSample", template.bits)
-    if not spec.get_string_attribute("DateTime"):
-        spec.attribute("DateTime", _NO_DATE)  # else the writer's clock, and no two runs alike
-    if suffix == ".webp":
-        spec.attribute("Compression", "lossless:100")
-    if suffix in (".jpg", ".jpeg"):
-        spec.attribute("Compression", f"jpeg:{JPEG_QUALITY}")
-    return spec
-
-
 def _clean_dpx_header(data: bytes, name: str) -> bytes:
     """Clear DPX's text fields behind their ends, and replace the temporary's name."""
     if data[:4] not in (b"SDPX", b"XPDS"):
@@ -354,11 +351,6 @@ def _clean_dpx_header(data: bytes, name: str) -> bytes:
             text = bytearray(name.encode()[: end - begin - 1])
         clean[begin:end] = text.ljust(end - begin, b"\0")
     return bytes(clean)
-
-
-def _oiio_type(dtype: np.dtype[Any]) -> Any:
-    names = {np.dtype(kind): base for base, kind in _DTYPES.items()}
-    return names.get(dtype, oiio.FLOAT)
 
 
 def _add_webp_orientation(data: bytes, orientation: int) -> bytes:
@@ -405,32 +397,30 @@ def still_facts(path: Path) -> dict[str, Any] | None:
         raise InputError(
             f"cannot read {path}: {error.strerror or error}; check the path and its rights"
         ) from error
-    return parse_still_facts(data)
+    is_authentic, facts = parse_still_facts(data)
+    return facts if is_authentic else None
 
 
-def has_seal(data: bytes) -> bool:
-    """Return whether a file has a place for the checksum, whatever stands there."""
-    return _SEAL_MARK in data
+def parse_still_facts(data: bytes) -> tuple[bool, dict[str, Any] | None]:
+    """Return whether an image's bytes are as ExWarp wrote them, and what it was made of.
 
-
-def parse_still_facts(data: bytes) -> dict[str, Any] | None:
-    """Return what an undamaged generated image was made of, from its file's bytes."""
-    blank, start = _with_digits(data, _ZEROS), data.find(_SEAL_MARK) + len(_SEAL_MARK)
+    The facts are None for a file without a checksum, and {} for one that was changed.
+    """
+    if _SEAL_MARK not in data:
+        return False, None
+    start = data.find(_SEAL_MARK) + len(_SEAL_MARK)
     end = start + CHECKSUM_DIGITS
-    if blank is None or compute_checksum([blank]).encode() != data[start:end]:
-        return None
-    text = data[end:].decode("latin-1").lstrip()
-    try:
-        facts, _ = json.JSONDecoder().raw_decode(text)
-    except ValueError:
-        return None
-    return facts if isinstance(facts, dict) else None
+    blank, facts = _with_digits(data, _ZEROS), None
+    if blank is not None and compute_checksum([blank]).encode() == data[start:end]:
+        with suppress(ValueError):
+            facts, _ = json.JSONDecoder().raw_decode(data[end:].decode("latin-1").lstrip())
+    return (True, facts) if isinstance(facts, dict) else (False, {})
 
 
 def _with_digits(data: bytes, digits: bytes) -> bytes | None:
     """Return the file with other digits for its checksum; None where it has no place for them."""
     start = data.find(_SEAL_MARK) + len(_SEAL_MARK)
-    if not has_seal(data) or start + CHECKSUM_DIGITS > len(data):
+    if _SEAL_MARK not in data or start + CHECKSUM_DIGITS > len(data):
         return None
     changed = bytearray(data)
     changed[start : start + CHECKSUM_DIGITS] = digits
