@@ -7,7 +7,6 @@ import threading
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -43,22 +42,26 @@ CLIP_PADDING = 4
 SOUNDS = (".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg", ".opus", ".wma", ".aif", ".aiff", ".ac3")
 
 
-@dataclass(eq=False)
-class ClipFrames:
-    """Frames of a video by number, from 1; each thread decodes for itself."""
+@dataclass(frozen=True)
+class ClipSequence(Sequence):
+    """A video as the sequence that its frames would be as files, numbered from 1.
 
-    clip: Clip
-    _readers: dict[int, ClipReader] = field(default_factory=dict)
+    Every number's path is the video's own, and so is the folder, where no other file can lie.
+    """
+
+    clip: Clip = field(compare=False, repr=False)
+    # By thread, as each decodes for itself; sequences of other numbers share them
+    _readers: dict[int, ClipReader] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def pattern(self) -> str:
+        """Path of the video."""
+        return str(self.folder)
 
     @property
     def display(self) -> Window:
         """The window of every frame."""
         return Window(0, 0, self.clip.width, self.clip.height)
-
-    @cached_property
-    def digest(self) -> str:
-        """Digest of the video's file, hexadecimal; see `file_digest`."""
-        return file_digest(self.clip.path)
 
     def image(self, number: int) -> Image:
         """Decode a frame, cheaply as long as numbers grow; raises DamagedFileError."""
@@ -71,21 +74,6 @@ class ClipFrames:
         """Stop decoding; a later call begins again."""
         for thread in list(self._readers):
             self._readers.pop(thread).close()
-
-
-@dataclass(frozen=True)
-class ClipSequence(Sequence):
-    """A video as the sequence that its frames would be as files, numbered from 1.
-
-    Every number's path is the video's own, and so is the folder, where no other file can lie.
-    """
-
-    frames: ClipFrames = field(compare=False, repr=False)
-
-    @property
-    def pattern(self) -> str:
-        """Path of the video."""
-        return str(self.folder)
 
 
 def find_frames(spec: str, gaps: bool = False, scan: str = SourceSettings.scan) -> Sequence:
@@ -108,9 +96,8 @@ def find_footage(spec: str, gaps: bool = False, scan: str = SourceSettings.scan)
     path = Path(spec)
     if is_clip(spec):
         clip = open_clip(path, scan)
-        files = dict.fromkeys(range(1, clip.count + 1), clip.path)
-        base, frames = f"{clip.path.stem}.", ClipFrames(clip)
-        return ClipSequence(base, CLIP_PADDING, ".png", clip.path, files, frames)
+        files = dict.fromkeys(range(1, clip.count + 1), path)
+        return ClipSequence(f"{path.stem}.", CLIP_PADDING, ".png", path, files, clip)
     suffix = path.suffix.lower()
     is_plain_path = suffix in STILLS
     if spec and path.is_dir():
@@ -143,8 +130,8 @@ def make_shot(sequence: Sequence, keep_going: bool = False) -> Shot:
 
     def make_from(number: int) -> Shot:
         if isinstance(sequence, ClipSequence):
-            clip = sequence.frames.clip
-            display, has_alpha, producer = sequence.frames.display, clip.has_alpha, "video"
+            clip = sequence.clip
+            display, has_alpha, producer = sequence.display, clip.has_alpha, "video"
         else:
             path = sequence.files[number]
             if keep_going:
@@ -165,7 +152,7 @@ def read_sequence_picture(sequence: Sequence, number: int, view: str = "") -> Im
     Raises InputError when it is missing or damaged, LayoutError when no colour is recognised.
     """
     if isinstance(sequence, ClipSequence):
-        return sequence.frames.image(number)
+        return sequence.image(number)
     return read_picture(sequence.files[number], view)
 
 
@@ -190,7 +177,7 @@ def read_key_picture(shot: Shot, number: int) -> Image:
 def read_display_window(sequence: Sequence, number: int) -> Window:
     """Return the display window of any kind of sequence, by one of its frames."""
     if isinstance(sequence, ClipSequence):
-        return sequence.frames.display
+        return sequence.display
     path = sequence.files[number]
     if is_plain(sequence):
         return Window(0, 0, *still_size(path))
@@ -201,8 +188,7 @@ def read_display_window(sequence: Sequence, number: int) -> Window:
 def digest_frame(sequence: Sequence, number: int) -> str:
     """Digest what a frame of a video or of stills depends on."""
     if isinstance(sequence, ClipSequence):
-        reading = sequence.frames.clip.reading
-        return " ".join((sequence.frames.digest, str(number), *reading))
+        return " ".join((sequence.clip.digest, str(number), *sequence.clip.reading))
     return file_digest(sequence.files[number])
 
 
@@ -220,7 +206,7 @@ def make_frame_template(shot: Shot, number: int, suffix: str) -> FrameTemplate:
         header = {"compression": COMPRESSIONS["zip"]}
         return Template((PartTemplate(header, planes, shot.display),), planes)
     if isinstance(shot.sequence, ClipSequence):
-        clip = shot.sequence.frames.clip
+        clip = shot.sequence.clip
         dtype, channels = np.dtype(np.uint16 if clip.deep else np.uint8), 3 + clip.has_alpha
         return StillTemplate((), dtype, 8 * dtype.itemsize, channels, SRGB, premultiplied=False)
     return read_still_template(shot.sequence.files[number])
@@ -228,7 +214,7 @@ def make_frame_template(shot: Shot, number: int, suffix: str) -> FrameTemplate:
 
 def clip_rate(sequence: Sequence) -> Fraction | None:
     """Return the frame rate of a video; None for any other sequence."""
-    return sequence.frames.clip.rate if isinstance(sequence, ClipSequence) else None
+    return sequence.clip.rate if isinstance(sequence, ClipSequence) else None
 
 
 def make_video_look(
@@ -247,7 +233,7 @@ def make_video_look(
         return VideoLook(pixel_aspect=aspect, note=note, primaries=primaries_of(header))
     if not isinstance(sequence, ClipSequence):
         return VideoLook(note=note)
-    clip = sequence.frames.clip
+    clip = sequence.clip
     remarks = []
     if clip.has_alpha:
         remarks.append(
@@ -273,7 +259,7 @@ def make_video_look(
 def describe_footage(sequence: Sequence) -> dict[str, Any]:
     """Return the properties of a video or of stills, as plain data."""
     if isinstance(sequence, ClipSequence):
-        clip = sequence.frames.clip
+        clip = sequence.clip
         colour = clip.look.colour
         return {
             "kind": "video",
@@ -307,9 +293,9 @@ def lost_alpha_message(shot: Shot, suffix: str) -> str | None:
 
 def uneven_rate_message(sequence: Sequence) -> str | None:
     """Return the message on a video whose own rate varies; None where it is even."""
-    if not isinstance(sequence, ClipSequence) or not sequence.frames.clip.pacing.varies:
+    if not isinstance(sequence, ClipSequence) or not sequence.clip.pacing.varies:
         return None
-    clip = sequence.frames.clip
+    clip = sequence.clip
     return (
         f"the frame rate of {clip.path} varies; it is taken at {float(clip.rate):g} fps, with "
         f"{clip.pacing.repeated} frames shown again and {clip.pacing.skipped} left out"
@@ -320,4 +306,4 @@ def close_sequences(*sequences: Sequence) -> None:
     """Close the videos among some sequences."""
     for sequence in sequences:
         if isinstance(sequence, ClipSequence):
-            sequence.frames.close()
+            sequence.close()

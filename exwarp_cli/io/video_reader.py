@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +89,13 @@ class Clip:
         """Number of frames at this rate."""
         return len(self.pacing.shown)
 
+    @cached_property
+    def digest(self) -> str:
+        """Digest of the file, hexadecimal; see `file_digest`."""
+        from exwarp_cli.io.key_file import file_digest  # OpenEXR, which is not needed to decode
+
+        return file_digest(self.path)
+
     @property
     def reading(self) -> tuple[str, ...]:
         """Names of what its frames depend on beside the file."""
@@ -117,8 +124,7 @@ class Clip:
         if not shown:
             return
         first = packets.cut(shown[0]) if packets.times else shown[0]
-        # A field is judged by the frame before, too.
-        key = None if first is None else self._key_before(first - self._is_deinterlaced)
+        _, key = self._start(shown[0])
         seek = None if key is None else packets.time(key)
         begin = [] if seek is None else ["-ss", f"{float(seek):.6f}"]
         if first is None:
@@ -152,12 +158,8 @@ class Clip:
 
     def begins_group(self, index: int) -> bool:
         """Return whether a frame is the first that is decoded after a seek, or of the file."""
-        first = self._first_needed(self.pacing.shown[index])
-        return first <= 0 or self._key_before(first) == first
-
-    def _first_needed(self, source: int) -> int:
-        """Return the first of the file's frames that one of them is made from."""
-        return (self._packets.cut(source) or 0) - self._is_deinterlaced
+        first, key = self._start(self.pacing.shown[index])
+        return first <= 0 or key == first
 
     def intact_frames(self, start: int = 0) -> Iterator[Float32 | None]:
         """Decode the frames from `start` on as `frames` does, over damage.
@@ -166,7 +168,7 @@ class Clip:
         after it up to the next key frame.
         """
         shown = self.pacing.shown[start:]
-        begin = self._key_before(self._first_needed(shown[0])) or 0
+        begin = self._start(shown[0])[1] or 0
         seek = ["-ss", f"{float(self._packets.time(begin)):.6f}"] if begin else []
         with self._decoder_from([*ON_DAMAGE, *seek]) as ffmpeg:
             intact = intact_frames(ffmpeg, self._packets, begin, self.rate)
@@ -206,17 +208,19 @@ class Clip:
         alpha = np.minimum(codes[..., 3:] / np.float32(self._full_alpha), 1)
         return np.concatenate([light * alpha, alpha], axis=-1)
 
-    def _key_before(self, first: int) -> int | None:
-        """Return the key frame to seek to before a frame; None to decode from the start.
+    def _start(self, source: int) -> tuple[int, int | None]:
+        """Return the first of the file's frames that one is made from, and where decoding starts.
 
-        What is shown before a key frame but comes after it in the file, an open group of pictures,
-        needs the key frame before; by the order of showing it is behind that one.
+        That is at a key frame to seek to, or at the start for None. What is shown before a key
+        frame but comes after it in the file, an open group of pictures, needs the key frame before;
+        by the order of showing it is behind that one.
         """
-        keys = self._packets.keys
-        before = bisect_right(keys, first) - 1
-        if not self._is_indexed or before < 1 or self._packets.least_step <= 0:
-            return None
-        return keys[before]
+        packets = self._packets
+        first = (packets.cut(source) or 0) - self._is_deinterlaced  # fields need the frame before
+        before = bisect_right(packets.keys, first) - 1
+        if not self._is_indexed or before < 1 or packets.least_step <= 0:
+            return first, None
+        return first, packets.keys[before]
 
 
 class ClipReader:
