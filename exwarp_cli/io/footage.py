@@ -17,7 +17,7 @@ from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
-from exwarp_cli.io.display_colour import parse_pixel_aspect, primaries_of
+from exwarp_cli.io.display_colour import primaries_of
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.exr.writer import COMPRESSIONS, PartTemplate, PlaneTemplate, Template
 from exwarp_cli.io.frame_names import file_type, split_names
@@ -37,6 +37,9 @@ from exwarp_cli.io.video_writer import VideoLook
 
 # Digits of the numbers that a clip's frames get as files; they count from 1.
 CLIP_PADDING = 4
+
+# The widest pixel that a video is labelled with; its inverse is the narrowest.
+MAX_PIXEL_ASPECT = 255
 
 # Suffixes of sound files, in lower case.
 SOUNDS = (".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg", ".opus", ".wma", ".aif", ".aiff", ".ac3")
@@ -229,7 +232,10 @@ def make_video_look(
     sequence = shot.sequence
     if not is_plain(sequence):
         header = shot.headers.read(sequence.files[shot.first]).attributes[0]
-        aspect = parse_pixel_aspect(header.get("pixelAspectRatio"))
+        ratio, aspect = header.get("pixelAspectRatio"), Fraction(1)
+        if isinstance(ratio, (int, float)) and 1 / MAX_PIXEL_ASPECT <= ratio <= MAX_PIXEL_ASPECT:
+            # A float32 of 16/15 is no exact fraction; videos hold one of small numbers.
+            aspect = Fraction(ratio).limit_denominator(MAX_PIXEL_ASPECT)
         return VideoLook(pixel_aspect=aspect, note=note, primaries=primaries_of(header))
     if not isinstance(sequence, ClipSequence):
         return VideoLook(note=note)

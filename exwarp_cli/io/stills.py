@@ -208,8 +208,13 @@ def _read_file(path: Path, read: Callable[[Any], T]) -> T:
             head = file.read(len(PNG))
         if head.startswith(MAGIC):  # as a still it would lose windows, layers and attributes
             raise InputError(f"{path} is an OpenEXR file by its content; name it .exr")
-        if head.startswith(PNG) and not _is_png_complete(path):
-            raise _damaged_error(path, "")  # its decoder would print that too
+        if head.startswith(PNG):
+            with path.open("rb") as file:
+                file.seek(len(PNG))
+                while len(chunk := file.read(8)) == 8 and chunk[4:] != b"IEND":
+                    file.seek(int.from_bytes(chunk[:4], "big") + 4, 1)
+            if len(chunk) < 8:
+                raise _damaged_error(path, "")  # its decoder would print that too
         hint = oiio.ImageSpec()
         hint.attribute("oiio:UnassociatedAlpha", 1)
         with report_reading(path):
@@ -221,17 +226,6 @@ def _read_file(path: Path, read: Callable[[Any], T]) -> T:
                 return read(image)
 
     return with_retries(path, open_and_read)
-
-
-def _is_png_complete(path: Path) -> bool:
-    """Return whether the chunks of a PNG go on to its end."""
-    with path.open("rb") as file:
-        file.seek(len(PNG))
-        while len(head := file.read(8)) == 8:
-            if head[4:] == b"IEND":
-                return True
-            file.seek(int.from_bytes(head[:4], "big") + 4, 1)
-    return False
 
 
 def _damaged_error(path: Path, problem: str) -> DamagedFileError:
