@@ -159,10 +159,7 @@ def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False
 
 
 def find_aov_set(
-    spec: str,
-    suffixes: tuple[str, ...] = EXR,
-    gaps: bool = False,
-    needed: Callable[[AovSet], Collection[str]] | None = None,
+    spec: str, gaps: bool = False, needed: Callable[[AovSet], Collection[str]] | None = None
 ) -> AovSet | None:
     """Find the one-file-per-AOV set that a folder, pattern or frame belongs to.
 
@@ -172,8 +169,8 @@ def find_aov_set(
 
     Raises InputError as `find_sequence`, MissingFrameError if an AOV lacks a frame.
     """
-    leader = find_sequence(spec, suffixes)
-    sets = [c for c in _list_candidates(leader.folder, suffixes) if isinstance(c, AovSet)]
+    leader = find_sequence(spec)
+    sets = [c for c in _list_candidates(leader.folder, EXR) if isinstance(c, AovSet)]
     sets = [c for c in sets if c.leader == leader] or [c for c in sets if leader in c.members]
     if len(sets) > 1:
         raise InputError(

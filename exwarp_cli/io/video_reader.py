@@ -102,9 +102,7 @@ class Clip:
         names = {"alpha": self.has_alpha, "deinterlaced": self._is_deinterlaced}
         return tuple(name for name, applies in names.items() if applies)
 
-    def sound(
-        self, start: Fraction | int = 0, stop: Fraction | int | None = None
-    ) -> Soundtrack | None:
+    def sound(self, start: Fraction | int, stop: Fraction | int | None) -> Soundtrack | None:
         """Return the sound that goes with the frames [start, stop); None where it is silent."""
         sound = self.look.sound
         if sound is None:
@@ -112,15 +110,15 @@ class Clip:
         length = None if stop is None else (stop - start) / self.rate
         return replace(sound, start=sound.start + start / self.rate, length=length)
 
-    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Float32]:
-        """Decode the frames [start, stop), one at a time: float32 [H, W, 3 or 4], 0 to 1.
+    def frames(self, start: int = 0) -> Iterator[Float32]:
+        """Decode the frames from `start` on, one at a time: float32 [H, W, 3 or 4], 0 to 1.
 
         They are scene-linear by the sRGB curve, the inverse of `to_display`. With alpha, they are
         premultiplied. Pixels are the same wherever decoding starts. Raises DamagedFileError when
         the video cannot be decoded, or ends early.
         """
         packets = self._packets
-        shown = self.pacing.shown[start : self.count if stop is None else stop]
+        shown = self.pacing.shown[start:]
         if not shown:
             return
         first = packets.cut(shown[0]) if packets.times else shown[0]
