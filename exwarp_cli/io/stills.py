@@ -402,11 +402,10 @@ def parse_still_facts(data: bytes) -> tuple[bool, dict[str, Any] | None]:
     """
     if _SEAL_MARK not in data:
         return False, None
-    start = data.find(_SEAL_MARK) + len(_SEAL_MARK)
-    end = start + CHECKSUM_DIGITS
-    blank, facts = _with_digits(data, _ZEROS), None
-    if blank is not None and compute_checksum([blank]).encode() == data[start:end]:
-        with suppress(ValueError):
+    facts = None
+    if seal_still(data) == data:
+        end = data.find(_SEAL_MARK) + len(_SEAL_MARK) + CHECKSUM_DIGITS
+        with suppress(ValueError):  # there is no text, or it is cut off
             facts, _ = json.JSONDecoder().raw_decode(data[end:].decode("latin-1").lstrip())
     return (True, facts) if isinstance(facts, dict) else (False, {})
 
