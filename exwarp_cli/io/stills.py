@@ -61,7 +61,6 @@ _DPX_TEXTS = ((36, 136), (136, 160), (160, 260), (260, 460), (460, 660))  # SMPT
 _NO_DATE = "1970:01:01 00:00:00"
 
 _SEAL_MARK = f"exwarp:{CHECKSUM_NAME}=".encode()
-_ZEROS = CHECKSUM_ZEROS.encode()
 
 _UPRIGHT = 1  # the EXIF orientation of pixels that are shown as they are stored
 _RIFF_HEADER = 12  # bytes: "RIFF", the size of the rest, "WEBP"
@@ -371,10 +370,16 @@ def _add_webp_orientation(data: bytes, orientation: int) -> bytes:
 
 def seal_still(data: bytes) -> bytes:
     """Put the checksum into an encoded file; unchanged where the format dropped its place."""
-    blank = _with_digits(data, _ZEROS)
-    if blank is None:
+    start = data.find(_SEAL_MARK) + len(_SEAL_MARK)
+    end = start + CHECKSUM_DIGITS
+    if _SEAL_MARK not in data or end > len(data):
         return data
-    return _with_digits(blank, compute_checksum([blank]).encode()) or data
+    sealed = bytearray(data)
+    sealed[start:end] = CHECKSUM_ZEROS.encode()
+    _renew_png_crc(sealed, start)
+    sealed[start:end] = compute_checksum([sealed]).encode()
+    _renew_png_crc(sealed, start)
+    return bytes(sealed)
 
 
 def still_facts(path: Path) -> dict[str, Any] | None:
@@ -410,18 +415,12 @@ def parse_still_facts(data: bytes) -> tuple[bool, dict[str, Any] | None]:
     return (True, facts) if isinstance(facts, dict) else (False, {})
 
 
-def _with_digits(data: bytes, digits: bytes) -> bytes | None:
-    """Return the file with other digits for its checksum; None where it has no place for them."""
-    start = data.find(_SEAL_MARK) + len(_SEAL_MARK)
-    if _SEAL_MARK not in data or start + CHECKSUM_DIGITS > len(data):
-        return None
-    changed = bytearray(data)
-    changed[start : start + CHECKSUM_DIGITS] = digits
+def _renew_png_crc(data: bytearray, place: int) -> None:
+    """Renew the CRC behind the chunk of a PNG that holds a place; other formats have none."""
     begin = len(PNG)
     while data.startswith(PNG) and begin + 12 <= len(data):
         end = begin + 8 + int.from_bytes(data[begin : begin + 4], "big")
-        if begin <= start < end <= len(data) - 4:  # the chunk with the digits has a CRC behind it
-            changed[end : end + 4] = zlib.crc32(changed[begin + 4 : end]).to_bytes(4, "big")
-            break
+        if begin <= place < end <= len(data) - 4:
+            data[end : end + 4] = zlib.crc32(data[begin + 4 : end]).to_bytes(4, "big")
+            return
         begin = end + 4
-    return bytes(changed)
