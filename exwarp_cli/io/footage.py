@@ -133,17 +133,16 @@ def make_shot(sequence: Sequence, keep_going: bool = False) -> Shot:
 
     def make_from(number: int) -> Shot:
         if isinstance(sequence, ClipSequence):
-            clip = sequence.clip
-            display, has_alpha, producer = sequence.display, clip.has_alpha, "video"
+            has_alpha, producer = sequence.clip.has_alpha, "video"
         else:
             path = sequence.files[number]
             if keep_going:
                 read_picture(path)
-            display = Window(0, 0, *still_size(path))
             has_alpha = read_still_template(path).has_alpha
             producer = f"{sequence.type.lstrip('.').upper()} images"
         colour = tuple(ChannelRef("", name) for name in ("RGBA" if has_alpha else "RGB"))
         layout = Layout({Role.COLOUR: colour}, producer=producer)
+        display = read_display_window(sequence, number)
         return Shot(sequence, {}, layout, display, first=number, keep_going=keep_going)
 
     return first_usable(sequence.numbers if keep_going else sequence.numbers[:1], make_from)

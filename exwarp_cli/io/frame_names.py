@@ -46,8 +46,8 @@ class NamePattern:
     padding: int
     suffix: str
 
-    @classmethod
-    def parse(cls, name: str) -> NamePattern | None:
+    @staticmethod
+    def parse(name: str) -> NamePattern | None:
         """Read a name with a frame token: ``####``, ``@@@@``, ``%04d`` or ``$F4``; None without.
 
         The last token counts, so that a ``#`` or ``%`` in the title is text.
@@ -60,7 +60,7 @@ class NamePattern:
 
         token = tokens[-1]
         padding = FileSequence.getPaddingNum(token[0], pad_style=PAD_STYLE_HASH1)
-        return cls(name[: token.start()], max(padding, 1), name[token.end() :])
+        return NamePattern(name[: token.start()], max(padding, 1), name[token.end() :])
 
     def __str__(self) -> str:
         return f"{self.base}{'#' * self.padding}{self.suffix}"

@@ -387,8 +387,6 @@ def _with_suffix_case(path: Path) -> Path:
     pattern = NamePattern.parse(path.name)
     ending = path.suffix if pattern is None else pattern.suffix
     start = path.name.removesuffix(ending) if pattern is None else pattern.base
-    if not ending:
-        return path
     endings = {
         name[len(name) - len(ending) :]
         for name in _file_names(path.parent)
