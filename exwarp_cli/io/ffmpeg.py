@@ -300,15 +300,16 @@ class VmafStream(ResourceOwner):
                 require_vmaf_size(height, width, "the frame")
                 rows, columns, _ = frames[0].shape
                 source = RAW_INPUT.format(width=columns, height=rows, rate=VMAF_RATE).split()
-                # Equal time stamps, whatever the filters before did: pairs must not slip.
-                graph = (
-                    f"[0:v]split[x][y];[x]crop={width}:{height}:0:0,{_TO_VIDEO},setpts=N[r];"
-                    f"[y]crop={width}:{height}:0:{height},{_TO_VIDEO},setpts=N[t];"
-                    f"[t][r]{_LIBVMAF}"
-                )
-                runs = [["-filter_complex", graph, "-f", "null", "-"]]
                 if self._is_encoded:
                     runs = [[*PUBLISHED_ENCODING.split(), video] for video in _VIDEOS]
+                else:
+                    # Equal time stamps, whatever the filters before did: pairs must not slip.
+                    graph = (
+                        f"[0:v]split[x][y];[x]crop={width}:{height}:0:0,{_TO_VIDEO},setpts=N[r];"
+                        f"[y]crop={width}:{height}:0:{height},{_TO_VIDEO},setpts=N[t];"
+                        f"[t][r]{_LIBVMAF}"
+                    )
+                    runs = [["-filter_complex", graph, "-f", "null", "-"]]
                 for options in runs:
                     writer = FfmpegWriter([*source, *options], self._folder)
                     self._writers.append(self._stack.enter_context(writer))
