@@ -44,9 +44,9 @@ def command(
     --json the same as a list of rows.
     """
     from exwarp_cli.domain.settings import SourceSettings
-    from exwarp_cli.io.threads import use_threads
     from exwarp_cli.pipeline.decide import features
     from exwarp_cli.pipeline.progress import reporting
+    from exwarp_cli.pipeline.scheduling import use_threads
     from exwarp_cli.report.command_text import FEATURES_SCHEMA, feature_row
     from exwarp_cli.report.schema import format_cell, format_csv
 

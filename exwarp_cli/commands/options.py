@@ -97,7 +97,7 @@ json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON document on stdout instead."
 )
 
-# Its value is for `exwarp_cli.io.threads.use_threads`.
+# Its value is for `exwarp_cli.pipeline.scheduling.use_threads`.
 threads_option = click.option(
     "--threads",
     type=click.IntRange(1),

@@ -225,7 +225,16 @@ def open_scene(folder: str | Path) -> RenderedScene:
             raise ValueError(f"role {values['role']!r}")
         values |= {name: _typed(content, name, int, least=1) for name in counts}
         values["seed"] = _typed(content, "seed", int)
-        values |= {name: _parse_frames(content, name) for name in ("instants", "keys")}
+        for name in ("instants", "keys"):
+            frames = _typed(content, name, dict)
+            pattern = _typed(frames, "pattern", str)
+            digits = pattern.count("#")
+            is_inside = not Path(pattern).is_absolute() and ".." not in Path(pattern).parts
+            if not (digits and "#" * digits in pattern and is_inside):
+                raise ValueError(f"pattern {pattern!r}")
+            step = _typed(frames, "step", int, least=1) if "step" in frames else 1
+            first, count = _typed(frames, "first", int), _typed(frames, "count", int, least=1)
+            values[name] = FrameSet(pattern, first, count, step)
         dynamic = _typed(content, "dynamic", dict)
         values["dynamic"] = {int(index): str(name) for index, name in dynamic.items()}
         return RenderedScene(Path(folder), SceneManifest(**values))
@@ -233,18 +242,6 @@ def open_scene(folder: str | Path) -> RenderedScene:
         raise DamagedFileError(
             f"{path} lacks or misstates {error}; render the scene again"
         ) from error
-
-
-def _parse_frames(content: dict[str, Any], name: str) -> FrameSet:
-    frames = _typed(content, name, dict)
-    pattern = _typed(frames, "pattern", str)
-    digits = pattern.count("#")
-    is_inside = not Path(pattern).is_absolute() and ".." not in Path(pattern).parts
-    if not (digits and "#" * digits in pattern and is_inside):
-        raise ValueError(f"pattern {pattern!r}")
-    step = _typed(frames, "step", int, least=1) if "step" in frames else 1
-    first, count = _typed(frames, "first", int), _typed(frames, "count", int, least=1)
-    return FrameSet(pattern, first, count, step)
 
 
 def _typed(content: dict[str, Any], name: str, kind: type, least: int | None = None) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cache
 from typing import Any
 
@@ -38,8 +37,6 @@ BRADFORD: Float64 = np.array(
 
 HALF_MAX = 65504.0  # replaces infinity before channels are mixed
 
-MAX_PIXEL_ASPECT = 255  # that a video is labelled with; its inverse is the smallest
-
 # Matrices of Y'CbCr as files are labelled, with the names that the filter ``scale`` has.
 MATRICES = {
     "bt709": "bt709",
@@ -60,11 +57,6 @@ class VideoColour:
     primaries: str = "bt709"
     transfer: str = "iec61966-2-1"
     full_range: bool = False  # whether 0 to 255 are used, else 16 to 235
-
-    @property
-    def range(self) -> str:
-        """The range by the name that filters take."""
-        return "pc" if self.full_range else "tv"
 
 
 @dataclass(frozen=True)
@@ -140,22 +132,6 @@ def _rgb_to_xyz(chromaticities: Float64) -> Float64:
 def _xyz(x: float, y: float) -> Float64:
     """Return XYZ with Y = 1."""
     return np.array([x / y, 1.0, (1.0 - x - y) / y])
-
-
-def parse_pixel_aspect(ratio: object) -> Fraction:
-    """Read a header's width of a pixel by its height; 1 for what no pixel can have."""
-    limit = MAX_PIXEL_ASPECT
-    if not isinstance(ratio, (int, float)) or not 1 / limit <= ratio <= limit:
-        return Fraction(1)
-    # A float32 of 16/15 is no exact fraction; videos hold one of small numbers.
-    return Fraction(ratio).limit_denominator(limit)
-
-
-def brighten(pixels: Float32, stops: float) -> Float32:
-    """Multiply scene-linear colour by two to the power of `stops`; beyond float32 is infinity."""
-    with np.errstate(over="ignore"):
-        brighter: Float32 = pixels * np.float32(2.0**stops)
-    return brighter
 
 
 def to_display(pixels: Float32) -> UInt8:

@@ -19,9 +19,8 @@ import subprocess
 import tempfile
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack, suppress
-from functools import cache
 from pathlib import Path
-from typing import IO
+from typing import IO, ClassVar
 
 import imageio_ffmpeg
 import numpy as np
@@ -29,7 +28,7 @@ import numpy as np
 from exwarp_cli.domain.frame import Float32, UInt8
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError, LayoutError, OutputError
-from exwarp_cli.io.display_colour import Codes, to_display
+from exwarp_cli.io.display_colour import Codes, from_display, to_display
 from exwarp_cli.io.files import ResourceOwner
 from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.stop import check_stop, clean_up_after, scratch_folder
@@ -110,23 +109,29 @@ def run_ffmpeg(options: Sequence[str], data: bytes | None = None) -> tuple[bytes
 class _FfmpegStream(ResourceOwner):
     """One run of ffmpeg beside this process; a context manager that ends it."""
 
+    _stdin: ClassVar[int]
+    _stdout: ClassVar[int]
+
     def __init__(self, options: Sequence[str], folder: Path | None = None) -> None:
         self._options, self._folder = options, folder
 
-    def _start(self, stack: ExitStack, stdin: int, stdout: int) -> None:
+    def _open(self, stack: ExitStack) -> None:
         log: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - the stack closes it
         self._log = stack.enter_context(log)
         try:
             self._process = subprocess.Popen(
                 _command(self._options),
-                stdin=stdin,
-                stdout=stdout,
+                stdin=self._stdin,
+                stdout=self._stdout,
                 stderr=self._log,
                 cwd=self._folder,
                 process_group=0,
             )
         except (OSError, RuntimeError) as error:
             raise FfmpegError(f"ffmpeg does not start ({error})") from error
+        if self._process.stdout is not None:
+            stack.enter_context(self._process.stdout)
+        stack.enter_context(clean_up_after(self._kill))
 
     def _kill(self) -> None:
         if self._process.poll() is None:
@@ -142,29 +147,28 @@ class _FfmpegStream(ResourceOwner):
 
 
 class FfmpegReader(_FfmpegStream):
-    """One run of ffmpeg whose output, written to ``-``, is read here; a context manager.
+    """One run of ffmpeg whose output, frames written to ``-``, is read here; a context manager.
 
     Left before the end, it ends ffmpeg. Raises FfmpegError when ffmpeg does not start.
     """
 
-    def _open(self, stack: ExitStack) -> None:
-        self._log_position, self._incomplete_line = 0, b""
-        self._options = ("-nostdin", *self._options)
-        self._start(stack, subprocess.DEVNULL, subprocess.PIPE)
-        assert self._process.stdout is not None
-        stack.enter_context(self._process.stdout)
-        stack.callback(self._kill)
+    _stdin, _stdout = subprocess.DEVNULL, subprocess.PIPE
 
-    def read(self, size: int) -> bytes | None:
-        """Return the next `size` bytes; None at the end, or where fewer are left.
+    def __init__(self, options: Sequence[str], frame_bytes: int) -> None:
+        super().__init__(("-nostdin", *options))
+        self._frame_bytes = frame_bytes
+        self._log_position, self._incomplete_line = 0, b""
+
+    def read(self) -> bytes | None:
+        """Return the next frame's bytes; None at the end, or where fewer are left.
 
         Raises FfmpegError when ffmpeg failed. Raises StopRequested when this process was asked to
         stop.
         """
         check_stop()
         assert self._process.stdout is not None
-        data = self._process.stdout.read(size)
-        if len(data) == size:
+        data = self._process.stdout.read(self._frame_bytes)
+        if len(data) == self._frame_bytes:
             return data
         if self._process.wait() != 0:
             raise self._error()
@@ -188,9 +192,7 @@ class FfmpegWriter(_FfmpegStream):
     does not start.
     """
 
-    def _open(self, stack: ExitStack) -> None:
-        self._start(stack, subprocess.PIPE, subprocess.DEVNULL)
-        stack.enter_context(clean_up_after(self._kill))
+    _stdin, _stdout = subprocess.PIPE, subprocess.DEVNULL
 
     def write(self, frame: Codes) -> None:
         """Send a frame, [H, W, 3]; raises FfmpegError."""
@@ -286,39 +288,35 @@ class VmafStream(ResourceOwner):
 
     def write(self, reference: UInt8, test: UInt8) -> None:
         """Append a pair of frames; see `compute_vmaf`."""
+        height, width, _ = reference.shape
+        if self._is_encoded:
+            frames = [pad_to_even(reference), pad_to_even(test)]
+        else:
+            # Both frames go to ffmpeg as one picture, the reference above, and are cut apart there:
+            # one stream cannot wait for the other.
+            frames = [np.concatenate([reference, test])]
         try:
             if not self._writers:
-                height, width, _ = reference.shape
                 require_vmaf_size(height, width, "the frame")
-                for options in self._options(height, width):
-                    writer = FfmpegWriter(options, self._folder)
+                rows, columns, _ = frames[0].shape
+                source = RAW_INPUT.format(width=columns, height=rows, rate=VMAF_RATE).split()
+                if self._is_encoded:
+                    runs = [[*PUBLISHED_ENCODING.split(), video] for video in _VIDEOS]
+                else:
+                    # Equal time stamps, whatever the filters before did: pairs must not slip.
+                    graph = (
+                        f"[0:v]split[x][y];[x]crop={width}:{height}:0:0,{_TO_VIDEO},setpts=N[r];"
+                        f"[y]crop={width}:{height}:0:{height},{_TO_VIDEO},setpts=N[t];"
+                        f"[t][r]{_LIBVMAF}"
+                    )
+                    runs = [["-filter_complex", graph, "-f", "null", "-"]]
+                for options in runs:
+                    writer = FfmpegWriter([*source, *options], self._folder)
                     self._writers.append(self._stack.enter_context(writer))
-            if self._is_encoded:
-                frames = [pad_to_even(reference), pad_to_even(test)]
-            else:
-                frames = [np.concatenate([reference, test])]
             for writer, frame in zip(self._writers, frames, strict=True):
                 writer.write(frame)
         except FfmpegError as error:
             raise _vmaf_error(error) from error
-
-    def _options(self, height: int, width: int) -> list[list[str]]:
-        """Return the options of each run of ffmpeg that takes frames of this size."""
-        if self._is_encoded:
-            even = RAW_INPUT.format(
-                width=width + width % 2, height=height + height % 2, rate=VMAF_RATE
-            )
-            return [[*even.split(), *PUBLISHED_ENCODING.split(), video] for video in _VIDEOS]
-        # Both frames of a pair go to ffmpeg as one picture, the reference above, and are cut apart
-        # there: one stream cannot wait for the other. Equal time stamps, whatever the filters
-        # before did: pairs must not slip.
-        graph = (
-            f"[0:v]split[x][y];[x]crop={width}:{height}:0:0,{_TO_VIDEO},setpts=N[r];"
-            f"[y]crop={width}:{height}:0:{height},{_TO_VIDEO},setpts=N[t];"
-            f"[t][r]{_LIBVMAF}"
-        )
-        source = RAW_INPUT.format(width=width, height=2 * height, rate=VMAF_RATE)
-        return [[*source.split(), "-filter_complex", graph, "-f", "null", "-"]]
 
     def close(self) -> list[float]:
         """Return the scores of all frames."""
@@ -386,13 +384,4 @@ def minterpolate(older: Float32 | None, before: Float32, after: Float32) -> tupl
             "at the instants that were asked for; reinstall the package imageio-ffmpeg, or leave "
             "minterpolate out"
         )
-    linear = _linear_table()
-    return tuple(linear[frame] for frame in frames[first + 1 : first + FACTOR])
-
-
-@cache
-def _linear_table() -> Float32:
-    """Return the scene-linear values of 8-bit sRGB codes, computed in float64."""
-    code = np.arange(256) / 255
-    linear = np.where(code <= 12.92 * 0.0031308, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
-    return linear.astype(np.float32)
+    return tuple(from_display(frame) for frame in frames[first + 1 : first + FACTOR])

@@ -7,7 +7,6 @@ import threading
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
-from exwarp_cli.io.display_colour import parse_pixel_aspect, primaries_of
+from exwarp_cli.io.display_colour import primaries_of
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.exr.writer import COMPRESSIONS, PartTemplate, PlaneTemplate, Template
 from exwarp_cli.io.frame_names import file_type, split_names
@@ -39,38 +38,11 @@ from exwarp_cli.io.video_writer import VideoLook
 # Digits of the numbers that a clip's frames get as files; they count from 1.
 CLIP_PADDING = 4
 
+# The widest pixel that a video is labelled with; its inverse is the narrowest.
+MAX_PIXEL_ASPECT = 255
+
 # Suffixes of sound files, in lower case.
 SOUNDS = (".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg", ".opus", ".wma", ".aif", ".aiff", ".ac3")
-
-
-@dataclass(eq=False)
-class ClipFrames:
-    """Frames of a video by number, from 1; each thread decodes for itself."""
-
-    clip: Clip
-    _readers: dict[int, ClipReader] = field(default_factory=dict)
-
-    @property
-    def display(self) -> Window:
-        """The window of every frame."""
-        return Window(0, 0, self.clip.width, self.clip.height)
-
-    @cached_property
-    def digest(self) -> str:
-        """Digest of the video's file, hexadecimal; see `file_digest`."""
-        return file_digest(self.clip.path)
-
-    def image(self, number: int) -> Image:
-        """Decode a frame, cheaply as long as numbers grow; raises DamagedFileError."""
-        thread = threading.get_ident()
-        if thread not in self._readers:
-            self._readers[thread] = ClipReader(self.clip).__enter__()
-        return Image(self._readers[thread].read(number - 1), self.display, self.display)
-
-    def close(self) -> None:
-        """Stop decoding; a later call begins again."""
-        for thread in list(self._readers):
-            self._readers.pop(thread).__exit__(None, None, None)
 
 
 @dataclass(frozen=True)
@@ -80,12 +52,31 @@ class ClipSequence(Sequence):
     Every number's path is the video's own, and so is the folder, where no other file can lie.
     """
 
-    frames: ClipFrames = field(compare=False, repr=False)
+    clip: Clip = field(compare=False, repr=False)
+    # By thread, as each decodes for itself; sequences of other numbers share them
+    _readers: dict[int, ClipReader] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def pattern(self) -> str:
         """Path of the video."""
         return str(self.folder)
+
+    @property
+    def display(self) -> Window:
+        """The window of every frame."""
+        return Window(0, 0, self.clip.width, self.clip.height)
+
+    def image(self, number: int) -> Image:
+        """Decode a frame, cheaply as long as numbers grow; raises DamagedFileError."""
+        thread = threading.get_ident()
+        if thread not in self._readers:
+            self._readers[thread] = ClipReader(self.clip)
+        return Image(self._readers[thread].read(number - 1), self.display, self.display)
+
+    def close(self) -> None:
+        """Stop decoding; a later call begins again."""
+        for thread in list(self._readers):
+            self._readers.pop(thread).close()
 
 
 def find_frames(spec: str, gaps: bool = False, scan: str = SourceSettings.scan) -> Sequence:
@@ -108,9 +99,8 @@ def find_footage(spec: str, gaps: bool = False, scan: str = SourceSettings.scan)
     path = Path(spec)
     if is_clip(spec):
         clip = open_clip(path, scan)
-        files = dict.fromkeys(range(1, clip.count + 1), clip.path)
-        base, frames = f"{clip.path.stem}.", ClipFrames(clip)
-        return ClipSequence(clip.path, base, CLIP_PADDING, ".png", files, frames)
+        files = dict.fromkeys(range(1, clip.count + 1), path)
+        return ClipSequence(f"{path.stem}.", CLIP_PADDING, ".png", path, files, clip)
     suffix = path.suffix.lower()
     is_plain_path = suffix in STILLS
     if spec and path.is_dir():
@@ -143,17 +133,16 @@ def make_shot(sequence: Sequence, keep_going: bool = False) -> Shot:
 
     def make_from(number: int) -> Shot:
         if isinstance(sequence, ClipSequence):
-            clip = sequence.frames.clip
-            display, has_alpha, producer = sequence.frames.display, clip.has_alpha, "video"
+            has_alpha, producer = sequence.clip.has_alpha, "video"
         else:
             path = sequence.files[number]
             if keep_going:
                 read_picture(path)
-            display = Window(0, 0, *still_size(path))
             has_alpha = read_still_template(path).has_alpha
             producer = f"{sequence.type.lstrip('.').upper()} images"
         colour = tuple(ChannelRef("", name) for name in ("RGBA" if has_alpha else "RGB"))
         layout = Layout({Role.COLOUR: colour}, producer=producer)
+        display = read_display_window(sequence, number)
         return Shot(sequence, {}, layout, display, first=number, keep_going=keep_going)
 
     return first_usable(sequence.numbers if keep_going else sequence.numbers[:1], make_from)
@@ -165,7 +154,7 @@ def read_sequence_picture(sequence: Sequence, number: int, view: str = "") -> Im
     Raises InputError when it is missing or damaged, LayoutError when no colour is recognised.
     """
     if isinstance(sequence, ClipSequence):
-        return sequence.frames.image(number)
+        return sequence.image(number)
     return read_picture(sequence.files[number], view)
 
 
@@ -190,7 +179,7 @@ def read_key_picture(shot: Shot, number: int) -> Image:
 def read_display_window(sequence: Sequence, number: int) -> Window:
     """Return the display window of any kind of sequence, by one of its frames."""
     if isinstance(sequence, ClipSequence):
-        return sequence.frames.display
+        return sequence.display
     path = sequence.files[number]
     if is_plain(sequence):
         return Window(0, 0, *still_size(path))
@@ -201,8 +190,7 @@ def read_display_window(sequence: Sequence, number: int) -> Window:
 def digest_frame(sequence: Sequence, number: int) -> str:
     """Digest what a frame of a video or of stills depends on."""
     if isinstance(sequence, ClipSequence):
-        reading = sequence.frames.clip.reading
-        return " ".join((sequence.frames.digest, str(number), *reading))
+        return " ".join((sequence.clip.digest, str(number), *sequence.clip.reading))
     return file_digest(sequence.files[number])
 
 
@@ -220,7 +208,7 @@ def make_frame_template(shot: Shot, number: int, suffix: str) -> FrameTemplate:
         header = {"compression": COMPRESSIONS["zip"]}
         return Template((PartTemplate(header, planes, shot.display),), planes)
     if isinstance(shot.sequence, ClipSequence):
-        clip = shot.sequence.frames.clip
+        clip = shot.sequence.clip
         dtype, channels = np.dtype(np.uint16 if clip.deep else np.uint8), 3 + clip.has_alpha
         return StillTemplate((), dtype, 8 * dtype.itemsize, channels, SRGB, premultiplied=False)
     return read_still_template(shot.sequence.files[number])
@@ -228,7 +216,7 @@ def make_frame_template(shot: Shot, number: int, suffix: str) -> FrameTemplate:
 
 def clip_rate(sequence: Sequence) -> Fraction | None:
     """Return the frame rate of a video; None for any other sequence."""
-    return sequence.frames.clip.rate if isinstance(sequence, ClipSequence) else None
+    return sequence.clip.rate if isinstance(sequence, ClipSequence) else None
 
 
 def make_video_look(
@@ -243,11 +231,14 @@ def make_video_look(
     sequence = shot.sequence
     if not is_plain(sequence):
         header = shot.headers.read(sequence.files[shot.first]).attributes[0]
-        aspect = parse_pixel_aspect(header.get("pixelAspectRatio"))
+        ratio, aspect = header.get("pixelAspectRatio"), Fraction(1)
+        if isinstance(ratio, (int, float)) and 1 / MAX_PIXEL_ASPECT <= ratio <= MAX_PIXEL_ASPECT:
+            # A float32 of 16/15 is no exact fraction; videos hold one of small numbers.
+            aspect = Fraction(ratio).limit_denominator(MAX_PIXEL_ASPECT)
         return VideoLook(pixel_aspect=aspect, note=note, primaries=primaries_of(header))
     if not isinstance(sequence, ClipSequence):
         return VideoLook(note=note)
-    clip = sequence.frames.clip
+    clip = sequence.clip
     remarks = []
     if clip.has_alpha:
         remarks.append(
@@ -273,7 +264,7 @@ def make_video_look(
 def describe_footage(sequence: Sequence) -> dict[str, Any]:
     """Return the properties of a video or of stills, as plain data."""
     if isinstance(sequence, ClipSequence):
-        clip = sequence.frames.clip
+        clip = sequence.clip
         colour = clip.look.colour
         return {
             "kind": "video",
@@ -307,9 +298,9 @@ def lost_alpha_message(shot: Shot, suffix: str) -> str | None:
 
 def uneven_rate_message(sequence: Sequence) -> str | None:
     """Return the message on a video whose own rate varies; None where it is even."""
-    if not isinstance(sequence, ClipSequence) or not sequence.frames.clip.pacing.varies:
+    if not isinstance(sequence, ClipSequence) or not sequence.clip.pacing.varies:
         return None
-    clip = sequence.frames.clip
+    clip = sequence.clip
     return (
         f"the frame rate of {clip.path} varies; it is taken at {float(clip.rate):g} fps, with "
         f"{clip.pacing.repeated} frames shown again and {clip.pacing.skipped} left out"
@@ -320,4 +311,4 @@ def close_sequences(*sequences: Sequence) -> None:
     """Close the videos among some sequences."""
     for sequence in sequences:
         if isinstance(sequence, ClipSequence):
-            sequence.frames.close()
+            sequence.close()

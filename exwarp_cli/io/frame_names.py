@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 from exwarp_cli.io.channels import Role, role_named
 from exwarp_cli.io.producers import is_cryptomatte_name
@@ -46,8 +46,8 @@ class NamePattern:
     padding: int
     suffix: str
 
-    @classmethod
-    def parse(cls, name: str) -> NamePattern | None:
+    @staticmethod
+    def parse(name: str) -> NamePattern | None:
         """Read a name with a frame token: ``####``, ``@@@@``, ``%04d`` or ``$F4``; None without.
 
         The last token counts, so that a ``#`` or ``%`` in the title is text.
@@ -60,7 +60,7 @@ class NamePattern:
 
         token = tokens[-1]
         padding = FileSequence.getPaddingNum(token[0], pad_style=PAD_STYLE_HASH1)
-        return cls(name[: token.start()], max(padding, 1), name[token.end() :])
+        return NamePattern(name[: token.start()], max(padding, 1), name[token.end() :])
 
     def __str__(self) -> str:
         return f"{self.base}{'#' * self.padding}{self.suffix}"
@@ -175,20 +175,6 @@ def is_padded_to(text: str, padding: int) -> bool:
 
 
 @dataclass(frozen=True)
-class PassSet:
-    """The sequences of one shot, by their indices in the list that `find_pass_sets` got."""
-
-    # The beauty; None for G-buffers without one.
-    colour: int | None
-    # The others, by the name of their pass, for example "MotionVectors".
-    passes: dict[str, int]
-    # Name of the pass that leads where there is no beauty.
-    motion: str = ""
-    # Sequences that may be further passes: their names begin as the shot's, and are not known.
-    more: dict[str, int] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class PassName:
     """A sequence's name split into its shot's and its pass's; see `split_pass`."""
 
@@ -198,65 +184,12 @@ class PassName:
     role: Role | None = None
     is_data: bool = False  # True for a pass that cannot be a beauty
 
-
-def find_pass_sets(names: Sequence[tuple[str, str]]) -> list[PassSet]:
-    """Find the sequences of a folder that belong together as passes.
-
-    `names` are the texts before and after the number of each sequence. There is a set for each
-    beauty that has passes, and for each shot without a beauty that has vectors and another pass.
-    A pass that fits two beauties equally well is in the sets of both.
-    """
-    sets = []
-    for suffix in dict.fromkeys(suffix for _, suffix in names):
-        split = {i: split_pass(base) for i, (base, end) in enumerate(names) if end == suffix}
-        beauties = {i: n for i, n in split.items() if not n.is_data}
-        passes: dict[int, dict[str, int]] = defaultdict(dict)
-        without_beauty: dict[str, list[int]] = defaultdict(list)
-        for index, name in split.items():
-            if not name.is_data:
-                continue
-            pass_names = _beauties_of(name, beauties)
-            for beauty, pass_name in pass_names.items():
-                passes[beauty][pass_name] = index
-            if not pass_names:
-                without_beauty[name.shot].append(index)
-        for index, members in passes.items():
-            shot = beauties[index].shot
-            more = {
-                name.stem[len(shot) :].lstrip(SEPARATORS): i
-                for i, name in beauties.items()
-                if i not in passes and name.role is None and _extends(name.stem, shot)
-            }
-            sets.append(PassSet(index, members, more=more))
-        for indices in without_beauty.values():
-            motion = [split[i].name for i in indices if split[i].role is Role.MOTION]
-            if motion and len(indices) > 1:
-                sets.append(PassSet(None, {split[i].name: i for i in indices}, motion[0]))
-    return sets
-
-
-def _beauties_of(name: PassName, beauties: dict[int, PassName]) -> dict[int, str]:
-    """Return the beauties that a pass belongs to, with its name as a pass of each.
-
-    Several only where they share the longest name of a shot.
-    """
-    fitting: dict[int, tuple[int, str]] = {}
-    for index, beauty in beauties.items():
-        if beauty.role is Role.COLOUR and beauty.shot == name.shot:
-            fitting[index] = (len(beauty.shot), name.name)
-        elif _extends(name.stem, beauty.stem):
-            # FinalImage and FinalImageMovieRenderQueue_WorldDepth are of one shot too.
-            shot = beauty.shot if beauty.role is Role.COLOUR else beauty.stem
-            fitting[index] = (len(shot), name.stem[len(beauty.stem) :].lstrip(SEPARATORS))
-    longest = max((length for length, _ in fitting.values()), default=0)
-    return {index: pass_name for index, (length, pass_name) in fitting.items() if length == longest}
-
-
-def _extends(stem: str, shot: str) -> bool:
-    """True if a name is a shot's with another word behind it."""
-    if not stem.startswith(shot) or len(stem) == len(shot) or not shot:
-        return False
-    return stem[len(shot)] in SEPARATORS or _BOUNDARY.match(stem, len(shot)) is not None
+    def extends(self, shot: str) -> bool:
+        """Return True if the name is a shot's with another word behind it."""
+        stem, length = self.stem, len(shot)
+        if not shot or not stem.startswith(shot) or len(stem) == length:
+            return False
+        return stem[length] in SEPARATORS or _BOUNDARY.match(stem, length) is not None
 
 
 def split_pass(base: str) -> PassName:

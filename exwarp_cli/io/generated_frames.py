@@ -54,7 +54,6 @@ from exwarp_cli.io.shot import require_sound
 from exwarp_cli.io.stills import (
     SEALED,
     StillTemplate,
-    has_seal,
     parse_still_facts,
     quantise_still,
     read_still,
@@ -359,7 +358,6 @@ def _read_claim(path: Path, data: bytes) -> tuple[bool, dict[str, Any] | None]:
         has_claim = is_authentic or facts or read_string_attribute(data, CHECKSUM) is not None
         return is_authentic, facts if has_claim else None
     if path.suffix.lower() in SEALED:
-        still = parse_still_facts(data)
-        return still is not None, still if still is not None or not has_seal(data) else {}
+        return parse_still_facts(data)
     ends = data[:_NAME_RANGE] + data[-_NAME_RANGE:]
     return True, {} if _PROGRAM_NAME.search(ends) else None

@@ -8,6 +8,7 @@ and adds a date.
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import struct
 from collections.abc import Iterator, Mapping
@@ -104,14 +105,9 @@ class KeyFile:
 
     def begins_with(self, data: bytes) -> bool:
         """Return True if these bytes are the beginning of the file."""
-        position = 0
-        for piece in self.pieces():
-            if position >= len(data):
-                break
-            if not piece.startswith(data[position : position + len(piece)]):
-                return False
-            position += len(piece)
-        return position >= len(data)
+        beginning = io.BytesIO(data)
+        same = all(piece.startswith(beginning.read(len(piece))) for piece in self.pieces())
+        return same and not beginning.read(1)
 
     def digest(self) -> str:
         """Return the checksum of the file, hexadecimal; see `exwarp_cli.io.files`."""

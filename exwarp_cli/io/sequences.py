@@ -12,15 +12,17 @@ from pathlib import Path
 
 from exwarp_cli.domain.timeline import fill_gaps, ranges
 from exwarp_cli.errors import InputError, MissingFrameError, OutputError, UsageError
+from exwarp_cli.io.channels import Role
 from exwarp_cli.io.files import path_exists
 from exwarp_cli.io.frame_names import (
     SEPARATORS,
     NamePattern,
+    PassName,
     file_type,
-    find_pass_sets,
     group_names,
     is_padded_to,
     split_names,
+    split_pass,
 )
 
 EXR = (".exr",)
@@ -49,13 +51,10 @@ MAX_LISTED = 6
 
 
 @dataclass(frozen=True)
-class FramePattern:
-    """Frames in a folder, which need not exist; further fields as in `NamePattern`."""
+class FramePattern(NamePattern):
+    """Frames in a folder, which need not exist."""
 
     folder: Path
-    base: str
-    padding: int
-    suffix: str
 
     @property
     def type(self) -> str:
@@ -63,17 +62,13 @@ class FramePattern:
         return file_type(self.suffix)
 
     @property
-    def name(self) -> str:
-        """File name with one ``#`` per digit of padding."""
-        return str(self._name_pattern)
+    def pattern(self) -> str:
+        """Path with one ``#`` per digit of padding."""
+        return str(self.folder / str(self))
 
     def path(self, number: int) -> Path:
         """Return the path of the frame with this number."""
-        return self.folder / self._name_pattern.name(number)
-
-    @property
-    def _name_pattern(self) -> NamePattern:
-        return NamePattern(self.base, self.padding, self.suffix)
+        return self.folder / self.name(number)
 
 
 @dataclass(frozen=True)
@@ -83,11 +78,6 @@ class Sequence(FramePattern):
     files: dict[int, Path]  # by frame number, ascending
 
     @property
-    def pattern(self) -> str:
-        """Path with one ``#`` per digit of padding."""
-        return str(self.folder / self.name)
-
-    @property
     def numbers(self) -> list[int]:
         """Frame numbers, ascending."""
         return list(self.files)
@@ -95,10 +85,10 @@ class Sequence(FramePattern):
     @property
     def version_note(self) -> str | None:
         """A sentence where the numbers may be versions of one picture; None elsewhere."""
-        if len(self.files) < 2 or not self._name_pattern.is_version:
+        if len(self.files) < 2 or not self.is_version:
             return None
         return (
-            f"the numbers of {self.name} look like versions and are taken for frames; if they are "
+            f"the numbers of {self} look like versions and are taken for frames; if they are "
             "versions of one picture, give the frames of one version instead"
         )
 
@@ -169,10 +159,7 @@ def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False
 
 
 def find_aov_set(
-    spec: str,
-    suffixes: tuple[str, ...] = EXR,
-    gaps: bool = False,
-    needed: Callable[[AovSet], Collection[str]] | None = None,
+    spec: str, gaps: bool = False, needed: Callable[[AovSet], Collection[str]] | None = None
 ) -> AovSet | None:
     """Find the one-file-per-AOV set that a folder, pattern or frame belongs to.
 
@@ -182,8 +169,8 @@ def find_aov_set(
 
     Raises InputError as `find_sequence`, MissingFrameError if an AOV lacks a frame.
     """
-    leader = find_sequence(spec, suffixes)
-    sets = [c for c in _list_candidates(leader.folder, suffixes) if isinstance(c, AovSet)]
+    leader = find_sequence(spec)
+    sets = [c for c in _list_candidates(leader.folder, EXR) if isinstance(c, AovSet)]
     sets = [c for c in sets if c.leader == leader] or [c for c in sets if leader in c.members]
     if len(sets) > 1:
         raise InputError(
@@ -240,7 +227,7 @@ def output_pattern(spec: str, source: Sequence, suffixes: tuple[str, ...] = EXR)
             "the output path is empty; name a folder or a pattern such as out.####.exr"
         )
     path = Path(spec)
-    target = FramePattern(path, source.base, source.padding, source.suffix)
+    target = FramePattern(source.base, source.padding, source.suffix, path)
     if not (spec.endswith(("/", os.sep)) or (path_exists(path) and path.is_dir())):
         pattern = NamePattern.parse(path.name)
         suffix = path.suffix.lower()
@@ -251,7 +238,7 @@ def output_pattern(spec: str, source: Sequence, suffixes: tuple[str, ...] = EXR)
                 f"only; name a folder or a pattern such as out.####{suffixes[0]}"
             )
         if pattern is not None:
-            target = FramePattern(path.parent, pattern.base, pattern.padding, pattern.suffix)
+            target = FramePattern(pattern.base, pattern.padding, pattern.suffix, path.parent)
         elif suffix in suffixes:
             raise UsageError(
                 f"the output {spec} is one file, and many frames are written; "
@@ -260,7 +247,7 @@ def output_pattern(spec: str, source: Sequence, suffixes: tuple[str, ...] = EXR)
     same_names = (target.base, target.suffix) == (source.base, source.suffix)
     if same_names and target.folder.resolve() == source.folder.resolve():
         raise OutputError(
-            f"the output {target.folder / target.name} would mix new frames with those of the "
+            f"the output {target.pattern} would mix new frames with those of the "
             "input and overwrite them; name another folder or another base name"
         )
     return target
@@ -289,15 +276,66 @@ def _list_candidates(folder: Path, suffixes: tuple[str, ...]) -> list[AovSet | S
             sets.append(AovSet(colour, aovs))
     members = [member.pattern for s in sets for member in s.members]
     remaining = [s for s in sequences if s.pattern not in members]
-    for pass_set in find_pass_sets([(s.base, s.suffix) for s in remaining]):
-        colour = None if pass_set.colour is None else remaining[pass_set.colour]
-        aovs = {name: remaining[index] for name, index in pass_set.passes.items()}
-        for name, index in pass_set.more.items():
-            if colour is not None and set(colour.files) <= set(remaining[index].files):
-                aovs.setdefault(name, remaining[index])
-        sets.append(AovSet(colour, aovs, pass_set.motion))
-        members += [member.pattern for member in sets[-1].members]
+    for pass_set in _find_pass_sets(remaining):
+        sets.append(pass_set)
+        members += [member.pattern for member in pass_set.members]
     return [*sets, *(s for s in remaining if s.pattern not in members)]
+
+
+def _find_pass_sets(sequences: list[Sequence]) -> list[AovSet]:
+    """Find the sequences of a folder that belong together as passes.
+
+    There is a set for each beauty that has passes, and for each shot without a beauty that has
+    vectors and another pass. A pass that fits two beauties equally well is in the sets of both.
+    """
+    sets = []
+    for suffix in dict.fromkeys(sequence.suffix for sequence in sequences):
+        split = {i: split_pass(s.base) for i, s in enumerate(sequences) if s.suffix == suffix}
+        beauties = {i: name for i, name in split.items() if not name.is_data}
+        passes: dict[int, dict[str, Sequence]] = defaultdict(dict)
+        without_beauty: dict[str, list[int]] = defaultdict(list)
+        for index, name in split.items():
+            if not name.is_data:
+                continue
+            pass_names = _beauties_of(name, beauties)
+            for beauty, pass_name in pass_names.items():
+                passes[beauty][pass_name] = sequences[index]
+            if not pass_names:
+                without_beauty[name.shot].append(index)
+        for index, aovs in passes.items():
+            colour, shot = sequences[index], beauties[index].shot
+            # These may be further passes: their names begin as the shot's, and are not known.
+            more = {
+                name.stem[len(shot) :].lstrip(SEPARATORS): sequences[i]
+                for i, name in beauties.items()
+                if i not in passes and name.role is None and name.extends(shot)
+            }
+            for pass_name, sequence in more.items():
+                if set(colour.files) <= set(sequence.files):
+                    aovs.setdefault(pass_name, sequence)
+            sets.append(AovSet(colour, aovs))
+        for indices in without_beauty.values():
+            motion = [split[i].name for i in indices if split[i].role is Role.MOTION]
+            if motion and len(indices) > 1:
+                sets.append(AovSet(None, {split[i].name: sequences[i] for i in indices}, motion[0]))
+    return sets
+
+
+def _beauties_of(name: PassName, beauties: dict[int, PassName]) -> dict[int, str]:
+    """Return the beauties that a pass belongs to, with its name as a pass of each.
+
+    Several only where they share the longest name of a shot.
+    """
+    fitting: dict[int, tuple[int, str]] = {}
+    for index, beauty in beauties.items():
+        if beauty.role is Role.COLOUR and beauty.shot == name.shot:
+            fitting[index] = (len(beauty.shot), name.name)
+        elif name.extends(beauty.stem):
+            # FinalImage and FinalImageMovieRenderQueue_WorldDepth are of one shot too.
+            shot = beauty.shot if beauty.role is Role.COLOUR else beauty.stem
+            fitting[index] = (len(shot), name.stem[len(beauty.stem) :].lstrip(SEPARATORS))
+    longest = max((length for length, _ in fitting.values()), default=0)
+    return {index: pass_name for index, (length, pass_name) in fitting.items() if length == longest}
 
 
 def _find_by_name(spec: str, suffixes: tuple[str, ...]) -> Sequence:
@@ -349,8 +387,6 @@ def _with_suffix_case(path: Path) -> Path:
     pattern = NamePattern.parse(path.name)
     ending = path.suffix if pattern is None else pattern.suffix
     start = path.name.removesuffix(ending) if pattern is None else pattern.base
-    if not ending:
-        return path
     endings = {
         name[len(name) - len(ending) :]
         for name in _file_names(path.parent)
@@ -365,7 +401,7 @@ def _group_files(folder: Path, stem: NamePattern, names: Iterable[str]) -> list[
     sequences = []
     for padding, files in group_names(stem, names):
         paths = {number: folder / name for number, name in files.items()}
-        sequences.append(Sequence(folder, stem.base, padding, stem.suffix, paths))
+        sequences.append(Sequence(stem.base, padding, stem.suffix, folder, paths))
     return sequences
 
 

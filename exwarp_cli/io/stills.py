@@ -52,6 +52,7 @@ SEALED = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 JPEG_QUALITY = 97  # of 100: from there on files grow much faster than errors fall
 
 _DTYPES = {oiio.UINT8: np.uint8, oiio.UINT16: np.uint16, oiio.HALF: np.float16}
+_OIIO_TYPES = {np.dtype(kind): base for base, kind in _DTYPES.items()}
 _FILM_TRANSFERS = ("Printing density", "Logarithmic")
 # Structure, which the writer sets itself; and what belongs to the key frame's own pixels.
 _NOT_CARRIED = ("oiio:", "compression", "smpte:", "dpx:TimeCode", "jpeg:Compression", "Software")
@@ -60,7 +61,6 @@ _DPX_TEXTS = ((36, 136), (136, 160), (160, 260), (260, 460), (460, 660))  # SMPT
 _NO_DATE = "1970:01:01 00:00:00"
 
 _SEAL_MARK = f"exwarp:{CHECKSUM_NAME}=".encode()
-_ZEROS = CHECKSUM_ZEROS.encode()
 
 _UPRIGHT = 1  # the EXIF orientation of pixels that are shown as they are stored
 _RIFF_HEADER = 12  # bytes: "RIFF", the size of the rest, "WEBP"
@@ -100,7 +100,8 @@ def read_still(path: Path) -> tuple[Image, StillTemplate]:
 
     def read(file: Any) -> tuple[np.ndarray, StillTemplate]:
         template = _read_template(path, file.spec())
-        codes = file.read_image(0, 0, 0, file.spec().nchannels, _oiio_type(template.dtype))
+        kind = _OIIO_TYPES.get(template.dtype, oiio.FLOAT)
+        codes = file.read_image(0, 0, 0, file.spec().nchannels, kind)
         if (problem := file.geterror()) or codes is None:
             raise _damaged_error(path, problem)
         return np.asarray(codes), template
@@ -159,7 +160,24 @@ def write_still(
     suffix = path.suffix.lower()
     template = _widen_grey(image.pixels, template)
     codes = _to_codes(image.pixels, template)
-    spec = _make_spec(codes, template, suffix)
+    height, width, channels = codes.shape
+    spec = oiio.ImageSpec(width, height, channels, _OIIO_TYPES.get(template.dtype, oiio.FLOAT))
+    for name, kind, value in template.metadata:
+        spec.attribute(name, kind, value)
+        # OpenImageIO's Python drops other integers than those of 32 bits, EXIF's orientation too.
+        if spec.getattribute(name) is None and isinstance(value, int) and abs(value) < 1 << 31:
+            spec.attribute(name, value)
+    if template.has_alpha:
+        spec.alpha_channel = channels - 1
+        spec.attribute("oiio:UnassociatedAlpha", int(not template.premultiplied))
+    if template.bits < 8 * template.dtype.itemsize:
+        spec.attribute("oiio:BitsPerSample", template.bits)
+    if not spec.get_string_attribute("DateTime"):
+        spec.attribute("DateTime", _NO_DATE)  # else the writer's clock, and no two runs alike
+    if suffix == ".webp":
+        spec.attribute("Compression", "lossless:100")
+    if suffix in (".jpg", ".jpeg"):
+        spec.attribute("Compression", f"jpeg:{JPEG_QUALITY}")
     software = f"ExWarp {__version__}"
     if suffix in SEALED:  # other formats cut such texts off
         facts = json.dumps(dict(attributes), sort_keys=True, ensure_ascii=True)
@@ -189,8 +207,13 @@ def _read_file(path: Path, read: Callable[[Any], T]) -> T:
             head = file.read(len(PNG))
         if head.startswith(MAGIC):  # as a still it would lose windows, layers and attributes
             raise InputError(f"{path} is an OpenEXR file by its content; name it .exr")
-        if head.startswith(PNG) and not _is_png_complete(path):
-            raise _damaged_error(path, "")  # its decoder would print that too
+        if head.startswith(PNG):
+            with path.open("rb") as file:
+                file.seek(len(PNG))
+                while len(chunk := file.read(8)) == 8 and chunk[4:] != b"IEND":
+                    file.seek(int.from_bytes(chunk[:4], "big") + 4, 1)
+            if len(chunk) < 8:
+                raise _damaged_error(path, "")  # its decoder would print that too
         hint = oiio.ImageSpec()
         hint.attribute("oiio:UnassociatedAlpha", 1)
         with report_reading(path):
@@ -202,17 +225,6 @@ def _read_file(path: Path, read: Callable[[Any], T]) -> T:
                 return read(image)
 
     return with_retries(path, open_and_read)
-
-
-def _is_png_complete(path: Path) -> bool:
-    """Return whether the chunks of a PNG go on to its end."""
-    with path.open("rb") as file:
-        file.seek(len(PNG))
-        while len(head := file.read(8)) == 8:
-            if head[4:] == b"IEND":
-                return True
-            file.seek(int.from_bytes(head[:4], "big") + 4, 1)
-    return False
 
 
 def _damaged_error(path: Path, problem: str) -> DamagedFileError:
@@ -321,28 +333,6 @@ def _unpremultiply(colour: Float32, alpha: Float32) -> Float32:
     return np.divide(colour, alpha, out=np.zeros_like(colour), where=alpha > 0)
 
 
-def _make_spec(codes: np.ndarray, template: StillTemplate, suffix: str) -> Any:
-    height, width, channels = codes.shape
-    spec = oiio.ImageSpec(width, height, channels, _oiio_type(template.dtype))
-    for name, kind, value in template.metadata:
-        spec.attribute(name, kind, value)
-        # OpenImageIO's Python drops other integers than those of 32 bits, EXIF's orientation too.
-        if spec.getattribute(name) is None and isinstance(value, int) and abs(value) < 1 << 31:
-            spec.attribute(name, value)
-    if template.has_alpha:
-        spec.alpha_channel = channels - 1
-        spec.attribute("oiio:UnassociatedAlpha", int(not template.premultiplied))
-    if template.bits < 8 * template.dtype.itemsize:
-        spec.attribute("oiio:BitsPerSample", template.bits)
-    if not spec.get_string_attribute("DateTime"):
-        spec.attribute("DateTime", _NO_DATE)  # else the writer's clock, and no two runs alike
-    if suffix == ".webp":
-        spec.attribute("Compression", "lossless:100")
-    if suffix in (".jpg", ".jpeg"):
-        spec.attribute("Compression", f"jpeg:{JPEG_QUALITY}")
-    return spec
-
-
 def _clean_dpx_header(data: bytes, name: str) -> bytes:
     """Clear DPX's text fields behind their ends, and replace the temporary's name."""
     if data[:4] not in (b"SDPX", b"XPDS"):
@@ -354,11 +344,6 @@ def _clean_dpx_header(data: bytes, name: str) -> bytes:
             text = bytearray(name.encode()[: end - begin - 1])
         clean[begin:end] = text.ljust(end - begin, b"\0")
     return bytes(clean)
-
-
-def _oiio_type(dtype: np.dtype[Any]) -> Any:
-    names = {np.dtype(kind): base for base, kind in _DTYPES.items()}
-    return names.get(dtype, oiio.FLOAT)
 
 
 def _add_webp_orientation(data: bytes, orientation: int) -> bytes:
@@ -385,10 +370,16 @@ def _add_webp_orientation(data: bytes, orientation: int) -> bytes:
 
 def seal_still(data: bytes) -> bytes:
     """Put the checksum into an encoded file; unchanged where the format dropped its place."""
-    blank = _with_digits(data, _ZEROS)
-    if blank is None:
+    start = data.find(_SEAL_MARK) + len(_SEAL_MARK)
+    end = start + CHECKSUM_DIGITS
+    if _SEAL_MARK not in data or end > len(data):
         return data
-    return _with_digits(blank, compute_checksum([blank]).encode()) or data
+    sealed = bytearray(data)
+    sealed[start:end] = CHECKSUM_ZEROS.encode()
+    _renew_png_crc(sealed, start)
+    sealed[start:end] = compute_checksum([sealed]).encode()
+    _renew_png_crc(sealed, start)
+    return bytes(sealed)
 
 
 def still_facts(path: Path) -> dict[str, Any] | None:
@@ -405,40 +396,31 @@ def still_facts(path: Path) -> dict[str, Any] | None:
         raise InputError(
             f"cannot read {path}: {error.strerror or error}; check the path and its rights"
         ) from error
-    return parse_still_facts(data)
+    is_authentic, facts = parse_still_facts(data)
+    return facts if is_authentic else None
 
 
-def has_seal(data: bytes) -> bool:
-    """Return whether a file has a place for the checksum, whatever stands there."""
-    return _SEAL_MARK in data
+def parse_still_facts(data: bytes) -> tuple[bool, dict[str, Any] | None]:
+    """Return whether an image's bytes are as ExWarp wrote them, and what it was made of.
+
+    The facts are None for a file without a checksum, and {} for one that was changed.
+    """
+    if _SEAL_MARK not in data:
+        return False, None
+    facts = None
+    if seal_still(data) == data:
+        end = data.find(_SEAL_MARK) + len(_SEAL_MARK) + CHECKSUM_DIGITS
+        with suppress(ValueError):  # there is no text, or it is cut off
+            facts, _ = json.JSONDecoder().raw_decode(data[end:].decode("latin-1").lstrip())
+    return (True, facts) if isinstance(facts, dict) else (False, {})
 
 
-def parse_still_facts(data: bytes) -> dict[str, Any] | None:
-    """Return what an undamaged generated image was made of, from its file's bytes."""
-    blank, start = _with_digits(data, _ZEROS), data.find(_SEAL_MARK) + len(_SEAL_MARK)
-    end = start + CHECKSUM_DIGITS
-    if blank is None or compute_checksum([blank]).encode() != data[start:end]:
-        return None
-    text = data[end:].decode("latin-1").lstrip()
-    try:
-        facts, _ = json.JSONDecoder().raw_decode(text)
-    except ValueError:
-        return None
-    return facts if isinstance(facts, dict) else None
-
-
-def _with_digits(data: bytes, digits: bytes) -> bytes | None:
-    """Return the file with other digits for its checksum; None where it has no place for them."""
-    start = data.find(_SEAL_MARK) + len(_SEAL_MARK)
-    if not has_seal(data) or start + CHECKSUM_DIGITS > len(data):
-        return None
-    changed = bytearray(data)
-    changed[start : start + CHECKSUM_DIGITS] = digits
+def _renew_png_crc(data: bytearray, place: int) -> None:
+    """Renew the CRC behind the chunk of a PNG that holds a place; other formats have none."""
     begin = len(PNG)
     while data.startswith(PNG) and begin + 12 <= len(data):
         end = begin + 8 + int.from_bytes(data[begin : begin + 4], "big")
-        if begin <= start < end <= len(data) - 4:  # the chunk with the digits has a CRC behind it
-            changed[end : end + 4] = zlib.crc32(changed[begin + 4 : end]).to_bytes(4, "big")
-            break
+        if begin <= place < end <= len(data) - 4:
+            data[end : end + 4] = zlib.crc32(data[begin + 4 : end]).to_bytes(4, "big")
+            return
         begin = end + 4
-    return bytes(changed)

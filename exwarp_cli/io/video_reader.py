@@ -11,10 +11,10 @@ import re
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.display_colour import MATRICES, VideoColour, from_display
 from exwarp_cli.io.ffmpeg import EXACT_SCALING, FfmpegError, FfmpegReader, run_ffmpeg
-from exwarp_cli.io.files import ResourceOwner, system_failure, with_retries
+from exwarp_cli.io.files import system_failure, with_retries
 from exwarp_cli.io.video_timing import (
     IN_ORDER,
     ON_DAMAGE,
@@ -89,15 +89,20 @@ class Clip:
         """Number of frames at this rate."""
         return len(self.pacing.shown)
 
+    @cached_property
+    def digest(self) -> str:
+        """Digest of the file, hexadecimal; see `file_digest`."""
+        from exwarp_cli.io.key_file import file_digest  # OpenEXR, which is not needed to decode
+
+        return file_digest(self.path)
+
     @property
     def reading(self) -> tuple[str, ...]:
         """Names of what its frames depend on beside the file."""
         names = {"alpha": self.has_alpha, "deinterlaced": self._is_deinterlaced}
         return tuple(name for name, applies in names.items() if applies)
 
-    def sound(
-        self, start: Fraction | int = 0, stop: Fraction | int | None = None
-    ) -> Soundtrack | None:
+    def sound(self, start: Fraction | int, stop: Fraction | int | None) -> Soundtrack | None:
         """Return the sound that goes with the frames [start, stop); None where it is silent."""
         sound = self.look.sound
         if sound is None:
@@ -105,20 +110,19 @@ class Clip:
         length = None if stop is None else (stop - start) / self.rate
         return replace(sound, start=sound.start + start / self.rate, length=length)
 
-    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Float32]:
-        """Decode the frames [start, stop), one at a time: float32 [H, W, 3 or 4], 0 to 1.
+    def frames(self, start: int = 0) -> Iterator[Float32]:
+        """Decode the frames from `start` on, one at a time: float32 [H, W, 3 or 4], 0 to 1.
 
         They are scene-linear by the sRGB curve, the inverse of `to_display`. With alpha, they are
         premultiplied. Pixels are the same wherever decoding starts. Raises DamagedFileError when
         the video cannot be decoded, or ends early.
         """
         packets = self._packets
-        shown = self.pacing.shown[start : self.count if stop is None else stop]
+        shown = self.pacing.shown[start:]
         if not shown:
             return
         first = packets.cut(shown[0]) if packets.times else shown[0]
-        # A field is judged by the frame before, too.
-        key = None if first is None else self._key_before(first - self._is_deinterlaced)
+        _, key = self._start(shown[0])
         seek = None if key is None else packets.time(key)
         begin = [] if seek is None else ["-ss", f"{float(seek):.6f}"]
         if first is None:
@@ -133,12 +137,12 @@ class Clip:
         decoded = (first or 0) - 1
         ahead: deque[tuple[int, bytes]] = deque()
         try:
-            with FfmpegReader(["-xerror", *begin, *self._decoding_options(cut)]) as ffmpeg:
+            with self._decoder_from(["-xerror", *begin], cut) as ffmpeg:
                 for index, source in enumerate(shown, start=start):
                     # A B-frame is not known to be sound before the frame after it is.
                     needed = packets.last_needed(source)
                     while decoded < needed:
-                        data = ffmpeg.read(self._frame_size)
+                        data = ffmpeg.read()
                         if data is None:
                             why = f"it ends after {index} of {self.count} frames"
                             raise damaged_clip(self.path, why)
@@ -152,12 +156,8 @@ class Clip:
 
     def begins_group(self, index: int) -> bool:
         """Return whether a frame is the first that is decoded after a seek, or of the file."""
-        first = self._first_needed(self.pacing.shown[index])
-        return first <= 0 or self._key_before(first) == first
-
-    def _first_needed(self, source: int) -> int:
-        """Return the first of the file's frames that one of them is made from."""
-        return (self._packets.cut(source) or 0) - self._is_deinterlaced
+        first, key = self._start(self.pacing.shown[index])
+        return first <= 0 or key == first
 
     def intact_frames(self, start: int = 0) -> Iterator[Float32 | None]:
         """Decode the frames from `start` on as `frames` does, over damage.
@@ -166,19 +166,21 @@ class Clip:
         after it up to the next key frame.
         """
         shown = self.pacing.shown[start:]
-        begin = self._key_before(self._first_needed(shown[0])) or 0
+        begin = self._start(shown[0])[1] or 0
         seek = ["-ss", f"{float(self._packets.time(begin)):.6f}"] if begin else []
-        options = [*ON_DAMAGE, *seek, *self._decoding_options("")]
-        with FfmpegReader(options) as ffmpeg:
-            intact = intact_frames(ffmpeg, self._frame_size, self._packets, begin, self.rate)
+        with self._decoder_from([*ON_DAMAGE, *seek]) as ffmpeg:
+            intact = intact_frames(ffmpeg, self._packets, begin, self.rate)
             decoded, data = -1, b""
             for source in shown:
                 while decoded < source:
                     decoded, data = next(intact, (self._packets.count, b""))
                 yield None if decoded > source else self._to_light(data)
 
-    def _decoding_options(self, cut: str) -> list[str]:
-        """Return what makes ffmpeg write full-range RGB, after filters that choose frames."""
+    def _decoder_from(self, begin: list[str], cut: str = "") -> FfmpegReader:
+        """Return an ffmpeg that reads by the options `begin`, and writes full-range RGB.
+
+        `cut` are filters that choose frames.
+        """
         names = ("rgb48le", "rgba64le") if self.deep else ("rgb24", "rgba")
         pixels = names[self.has_alpha]
         fields = f"{DEINTERLACE}," if self._is_deinterlaced else ""
@@ -186,16 +188,13 @@ class Clip:
             f"scale={self.width}:{self.height}:in_color_matrix={MATRICES[self.look.colour.matrix]}:"
             f"out_range=pc:{EXACT_SCALING},format={pixels}"
         )
-        return [
-            *(*IN_ORDER, *self._decoder, "-i", f"file:{self.path}", "-map", "0:V:0"),
+        options = [
+            *(*begin, *IN_ORDER, *self._decoder, "-i", f"file:{self.path}", "-map", "0:V:0"),
             *("-vf", f"{fields}{cut}{conversion}", "-fps_mode", "passthrough"),
             *("-f", "rawvideo", "-pix_fmt", pixels, "-"),
         ]
-
-    @property
-    def _frame_size(self) -> int:
-        """Bytes of a decoded frame."""
-        return self.width * self.height * (3 + self.has_alpha) * (1 + self.deep)
+        frame_bytes = self.width * self.height * (3 + self.has_alpha) * (1 + self.deep)
+        return FfmpegReader(options, frame_bytes)
 
     def _to_light(self, data: bytes) -> Float32:
         """Turn sRGB codes into scene-linear light, premultiplied if there is alpha."""
@@ -207,21 +206,23 @@ class Clip:
         alpha = np.minimum(codes[..., 3:] / np.float32(self._full_alpha), 1)
         return np.concatenate([light * alpha, alpha], axis=-1)
 
-    def _key_before(self, first: int) -> int | None:
-        """Return the key frame to seek to before a frame; None to decode from the start.
+    def _start(self, source: int) -> tuple[int, int | None]:
+        """Return the first of the file's frames that one is made from, and where decoding starts.
 
-        What is shown before a key frame but comes after it in the file, an open group of pictures,
-        needs the key frame before; by the order of showing it is behind that one.
+        That is at a key frame to seek to, or at the start for None. What is shown before a key
+        frame but comes after it in the file, an open group of pictures, needs the key frame before;
+        by the order of showing it is behind that one.
         """
-        keys = self._packets.keys
-        before = bisect_right(keys, first) - 1
-        if not self._is_indexed or before < 1 or self._packets.least_step <= 0:
-            return None
-        return keys[before]
+        packets = self._packets
+        first = (packets.cut(source) or 0) - self._is_deinterlaced  # fields need the frame before
+        before = bisect_right(packets.keys, first) - 1
+        if not self._is_indexed or before < 1 or packets.least_step <= 0:
+            return first, None
+        return first, packets.keys[before]
 
 
-class ClipReader(ResourceOwner):
-    """Frames of a video by their index, cheaply as long as that grows; a context manager."""
+class ClipReader:
+    """Frames of a video by their index, cheaply as long as that grows; `close` ends ffmpeg."""
 
     def __init__(self, clip: Clip) -> None:
         self._clip = clip
@@ -230,9 +231,6 @@ class ClipReader(ResourceOwner):
         self._last: tuple[int, Float32] | None = None
         self._damaged: set[int] = set()
         self._is_damaged = False
-
-    def _open(self, stack: ExitStack) -> None:
-        stack.callback(self._stop_decoding)
 
     def read(self, index: int) -> Float32:
         """Return a frame as `Clip.frames` yields it.
@@ -253,7 +251,7 @@ class ClipReader(ResourceOwner):
         try:
             frame = self._decode(index)
         except DamagedFileError as error:
-            self._stop_decoding()
+            self.close()
             if self._is_damaged or system_failure(clip.path, error) is not None:
                 raise
             # Once there is damage, ffmpeg decodes on over it, and does not begin at each frame.
@@ -264,7 +262,7 @@ class ClipReader(ResourceOwner):
             if system_failure(clip.path, damage) is None:
                 self._damaged.add(index)
             else:
-                self._stop_decoding()  # the end of what was read is not the end of the file
+                self.close()  # the end of what was read is not the end of the file
             raise damage
         self._last = index, frame
         return frame
@@ -272,7 +270,7 @@ class ClipReader(ResourceOwner):
     def _decode(self, index: int) -> Float32 | None:
         """Return a frame, or None if damage affects it; raises DamagedFileError at first damage."""
         if self._frames is None or index < self._next:
-            self._stop_decoding()
+            self.close()
             clip = self._clip
             # Inside a group of pictures, ffmpeg hands out frames before it stops at earlier damage.
             is_checked = self._is_damaged or not clip.begins_group(index)
@@ -284,7 +282,8 @@ class ClipReader(ResourceOwner):
                 return frame
         raise IndexError(f"{self._clip.path} has no frame {index}")
 
-    def _stop_decoding(self) -> None:
+    def close(self) -> None:
+        """Stop decoding; a later `read` begins again."""
         if self._frames is not None:
             self._frames.close()  # type: ignore[attr-defined]  # a generator
         self._frames = None

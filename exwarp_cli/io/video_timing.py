@@ -364,21 +364,21 @@ class _DecodedFrame:
 
 
 def intact_frames(
-    ffmpeg: FfmpegReader, size: int, packets: Packets, begin: int, rate: Fraction
+    ffmpeg: FfmpegReader, packets: Packets, begin: int, rate: Fraction
 ) -> Iterator[tuple[int, bytes]]:
     """Yield the frames that damage does not affect, with their indices in the file.
 
     A frame that is corrupt or missing makes those after it unusable up to the next key frame.
 
-    `ffmpeg` decodes with the options `ON_DAMAGE` and writes every frame, of `size` bytes. `begin`
-    is the index of the frame whose time is ffmpeg's 0; 0 for the start of the file. `rate` counts
-    where the packets have no times.
+    `ffmpeg` decodes with the options `ON_DAMAGE` and writes every frame. `begin` is the index of
+    the frame whose time is ffmpeg's 0; 0 for the start of the file. `rate` counts where the packets
+    have no times.
     """
     expected, is_usable, zero = begin, True, None
     # Frames that may build on frames shown after them: index, bytes, and the last frame that each
     # may build on. Without times a B-frame has None there: it waits for the next that is none.
     waiting: deque[tuple[int, bytes, int | None]] = deque()
-    for frame, data in _decoded_frames(ffmpeg, size):
+    for frame, data in _decoded_frames(ffmpeg):
         zero = frame.time if zero is None else zero
         if packets.times:
             origin = packets.time(begin) if begin else Fraction(0)
@@ -414,13 +414,13 @@ def _without_dependents(
     )
 
 
-def _decoded_frames(ffmpeg: FfmpegReader, size: int) -> Iterator[tuple[_DecodedFrame, bytes]]:
+def _decoded_frames(ffmpeg: FfmpegReader) -> Iterator[tuple[_DecodedFrame, bytes]]:
     """Yield each decoded frame with its state, up to where decoding fails for good."""
     frames: deque[_DecodedFrame] = deque()
     is_corrupt = False
     while True:
         try:
-            data = ffmpeg.read(size)
+            data = ffmpeg.read()
         except FfmpegError:
             return
         for line in ffmpeg.messages():

@@ -13,7 +13,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -155,16 +154,6 @@ class Soundtrack:
     subtitles: tuple[str, ...] = ()  # codecs of its subtitles, by ffmpeg's names
 
     @property
-    def tracks(self) -> tuple[Track, ...]:
-        """Its tracks, sound first."""
-        kinds = ((SOUND, self.codecs), (SUBTITLES, self.subtitles))
-        return tuple(
-            Track(kind, index, codec)
-            for kind, codecs in kinds
-            for index, codec in enumerate(codecs)
-        )
-
-    @property
     def input_options(self) -> list[str]:
         """ffmpeg's options that read the part of the other video which is taken over."""
         options = ["-ss", f"{float(self.start):.6f}"] if self.start > 0 else []
@@ -289,26 +278,20 @@ class VideoWriter(ResourceOwner):
                 f"cannot write the video {self._path}: {error}; reinstall the "
                 "package imageio-ffmpeg, or run without the video"
             ) from error
+        stack.push(self._finish)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def _finish(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         if error is not None:
-            super().__exit__(kind, error, trace)
             return
-        with self._stack:
-            try:
-                self._ffmpeg.close()
-            except FfmpegError as failure:
-                raise self._write_error(failure) from failure
-            if self._count == 0:
-                raise OutputError(
-                    f"the video {self._path} would have no frames; choose frames to write, or run "
-                    "without the video"
-                )
+        try:
+            self._ffmpeg.close()
+        except FfmpegError as failure:
+            raise self._write_error(failure) from failure
+        if self._count == 0:
+            raise OutputError(
+                f"the video {self._path} would have no frames; choose frames to write, or run "
+                "without the video"
+            )
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -340,13 +323,14 @@ class VideoWriter(ResourceOwner):
         look, codec, colour = self._look, self._codec, self._look.colour
         if not codec.has_full_range:
             colour = replace(colour, full_range=False)
+        scale = "pc" if colour.full_range else "tv"
         source = (RAW_INPUT_16 if codec.is_deep else RAW_INPUT).format(
             width=width + width % 2, height=height + height % 2, rate=self._rate
         )
         # Turn sRGB codes into the video's colour, and say so: the encoder labels it with that.
         filters = (
-            f"scale=out_color_matrix={MATRICES[colour.matrix]}:out_range={colour.range}:"
-            f"{EXACT_SCALING},setparams=range={colour.range}:colorspace={colour.matrix}:"
+            f"scale=out_color_matrix={MATRICES[colour.matrix]}:out_range={scale}:"
+            f"{EXACT_SCALING},setparams=range={scale}:colorspace={colour.matrix}:"
             f"color_primaries={colour.primaries}:color_trc={colour.transfer},"
             f"setsar={look.pixel_aspect.numerator}/{look.pixel_aspect.denominator}"
         )
@@ -381,12 +365,14 @@ def plan_tracks(sound: Soundtrack, container: str) -> tuple[EncodedTracks, tuple
 
     Returns the tracks that go along, and a sentence for each one that is not copied.
     """
-    encoded = [(track, _encoders(track, container)[0]) for track in sound.tracks]
+    tracks = [Track(SOUND, index, codec) for index, codec in enumerate(sound.codecs)]
+    tracks += [Track(SUBTITLES, index, codec) for index, codec in enumerate(sound.subtitles)]
+    encoded = [(track, _encoders(track, container)[0]) for track in tracks]
     if encoded and not _can_encode(sound, encoded, container):  # rarely: else it is read once
-        choices = [(track, _choose_encoder(sound, track, container)) for track in sound.tracks]
+        choices = [(track, _choose_encoder(sound, track, container)) for track in tracks]
         encoded = [(track, encoder) for track, encoder in choices if encoder is not None]
     encoders, remarks = dict(encoded), []
-    for track in sound.tracks:
+    for track in tracks:
         kind, encoder = "sound" if track.kind == SOUND else "subtitle", encoders.get(track)
         name = f"{kind} track {track.index + 1} ({track.codec}) of {sound.path}"
         if encoder is None:

@@ -12,7 +12,7 @@ from exwarp_cli.domain.colour import SRGB
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.settings import SRGB_VIEW
 from exwarp_cli.errors import InstallationError, UsageError
-from exwarp_cli.io.display_colour import HALF_MAX, Primaries, brighten, primaries_of
+from exwarp_cli.io.display_colour import HALF_MAX, Primaries, primaries_of
 from exwarp_cli.io.exr.reader import read_headers
 from exwarp_cli.io.footage import is_plain
 from exwarp_cli.io.sequences import Sequence
@@ -70,16 +70,13 @@ class ViewTransform:
             source, self.display, self.view, SOURCE_SPACE, colorconfig=self.config
         )
         if shown.has_error:
-            raise self._error(shown.geterror())
+            (first, *_) = shown.geterror().splitlines() or ["nothing"]
+            why = f"--view-transform {self.name} cannot be used, as OpenImageIO says {first!r}"
+            if self.name in BUILT_IN:
+                raise InstallationError(f"{why}; install a newer OpenImageIO, or use srgb")
+            raise UsageError(f"{why}; correct the configuration, the display or the view")
         codes = np.asarray(shown.get_pixels(oiio.FLOAT), np.float32)
         return SRGB.to_linear(codes.clip(0, 1))
-
-    def _error(self, reason: str) -> UsageError | InstallationError:
-        (first, *_) = reason.splitlines() or ["nothing"]
-        said = f"--view-transform {self.name} cannot be used, as OpenImageIO says {first!r}"
-        if self.name in BUILT_IN:
-            return InstallationError(f"{said}; install a newer OpenImageIO, or use srgb")
-        return UsageError(f"{said}; correct the configuration, the display or the view")
 
 
 @dataclass(frozen=True)
@@ -93,12 +90,13 @@ class DisplayLook:
         """Return the light of a display, Rec. 709, that shows scene-linear colour.
 
         `linear` and the result are float32 [H, W, 3 or more]; a display clips what is not from 0
-        to 1. `exposure_stops` brighten before the view transform.
+        to 1. `exposure_stops` brighten before the view transform, beyond float32 to infinity.
         """
         if self.primaries is not None:
             linear = self.primaries.converted(linear)
         if exposure_stops:
-            linear = brighten(linear, exposure_stops)
+            with np.errstate(over="ignore"):
+                linear = linear * np.float32(2.0**exposure_stops)
         return linear if self.transform is None else self.transform.apply(linear)
 
 

@@ -83,8 +83,8 @@ def foresee(job: Job) -> DryRun:
     return DryRun(
         head=job.summary(RunOutcome(), 0.0),
         frames=frames,
-        output=None if targets.frames is None else targets.frames.folder / targets.frames.name,
-        holes=None if targets.holes is None else targets.holes.folder / targets.holes.name,
+        output=None if targets.frames is None else Path(targets.frames.pattern),
+        holes=None if targets.holes is None else Path(targets.holes.pattern),
         video=targets.video,
         cuts_looked_for=cuts.detect,
         cuts=tuple(sorted({*by_hand, *(detected or ())}, key=lambda cut: cut.number)),

@@ -15,7 +15,6 @@ from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.footage import close_sequences, is_plain
 from exwarp_cli.io.generated_frames import parse_compression
 from exwarp_cli.io.layers import BEAUTY
-from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.decide import make_chooser
 from exwarp_cli.pipeline.extra_layers import Content, contents_of
 from exwarp_cli.pipeline.ground_truth import find_truth, require_truth_size
@@ -30,6 +29,7 @@ from exwarp_cli.pipeline.messages import (
 )
 from exwarp_cli.pipeline.output_plan import OutputPlan, require_own
 from exwarp_cli.pipeline.rendered_frames import find_rendered, require_rendered_size
+from exwarp_cli.pipeline.scheduling import use_threads
 from exwarp_cli.pipeline.scoring import require_measurable
 from exwarp_cli.pipeline.source import open_sources, require_one_size_of
 from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames

@@ -173,7 +173,7 @@ class OutputPlan:
             existing = [n for n in numbers if pattern is not None and path_exists(pattern.path(n))]
             if existing and pattern is not None:
                 raise OutputExistsError(
-                    f"{pattern.folder} has frame {ranges(existing)} of {pattern.name} already; "
+                    f"{pattern.folder} has frame {ranges(existing)} of {pattern} already; "
                     "give --skip-existing to keep good ones, --overwrite to replace them, or "
                     "another -o"
                 )

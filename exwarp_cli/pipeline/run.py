@@ -20,7 +20,6 @@ from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.exr.writer import PREFIX
 from exwarp_cli.io.footage import read_sequence_picture
-from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.fingerprint import key_fingerprint
@@ -51,6 +50,7 @@ from exwarp_cli.pipeline.scheduling import (
     prefetch,
     read_depth,
     record_time,
+    use_threads,
 )
 from exwarp_cli.pipeline.scoring import IntervalScores, KeyedPulses, broken_pixels_of
 from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_attribute, rounded

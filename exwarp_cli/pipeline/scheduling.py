@@ -1,6 +1,11 @@
 """Threads of a run: intervals read ahead, slots rendered in parallel, files written behind.
 
 Everything is bounded, so that memory does not grow with the sequence.
+
+`use_threads` passes the number of cores of this process on to the libraries that start threads.
+onnxruntime's sessions, ffmpeg and this package's own thread pools take the number from
+`runtime.cores` at each use. OpenCV always has one thread. numpy starts BLAS as it is imported, so
+`exwarp_cli.cli` limits BLAS.
 """
 
 from __future__ import annotations
@@ -14,10 +19,13 @@ from enum import Enum
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
+import OpenImageIO as oiio
+
 from exwarp_cli.errors import InputError
-from exwarp_cli.io.threads import limit_kernel_threads
 from exwarp_cli.kernels import _row_bands
+from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.cores import hold_cores, release_cores, rendering
+from exwarp_cli.runtime.machine import processors
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.interval_builder import PreparedInterval
@@ -29,6 +37,22 @@ T = TypeVar("T")
 # Pixels of a frame up to which anything is done ahead: of 3840x2160 a key frame with its geometry
 # takes 430 MB, and decoding keeps all cores busy by itself.
 MAX_PIXELS_AHEAD = 4 * 2**20
+
+
+def use_threads(count: int | None) -> None:
+    """Set how many cores this process uses: at least 1, or None for all that it may use."""
+    cores.set_count(count, processors().usable)
+    oiio.attribute("threads", cores.count())
+    oiio.attribute("exr_threads", cores.count())
+    _limit_kernel_threads()
+
+
+def _limit_kernel_threads() -> None:
+    """Limit the kernels that this thread starts to the spare cores.
+
+    Each thread has to call it: the kernels of a new thread use all cores.
+    """
+    _row_bands.set_threads(cores.spare_count)
 
 
 class Mode(Enum):
@@ -93,7 +117,7 @@ def prefetch(tasks: Iterable[Callable[[], T]], depth: int) -> Iterator[T]:
     An error of a task is raised where its result is due.
     """
     ahead: deque[Future[T]] = deque()
-    pool = ThreadPoolExecutor(1, "exwarp-read", limit_kernel_threads)
+    pool = ThreadPoolExecutor(1, "exwarp-read", _limit_kernel_threads)
     try:
         for task in tasks:
             ahead.append(pool.submit(run_with_core, task))
@@ -152,7 +176,7 @@ class AsyncWriter(AbstractContextManager["AsyncWriter"]):
     """
 
     def __init__(self, threads: int, depth: int) -> None:
-        self._pool = ThreadPoolExecutor(threads, "exwarp-write", limit_kernel_threads)
+        self._pool = ThreadPoolExecutor(threads, "exwarp-write", _limit_kernel_threads)
         self._depth = depth
         self._waiting: deque[Future[None]] = deque()
 

@@ -18,7 +18,7 @@ import OpenEXR
 
 from exwarp_cli.io.exr.header import Channel
 from exwarp_cli.io.exr.reader import ExrFile
-from exwarp_cli.io.threads import use_threads
+from exwarp_cli.pipeline.scheduling import use_threads
 from tests.bench import goals
 from tests.bench.timing import compare
 

@@ -29,9 +29,9 @@ CASES = {
 }
 
 LARGE = """
-from exwarp_cli.io import threads
+from exwarp_cli.pipeline import scheduling
 from exwarp_cli.runtime import machine
-threads.processors = lambda: machine.Processors(64, 64, None)
+scheduling.processors = lambda: machine.Processors(64, 64, None)
 from exwarp_cli import cli
 cli.main()
 """

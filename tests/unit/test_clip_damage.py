@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,13 +54,13 @@ class TestDamage:
         lost = []
 
         class Counted(FfmpegReader):
-            def __init__(self, options) -> None:
+            def __init__(self, options, frame_bytes) -> None:
                 runs.append(options)
-                super().__init__(options)
+                super().__init__(options, frame_bytes)
 
         monkeypatch.setattr("exwarp_cli.io.video_reader.FfmpegReader", Counted)
         assert clip.count == 60
-        with ClipReader(clip) as reader:
+        with closing(ClipReader(clip)) as reader:
             for index in range(clip.count):
                 try:
                     assert np.array_equal(reader.read(index), whole[index]), index
@@ -69,14 +70,14 @@ class TestDamage:
                     lost.append(index)
         assert 0 < len(lost) <= 14 and lost == list(range(lost[0], lost[-1] + 1))
         assert len(runs) == 2  # up to the damage, and over it
-        with ClipReader(clip) as reader:
+        with closing(ClipReader(clip)) as reader:
             after = lost[-1] + 1
             assert np.array_equal(reader.read(after), whole[after])
             with pytest.raises(DamagedFileError, match=f"frame {lost[0] + 1} of 60"):
                 reader.read(lost[0])
         for index in spread(lost, 3):  # read first, it is no less damaged
             with (
-                ClipReader(clip) as reader,
+                closing(ClipReader(clip)) as reader,
                 pytest.raises(DamagedFileError, match=f"frame {index + 1} of 60"),
             ):
                 reader.read(index)

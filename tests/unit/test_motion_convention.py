@@ -26,7 +26,7 @@ UV_BACK = ("forward.u", "forward.v", "back.u", "back.v")
 
 
 def shot_with(motion: tuple[ChannelRef, ...]) -> Shot:
-    sequence = Sequence(Path(), "a.", 4, ".exr", {1: Path("a.0001.exr")})
+    sequence = Sequence("a.", 4, ".exr", Path(), {1: Path("a.0001.exr")})
     return Shot(sequence, {}, Layout({Role.MOTION: motion}), Window(0, 0, 4, 3))
 
 

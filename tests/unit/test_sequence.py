@@ -21,7 +21,7 @@ def fill(folder: Path, *names: str) -> Path:
 
 
 def sequence(folder: Path = Path("in"), base: str = "shot.", padding: int = 4) -> Sequence:
-    return Sequence(folder, base, padding, ".exr", {1: folder / "shot.0001.exr"})
+    return Sequence(base, padding, ".exr", folder, {1: folder / "shot.0001.exr"})
 
 
 class TestSpellings:
@@ -315,7 +315,7 @@ class TestOutputPattern:
         target = output_pattern(spec, sequence())
         assert target.folder == Path(spec)
         assert target.path(1005) == Path(spec) / "shot.1005.exr"
-        assert target.name == "shot.####.exr"
+        assert str(target) == "shot.####.exr"
 
     @pytest.mark.parametrize(
         ("spec", "number", "path"),

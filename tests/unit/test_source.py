@@ -26,7 +26,7 @@ UV = ("forward.u", "forward.v", "backward.u", "backward.v")
 
 def sequence(numbers: range | list[int]) -> Sequence:
     files = {n: Path(f"/in/g.{n:04d}.exr") for n in numbers}
-    return Sequence(Path("/in"), "g.", 4, ".exr", files)
+    return Sequence("g.", 4, ".exr", Path("/in"), files)
 
 
 class TestAlign:

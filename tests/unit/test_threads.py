@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import OpenImageIO as oiio
 import pytest
 
-from exwarp_cli.io import ffmpeg, threads
-from exwarp_cli.io.threads import use_threads
+from exwarp_cli.io import ffmpeg
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.models import picture_network
-from exwarp_cli.pipeline.scheduling import AsyncWriter, prefetch
+from exwarp_cli.pipeline import scheduling
+from exwarp_cli.pipeline.scheduling import AsyncWriter, prefetch, use_threads
 from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.machine import Processors
 
@@ -19,7 +19,7 @@ from exwarp_cli.runtime.machine import Processors
 @pytest.fixture(autouse=True)
 def four_cores(monkeypatch):
     """A machine of eight cores, of which this process may use four."""
-    monkeypatch.setattr(threads, "processors", lambda: Processors(8, 4, None))
+    monkeypatch.setattr(scheduling, "processors", lambda: Processors(8, 4, None))
     yield
     monkeypatch.undo()
     use_threads(None)

@@ -14,7 +14,6 @@ import pytest
 from exwarp_cli.errors import InstallationError, OutputError, UsageError
 from exwarp_cli.io.display_colour import (
     VideoColour,
-    brighten,
     from_display,
     to_display,
     to_display_16,
@@ -28,6 +27,7 @@ from exwarp_cli.io.video_writer import (
     find_codec,
     read_video_note,
 )
+from exwarp_cli.io.view_transform import DisplayLook
 
 
 def ffmpeg(*arguments: str) -> subprocess.CompletedProcess[bytes]:
@@ -71,11 +71,18 @@ class TestToDisplay:
         values = [-5.0, -np.inf, np.nan, np.inf, 7.0, 3e38]
         pixels = np.array(values, np.float32).reshape(1, -1, 1).repeat(3, axis=2)
         assert list(to_display(pixels)[0, :, 0]) == [0, 0, 0, 255, 255, 255]
-        assert list(to_display(brighten(pixels, 20))[0, :, 0]) == [0, 0, 0, 255, 255, 255]
+        assert list(to_display(DisplayLook().apply(pixels, 20))[0, :, 0]) == [
+            0,
+            0,
+            0,
+            255,
+            255,
+            255,
+        ]
 
     def test_exposure_is_in_stops(self):
         pixels = np.full((2, 2, 3), 0.1, np.float32)
-        assert np.array_equal(brighten(pixels, 2.0), pixels * 4)
+        assert np.array_equal(DisplayLook().apply(pixels, 2.0), pixels * 4)
 
     def test_alpha_is_dropped_and_the_input_kept(self):
         pixels = np.full((2, 3, 4), np.nan, np.float32)

@@ -8,8 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from exwarp_cli.io.display_colour import brighten, to_display
+from exwarp_cli.io.display_colour import to_display
 from exwarp_cli.io.frames import read_image
+from exwarp_cli.io.view_transform import DisplayLook
 from exwarp_cli.report.gallery import KEY, TRUTH
 from tests.matrix import spread
 from tests.web.conftest import NAME, STREET
@@ -123,7 +124,7 @@ def test_colours_are_those_of_the_file_at_each_exposure(visit, report, stops):
     seen.act("4", *(("E",) if stops > 0 else ("e",)) * abs(2 * stops))
     assert seen.part("stops").inner_text() == f"{stops:+d}".replace("+0", "0")
     truth = read_image(report.truth / "shot.0006.exr").pixels
-    apart = np.abs(image(seen.canvas()) - to_display(brighten(truth, stops)))
+    apart = np.abs(image(seen.canvas()) - to_display(DisplayLook().apply(truth, stops)))
     assert apart.mean() < 5, "WebP at this size"
 
 

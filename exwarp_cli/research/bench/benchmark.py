@@ -18,9 +18,9 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.exr.reader import read_headers
 from exwarp_cli.io.exr.writer import render_seconds
 from exwarp_cli.io.files import atomic_write_text, make_folder, remove_leftovers
-from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.messages import other_extrapolator
 from exwarp_cli.pipeline.progress import Progress
+from exwarp_cli.pipeline.scheduling import use_threads
 from exwarp_cli.research.bench.measurement import (
     SLOT_SCORES,
     measure,

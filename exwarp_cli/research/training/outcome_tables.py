@@ -27,11 +27,11 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
 from exwarp_cli.io.files import atomic_write_bytes, make_folder
-from exwarp_cli.io.threads import use_threads
 from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.models.policy_files import Array, pack_arrays, unpack_arrays
 from exwarp_cli.pipeline.decide import outcomes_of, with_ids
+from exwarp_cli.pipeline.scheduling import use_threads
 from exwarp_cli.policy.state import INPUTS, OLDER_KEYS, StateHistory, observe
 from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.scene_clip import SceneClip

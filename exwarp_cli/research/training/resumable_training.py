@@ -25,9 +25,8 @@ from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, split_scenes
 from exwarp_cli.io.files import atomic_path, atomic_write_text, make_folder
 from exwarp_cli.io.key_file import file_digest
-from exwarp_cli.io.threads import use_threads
 from exwarp_cli.models.model_file import read_file_bytes
-from exwarp_cli.pipeline.scheduling import prefetch
+from exwarp_cli.pipeline.scheduling import prefetch, use_threads
 from exwarp_cli.research.training.crop_cache import CachedArrays, is_complete
 from exwarp_cli.research.training.training_settings import ExtrapolatorSettings, LookAheadSettings
 from exwarp_cli.runtime import cores
