@@ -17,13 +17,12 @@ from exwarp_cli.domain.frame import Bool, Window, is_surely_finite, nonfinite_pi
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.channel_map import AovFile, ChannelMap, detect_aov, find_channel
-from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect_layout
+from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect_layout, vector_direction
 from exwarp_cli.io.cryptomatte import Cryptomatte, IdReading, find_cryptomattes
 from exwarp_cli.io.depth import DepthReading, depth_reading_by_name
 from exwarp_cli.io.exr.header import Channel, Part
 from exwarp_cli.io.exr.reader import ExrFile, FileHeader, HeaderCache, deep_image_error
 from exwarp_cli.io.frame_names import split_pass
-from exwarp_cli.io.producers import vector_direction
 from exwarp_cli.io.sequences import AovSet, Sequence, find_aov_set, find_sequence
 from exwarp_cli.io.views import ALL, choose_view, expand_view, list_views, view_channels
 
@@ -135,7 +134,13 @@ class Shot:
     @property
     def listed(self) -> str:
         """Every channel, by the names that a channel map takes, for a message."""
-        return ", ".join(map(channel_label, self.every)) or "none that can be read"
+        return ", ".join(ref.label for ref in self.every) or "none that can be read"
+
+    @property
+    def unused(self) -> list[ChannelRef]:
+        """The channels without a role, those of Cryptomattes too, in the order of the files."""
+        used = {ref for refs in self.layout.roles.values() for ref in refs}
+        return [ref for ref in self.every if ref not in used]
 
     def channels(self, parts: Iterable[Part], aov: str = "") -> dict[str, Channel]:
         """Return the channels of this shot's view in a file, by the names that the layout has."""
@@ -240,9 +245,7 @@ def _open_view(files: ShotFiles, number: int, request: _Request) -> Shot:
     channels = {aov: view_channels(own, within[aov]) for aov, own in parts.items()}
     members_by_aov = {aov: members.values() for aov, members in channels.items()}
     mattes = find_cryptomattes(members_by_aov, texts)
-    own = detect_layout(
-        {aov: without_cryptomattes(members, mattes, aov) for aov, members in channels.items()}
-    )
+    own = detect_layout(members_by_aov, {ref for matte in mattes for ref in matte.refs})
     if Role.COLOUR in own:
         mattes = find_cryptomattes(members_by_aov, texts, own.roles[Role.COLOUR][0].name)
     names = {name.upper() for members in channels.values() for name in members}
@@ -286,7 +289,7 @@ def _with_readings(shot: Shot, own: Layout) -> Shot:
     if shot.channel_map is not None and shot.channel_map.depth_kind is not None:
         depth = DepthReading.of(shot.channel_map.depth_kind)
     by_hand: dict[str, Any] = {
-        role.value: [channel_label(ref) for ref in roles.get(role, ())]
+        role.value: [ref.label for ref in roles.get(role, ())]
         for role in Role
         if roles.get(role) != own.roles.get(role)
     }
@@ -353,14 +356,6 @@ def read_flat_header(path: Path, headers: HeaderCache) -> FileHeader:
     return header
 
 
-def without_cryptomattes(
-    channels: Mapping[str, Channel], cryptomattes: Iterable[Cryptomatte], aov: str = ""
-) -> tuple[Channel, ...]:
-    """Return channels without those of Cryptomattes."""
-    refs = {ref for matte in cryptomattes for ref in matte.refs}
-    return tuple(c for name, c in channels.items() if ChannelRef(aov, name) not in refs)
-
-
 def _view_in_file(parts: tuple[Part, ...], view: str, view_in_name: str, file: object) -> str:
     """Return the view of a file that is read, "" for one without views or all of one view."""
     views = list_views(parts)
@@ -397,7 +392,7 @@ def _with_aov(shot: Shot, aov: AovFile) -> Shot:
     if aov.role is Role.STENCIL and mattes and not aov.channels:
         layout = Layout({aov.role: mattes[0].stencil})
     else:
-        layout = _with_aov_names(detect_aov(aov, channels, path), {aov.role.value: name})
+        layout = detect_aov(aov, channels, name, path)
     every, cryptomattes = shot.every, shot.cryptomattes
     if name not in shot.aovs:
         every += tuple(ChannelRef(name, channel) for channel in channels)
@@ -426,15 +421,23 @@ def _with_leader(shot: Shot, aov: str) -> Shot:
     """Make an AOV's sequence the leader: frames are named like those with the colour."""
     has_aov_name = shot.sequence in shot.aovs.values()
     names = {aov: ""} if has_aov_name else {"": MAIN, aov: ""}
+
+    def rename(refs: Iterable[ChannelRef]) -> tuple[ChannelRef, ...]:
+        return tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in refs)
+
+    roles = {role: rename(refs) for role, refs in shot.layout.roles.items()}
     aovs = {name: sequence for name, sequence in shot.aovs.items() if name != aov}
     return replace(
         shot,
         sequence=shot.aovs[aov],
         aovs=aovs if has_aov_name else {MAIN: shot.sequence, **aovs},
-        layout=_with_aov_names(shot.layout, names),
-        every=_refs_with_aov_names(shot.every, names),
+        layout=replace(shot.layout, roles=roles, alphas=rename(shot.layout.alphas)),
+        every=rename(shot.every),
         within={names.get(name, name): view for name, view in shot.within.items()},
-        cryptomattes=tuple(matte.moved(names) for matte in shot.cryptomattes),
+        cryptomattes=tuple(
+            replace(m, aov=names.get(m.aov, m.aov), ranks=tuple(map(rename, m.ranks)))
+            for m in shot.cryptomattes
+        ),
     )
 
 
@@ -443,7 +446,7 @@ def _corrected(
 ) -> Layout:
     """Put a channel map's roles in place of those that were recognised."""
     refs = [ChannelRef(aov, name) for aov, members in channels.items() for name in members]
-    by_label = {channel_label(ref): ref for ref in refs}
+    by_label = {ref.label: ref for ref in refs}
     roles = dict(layout.roles)
     for role, names in channel_map.channels.items():
         roles.pop(role, None)
@@ -461,31 +464,15 @@ def _corrected(
     )
 
 
-def _with_aov_names(layout: Layout, names: Mapping[str, str]) -> Layout:
-    roles = {role: _refs_with_aov_names(refs, names) for role, refs in layout.roles.items()}
-    return replace(layout, roles=roles, alphas=_refs_with_aov_names(layout.alphas, names))
-
-
-def _refs_with_aov_names(
-    refs: Iterable[ChannelRef], names: Mapping[str, str]
-) -> tuple[ChannelRef, ...]:
-    return tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in refs)
-
-
 def alpha_note(layout: Layout) -> str | None:
     """Return the note that a colour has no alpha as several channels may be it, or None."""
     if not layout.alphas:
         return None
-    names = ", ".join(channel_label(ref) for ref in layout.alphas)
+    names = ", ".join(ref.label for ref in layout.alphas)
     return (
         f"alpha is left out, as {names} may each be it; name one as the fourth of channels.colour "
         "in a channel map"
     )
-
-
-def channel_label(ref: ChannelRef) -> str:
-    """Return a channel's name as users see it, and channel maps have it: with its AOV."""
-    return f"{ref.aov}:{ref.name}" if ref.aov else ref.name
 
 
 def first_usable(numbers: Iterable[int], read: Callable[[int], T]) -> T:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from exwarp_cli.domain.motion import AxisMap, MotionConvention
+from exwarp_cli.domain.motion import PRESETS, AxisMap, MotionConvention
 from exwarp_cli.errors import LayoutError
-from exwarp_cli.io.channels import Layout, Role, detect_layout, require_role
+from exwarp_cli.io.channels import (
+    Layout,
+    Role,
+    detect_layout,
+    is_cryptomatte_name,
+    require_role,
+)
 from exwarp_cli.io.exr.header import Channel
-from exwarp_cli.io.producers import PRESETS, is_cryptomatte_name
 
 
 def channels(*names: str) -> list[Channel]:
