@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from exwarp_cli.domain.motion import PRESETS, MotionConvention
-from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.exr.header import Channel
 
 UNKNOWN = "unknown"  # the producer of files whose names do not tell
@@ -293,17 +292,6 @@ def detect_layout(
     ordered = {role: roles[role] for role in Role if role in roles}
     several = alphas if len(alphas) > 1 else ()
     return Layout(ordered, guess, producer, _incomplete(layers, roles), several)
-
-
-def require_role(layout: Layout, role: Role, file: str, channels: Iterable[str]) -> Refs:
-    """Return a role's channels; LayoutError, which lists all `channels` of the file, if absent."""
-    if role not in layout:
-        partly = f" ({layout.incomplete[role]})" if role in layout.incomplete else ""
-        raise LayoutError(
-            f"{file} has no {role.value} channels that are recognised{partly}, only "
-            f"{', '.join(channels)}; name them in a channel map, or render the missing pass"
-        )
-    return layout.roles[role]
 
 
 def role_named(name: str) -> Role | None:

@@ -21,12 +21,12 @@ from exwarp_cli.domain.frame import (
 )
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
-from exwarp_cli.io.channels import ChannelRef, Role, detect_layout, require_role
+from exwarp_cli.io.channels import ChannelRef, Role, detect_layout
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.depth import FAR
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.shot import Shot, count_nonfinite
-from exwarp_cli.io.views import choose_view, list_views, view_channels
+from exwarp_cli.io.views import view_channels, view_in_file
 from exwarp_cli.runtime.frame_pool import pool
 
 # Share of non-finite colour from which on a frame is refused rather than repaired.
@@ -241,16 +241,19 @@ def read_image(path: Path, view: str = "") -> Image:
     Raises InputError if the file is missing or damaged, LayoutError if no colour is recognised.
     """
     with ExrFile(path) as file:
-        views = list_views(file.parts)
-        channels = view_channels(
-            file.parts, choose_view(views, view or None, path) if views else ""
-        )
+        channels = view_channels(file.parts, view_in_file(file.parts, view, path))
         mattes = find_cryptomattes({"": channels.values()}, {"": file.header.texts})
         layout = detect_layout(
             {"": channels.values()}, {ref for matte in mattes for ref in matte.refs}
         )
-        refs = require_role(layout, Role.COLOUR, str(path), channels)
-        colour = [channels[ref.name] for ref in refs]
+        if Role.COLOUR not in layout:
+            partly = layout.incomplete.get(Role.COLOUR, "")
+            raise LayoutError(
+                f"{path} has no colour channels that are recognised{partly and f' ({partly})'}, "
+                f"only {', '.join(channels)}; name them in a channel map, or render the missing "
+                "pass"
+            )
+        colour = [channels[ref.name] for ref in layout.roles[Role.COLOUR]]
         planes = file.read(colour)
         part = file.parts[colour[0].part]
         placed = []

@@ -24,7 +24,14 @@ from exwarp_cli.io.exr.header import Channel, Part
 from exwarp_cli.io.exr.reader import ExrFile, FileHeader, HeaderCache, deep_image_error
 from exwarp_cli.io.frame_names import split_pass
 from exwarp_cli.io.sequences import AovSet, Sequence, find_aov_set, find_sequence
-from exwarp_cli.io.views import ALL, choose_view, expand_view, list_views, view_channels
+from exwarp_cli.io.views import (
+    ALL,
+    choose_view,
+    expand_view,
+    list_views,
+    view_channels,
+    view_in_file,
+)
 
 T = TypeVar("T")
 
@@ -66,17 +73,6 @@ class ShotFiles:
     view: str = ""
     views: tuple[str, ...] = ()
     cache: HeaderCache = field(default_factory=HeaderCache)
-    _last: dict[int, dict[str, FileHeader]] = field(default_factory=dict)
-
-    def read_headers(self, number: int) -> dict[str, FileHeader]:
-        """Read one frame's headers by AOV, the leader's first; those of the last one are kept."""
-        if number not in self._last:
-            members = {} if self.leader in self.aovs.values() else {"": self.leader}
-            members |= self.aovs
-            paths = {aov: member.files[number] for aov, member in members.items()}
-            headers = {aov: read_flat_header(path, self.cache) for aov, path in paths.items()}
-            self._last = {number: headers}
-        return self._last[number]
 
 
 @dataclass(frozen=True)
@@ -235,13 +231,15 @@ def _open_files(files: ShotFiles, request: _Request) -> Shot:
 
 def _open_view(files: ShotFiles, number: int, request: _Request) -> Shot:
     """Recognise the channels of one view in one frame."""
-    headers = files.read_headers(number)
+    members = {} if files.leader in files.aovs.values() else {"": files.leader}
+    members |= files.aovs
+    headers = {aov: read_flat_header(m.files[number], files.cache) for aov, m in members.items()}
     parts = {aov: header.parts for aov, header in headers.items()}
     texts = {aov: header.texts for aov, header in headers.items()}
     main, pattern = next(iter(parts.values())), files.leader.pattern
     views = files.views if files.view else list_views(main)
     view = files.view or choose_view(views, request.view, pattern)
-    within = {aov: _view_in_file(own, view, files.view, pattern) for aov, own in parts.items()}
+    within = {aov: view_in_file(own, view, pattern, files.view) for aov, own in parts.items()}
     channels = {aov: view_channels(own, within[aov]) for aov, own in parts.items()}
     members_by_aov = {aov: members.values() for aov, members in channels.items()}
     mattes = find_cryptomattes(members_by_aov, texts)
@@ -325,9 +323,7 @@ def _needed_aovs(aov_set: AovSet, decided: Collection[Role]) -> list[str]:
             parts = read_flat_header(path, HeaderCache()).parts
         except InputError:  # reported when that frame is read
             continue
-        views = list_views(parts)
-        channels = view_channels(parts, views[0] if views else "")
-        own = set(detect_layout({"": channels.values()}).roles)
+        own = set(detect_layout({"": view_channels(parts).values()}).roles)
         break
     roles = {name: split_pass(name).role for name in aov_set.aovs}
     names = [
@@ -356,14 +352,6 @@ def read_flat_header(path: Path, headers: HeaderCache) -> FileHeader:
     return header
 
 
-def _view_in_file(parts: tuple[Part, ...], view: str, view_in_name: str, file: object) -> str:
-    """Return the view of a file that is read, "" for one without views or all of one view."""
-    views = list_views(parts)
-    if not views or (view_in_name and view not in views):
-        return ""
-    return choose_view(views, view or None, file)
-
-
 def _with_aov(shot: Shot, aov: AovFile) -> Shot:
     """Take a role's channels from a sequence of its own."""
     expanded, view_in_name, _ = expand_view(aov.pattern, shot.view or None)
@@ -383,7 +371,7 @@ def _with_aov(shot: Shot, aov: AovFile) -> Shot:
             f"{path} of {aov.option} has the display window {parts[0].display_window} where the "
             f"shot has {shot.display}; render all AOVs at one resolution"
         )
-    within = _view_in_file(parts, shot.view, view_in_name, path)
+    within = view_in_file(parts, shot.view, path, view_in_name)
     channels = view_channels(parts, within)
     # Files that hold several roles are read once.
     same_files = (n for n, member in shot.aovs.items() if member.pattern == sequence.pattern)
