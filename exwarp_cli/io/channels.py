@@ -242,12 +242,7 @@ def detect_layout(
 
     The `excluded` ones have none, as those of Cryptomattes.
     """
-    layers = _group_by_layer(
-        {
-            aov: tuple(c for c in members if ChannelRef(aov, c.name) not in excluded)
-            for aov, members in channels.items()
-        }
-    )
+    layers = _group_by_layer(channels, excluded)
     # Of several view layers, geometry is looked for in the one whose colour is used.
     near = layers
     roles: dict[Role, Refs] = {}
@@ -327,13 +322,16 @@ def is_cryptomatte_name(layer: str) -> bool:
     return _CRYPTOMATTE.search(layer) is not None
 
 
-def _group_by_layer(channels: Mapping[str, tuple[Channel, ...]]) -> list[_Layer]:
+def _group_by_layer(
+    channels: Mapping[str, Iterable[Channel]], excluded: Collection[ChannelRef]
+) -> list[_Layer]:
     """Group channels by layer, in file order, without those of Cryptomattes.
 
     A channel that is named by a word without a layer, as `hitPz`, is a layer of its own.
     """
     layers: dict[tuple[str, str, int], _Layer] = {}
-    for aov, members in channels.items():
+    for aov, listed in channels.items():
+        members = [c for c in listed if ChannelRef(aov, c.name) not in excluded]
         # What the parts' names say of channels that carry no layer of their own.
         letters: dict[int, set[str]] = {}
         names: dict[str, list[str]] = {}

@@ -54,11 +54,6 @@ class Layer:
     channels: tuple[Channel, ...]
 
     @property
-    def aov(self) -> str:
-        """Name of the AOV's own sequence if each AOV has a file of its own, else ""."""
-        return self.refs[0].aov
-
-    @property
     def leaf(self) -> str:
         """Last element of the name, without what the artist put before it."""
         return self.name.rsplit(".", 1)[-1]

@@ -128,11 +128,6 @@ class Shot:
         return {aov: sequence.files[number] for aov, sequence in sequences.items()}
 
     @property
-    def listed(self) -> str:
-        """Every channel, by the names that a channel map takes, for a message."""
-        return ", ".join(ref.label for ref in self.every) or "none that can be read"
-
-    @property
     def unused(self) -> list[ChannelRef]:
         """The channels without a role, those of Cryptomattes too, in the order of the files."""
         used = {ref for refs in self.layout.roles.values() for ref in refs}
@@ -160,9 +155,9 @@ def open_shot(
     Raises InputError if there is no such sequence or view, its first frame cannot be read, or a
     sequence of its AOVs lacks a frame or is of another size.
     """
-    request = _Request.of(view, aovs, channel_map, keep_going)
-    files = find_files(spec, keep_going, request.decided, request.view)
-    return _open_files(files, request)
+    if channel_map is not None:
+        view = view or channel_map.view
+    return _open(spec, view, aovs, channel_map, keep_going)[0]
 
 
 def open_views(
@@ -178,58 +173,53 @@ def open_views(
     """
     if view != ALL:
         return (open_shot(spec, view, aovs, channel_map, keep_going),)
-    request = replace(_Request.of(None, aovs, channel_map, keep_going), view=None)
-    files = find_files(spec, keep_going, request.decided)
-    hero = _open_files(files, request)
-    if not hero.views:
-        raise LayoutError(f"{hero.sequence.pattern} has no views; leave --view {ALL} out")
-    names = hero.views[1:]
-    if files.view:
-        return (hero, *(open_shot(spec, name, aovs, channel_map, keep_going) for name in names))
-    requests = (replace(request, view=name) for name in names)
-    return (hero, *(_open_view(files, hero.first, request) for request in requests))
+    return _open(spec, None, aovs, channel_map, keep_going, every_view=True)
 
 
-@dataclass(frozen=True)
-class _Request:
-    """Options of `open_shot`, joined with its channel map; options come first."""
-
-    view: str | None
-    aovs: tuple[AovFile, ...]
-    channel_map: ChannelMap | None
-    keep_going: bool
-    decided: frozenset[Role]  # roles whose channels the user names
-
-    @classmethod
-    def of(
-        cls,
-        view: str | None,
-        aovs: tuple[AovFile, ...],
-        channel_map: ChannelMap | None,
-        keep_going: bool,
-    ) -> _Request:
-        roles = {aov.role for aov in aovs}
-        if channel_map is not None:
-            view = view or channel_map.view
-            aovs += tuple(aov for aov in channel_map.aovs if aov.role not in roles)
-            roles.update((aov.role for aov in aovs), channel_map.channels)
-        return cls(view, aovs, channel_map, keep_going, frozenset(roles))
-
-
-def _open_files(files: ShotFiles, request: _Request) -> Shot:
-    """Open a shot by its first frame, or by the first that is sound with `keep_going`."""
+def _open(
+    spec: str,
+    view: str | None,
+    aovs: tuple[AovFile, ...],
+    channel_map: ChannelMap | None,
+    keep_going: bool,
+    every_view: bool = False,
+) -> tuple[Shot, ...]:
+    """Open one view, or the hero and every other one, by the first frame that counts."""
+    roles = {aov.role for aov in aovs}
+    if channel_map is not None:
+        aovs += tuple(aov for aov in channel_map.aovs if aov.role not in roles)
+        roles.update((aov.role for aov in aovs), channel_map.channels)
+    files = find_files(spec, keep_going, roles, view)
 
     def open_by_frame(number: int) -> Shot:
-        shot = _open_view(files, number, request)
-        if request.keep_going:
+        shot = _open_view(files, number, view, aovs, channel_map, keep_going)
+        if keep_going:
             require_sound(shot.files(number).values())
         return shot
 
     numbers = files.leader.numbers
-    return first_usable(numbers if request.keep_going else numbers[:1], open_by_frame)
+    shot = first_usable(numbers if keep_going else numbers[:1], open_by_frame)
+    if not every_view:
+        return (shot,)
+    if not shot.views:
+        raise LayoutError(f"{shot.sequence.pattern} has no views; leave --view {ALL} out")
+    further = (
+        open_shot(spec, name, aovs, channel_map, keep_going)
+        if files.view
+        else _open_view(files, shot.first, name, aovs, channel_map, keep_going)
+        for name in shot.views[1:]
+    )
+    return (shot, *further)
 
 
-def _open_view(files: ShotFiles, number: int, request: _Request) -> Shot:
+def _open_view(
+    files: ShotFiles,
+    number: int,
+    wanted: str | None,
+    aovs: tuple[AovFile, ...],
+    channel_map: ChannelMap | None,
+    keep_going: bool,
+) -> Shot:
     """Recognise the channels of one view in one frame."""
     members = {} if files.leader in files.aovs.values() else {"": files.leader}
     members |= files.aovs
@@ -238,7 +228,7 @@ def _open_view(files: ShotFiles, number: int, request: _Request) -> Shot:
     texts = {aov: header.texts for aov, header in headers.items()}
     main, pattern = next(iter(parts.values())), files.leader.pattern
     views = files.views if files.view else list_views(main)
-    view = files.view or choose_view(views, request.view, pattern)
+    view = files.view or choose_view(views, wanted, pattern)
     within = {aov: view_in_file(own, view, pattern, files.view) for aov, own in parts.items()}
     channels = {aov: view_channels(own, within[aov]) for aov, own in parts.items()}
     members_by_aov = {aov: members.values() for aov, members in channels.items()}
@@ -252,7 +242,6 @@ def _open_view(files: ShotFiles, number: int, request: _Request) -> Shot:
             f"{pattern} holds luminance alone (a channel Y), which is no colour; write the frames "
             "as RGB"
         )
-    channel_map = request.channel_map
     shot = Shot(
         files.leader,
         files.aovs,
@@ -262,14 +251,14 @@ def _open_view(files: ShotFiles, number: int, request: _Request) -> Shot:
         view,
         within,
         channel_map=channel_map,
-        aov_files=request.aovs,
+        aov_files=aovs,
         cryptomattes=mattes,
         every=tuple(ChannelRef(aov, name) for aov, names in channels.items() for name in names),
         first=number,
-        keep_going=request.keep_going,
+        keep_going=keep_going,
         headers=files.cache,
     )
-    for aov in request.aovs:
+    for aov in aovs:
         shot = _with_aov(shot, aov)
     return _with_readings(shot, own)
 

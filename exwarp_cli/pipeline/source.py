@@ -143,9 +143,10 @@ def open_source(
         return Source(plain, None, _no_number, timeline, None, fps, fps_source, cuts, motion_needed)
     keys, settings = open_keys(settings)
     if Role.COLOUR not in keys.layout:
+        listed = ", ".join(ref.label for ref in keys.every) or "none that can be read"
         raise LayoutError(
             f"{keys.sequence.pattern} has no colour channels that are recognised, only "
-            f"{keys.listed}; name them in a channel map, or render the beauty pass"
+            f"{listed}; name them in a channel map, or render the beauty pass"
         )
     timeline, fps, fps_source = _timeline(keys, settings)
     if settings.gbuffers is not None and timeline.steps is None:
