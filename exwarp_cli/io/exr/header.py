@@ -257,7 +257,11 @@ def in_utf8(data: bytes) -> tuple[bytes, dict[tuple[int, str], str | None]]:
 
 def replace_non_utf8(text: str) -> str:
     """Return text that can be written as UTF-8: of the same length there, and mostly the same."""
-    return _LONE_SURROGATE.sub(_STAND_IN, text)
+    try:
+        text.encode()  # takes a tenth of a search; manifests have megabytes
+    except UnicodeEncodeError:
+        return _LONE_SURROGATE.sub(_STAND_IN, text)
+    return text
 
 
 def restore_non_utf8(
