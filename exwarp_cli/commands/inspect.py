@@ -63,9 +63,6 @@ def _print_inspection(inspection: Inspection) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from exwarp_cli.io.shot import channel_label
-    from exwarp_cli.pipeline.inspect import unused_channels
-
     def text(line: str) -> Text:
         """Return text in which neither a terminal nor rich sees markup."""
         return Text(printable(line))
@@ -86,8 +83,8 @@ def _print_inspection(inspection: Inspection) -> None:
     table = Table("role", "channels", "type", box=box.SIMPLE)
     hashed = {ref for matte in inspection.shot.cryptomattes for ref in matte.refs}
     unused: dict[tuple[str, str], list[str]] = {}  # by what they are, and their layer
-    for ref in unused_channels(inspection.shot):
-        name, meaning = channel_label(ref), "Cryptomatte" if ref in hashed else "no role"
+    for ref in inspection.shot.unused:
+        name, meaning = ref.label, "Cryptomatte" if ref in hashed else "no role"
         unused.setdefault((meaning, name.rpartition(".")[0]), []).append(name)
     rows = [*data["roles"].items(), *((meaning, names) for (meaning, _), names in unused.items())]
     for meaning, names in rows:
@@ -101,8 +98,8 @@ def _print_inspection(inspection: Inspection) -> None:
 def _finding_lines(inspection: Inspection, data: Mapping[str, Any]) -> Iterator[str]:
     """Yield what is left out or absent, and how motion and depth are read."""
     from exwarp_cli.io.channels import Role
+    from exwarp_cli.io.layers import is_colour_alone, no_vectors_message
     from exwarp_cli.io.shot import alpha_note
-    from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors_message
 
     shot = inspection.shot
     if (alpha := alpha_note(shot.layout)) is not None:

@@ -1,4 +1,4 @@
-"""Motion vectors: the renderer's convention, and what calibration found about it."""
+"""Motion vectors: conventions, those of renderers, and what calibration found about one."""
 
 from __future__ import annotations
 
@@ -179,3 +179,36 @@ def _format_number(value: float) -> str:
     # So that it reads back as itself.
     short = f"{value:g}"
     return short if float(short) == value else repr(float(value))
+
+
+def _both_directions(y: float) -> MotionConvention:
+    """Forward vectors in the first two channels, backward ones in the next two, in pixels."""
+    return MotionConvention(AxisMap(2, 3, 1.0, y), AxisMap(0, 1, 1.0, y))
+
+
+_FORWARD = MotionConvention(to_next=AxisMap(0, 1, 1.0, -1.0))
+
+# Conventions by name, for --motion. Indices count the motion channels in the order in which they
+# were found.
+PRESETS: dict[str, MotionConvention] = {
+    # XY is previous minus current, ZW current minus next, y up.
+    "blender": MotionConvention(AxisMap(0, 1, 1.0, -1.0), AxisMap(2, 3, -1.0, 1.0)),
+    # As ExtraNet dumps it: current minus previous, y up.
+    "unreal": MotionConvention(to_previous=AxisMap(0, 1, -1.0, 1.0)),
+    # Movie Render Queue: the same as shares of the frame about 0.5; twice that is reported, too.
+    "unreal-mrq": MotionConvention(AxisMap(0, 1, -1.0, 1.0, still=0.5), of_frame=True),
+    # Max displace 0: red and green are the direction, blue is the length.
+    "arnold": MotionConvention(to_next=AxisMap(0, 1, 1.0, -1.0, length=2)),
+    "vray": _FORWARD,
+    "redshift": _FORWARD,
+    "renderman": _both_directions(1.0),  # raster space: y down
+    "karma": _FORWARD,
+    # The screen reaches from -1 to 1; premultiplied.
+    "moonray": MotionConvention(to_next=AxisMap(0, 1, 0.5, -0.5, alpha=2), of_frame=True),
+    "nuke": _both_directions(-1.0),
+    "reelsmart": _FORWARD,
+    "twixtor": _FORWARD,
+    "forward": _FORWARD,
+    "backward": MotionConvention(to_previous=AxisMap(0, 1, 1.0, -1.0)),
+    "forward+backward": _both_directions(-1.0),
+}

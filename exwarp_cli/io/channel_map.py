@@ -131,35 +131,33 @@ def _parse_role(name: str, option: str) -> Role:
     return role
 
 
-def detect_aov(aov: AovFile, channels: Mapping[str, Channel], file: object) -> Layout:
+def detect_aov(aov: AovFile, channels: Mapping[str, Channel], name: str, file: object) -> Layout:
     """Return a layout of an AOV's role alone, out of the channels of a file's view by name.
 
-    The channels are in the AOV of the role's name.
+    The layout has them in the AOV `name`.
 
     Raises LayoutError if a channel is absent, or none is recognised.
     """
     role = aov.role
     if aov.channels:
-        names = tuple(find_channel(name, channels, aov.option, file) for name in aov.channels)
-        return Layout({role: tuple(ChannelRef(role.value, name) for name in names)})
+        names = (find_channel(text, channels, aov.option, file) for text in aov.channels)
+        return Layout({role: tuple(ChannelRef(name, channel) for channel in names)})
     # By its own names; else as if its folder's role were the layer's name; else what there is.
     own = detect_layout({"": channels.values()})
     layout = own if role in own else detect_layout({role.value: channels.values()})
-    names = tuple(ref.name for ref in layout.roles.get(role, ()))
+    members = tuple(ref.name for ref in layout.roles.get(role, ()))
     if role not in own:
-        names = max(names, _only_layer(role, channels), key=len)
-    if not names:
+        members = max(members, _only_layer(role, channels), key=len)
+    if not members:
         raise LayoutError(
             f"{file} has no {role.value} channels that are recognised, only "
             f"{', '.join(channels)}; name them, as in {aov.option}:{CHANNEL_COUNTS[role][2]}"
         )
     return Layout(
-        {role: tuple(ChannelRef(role.value, name) for name in names)},
+        {role: tuple(ChannelRef(name, member) for member in members)},
         layout.guess if role in layout and role is Role.MOTION else None,
         own.producer,
-        alphas=tuple(
-            ChannelRef(role.value, ref.name) for ref in layout.alphas if role is Role.COLOUR
-        ),
+        alphas=tuple(ChannelRef(name, ref.name) for ref in layout.alphas if role is Role.COLOUR),
     )
 
 

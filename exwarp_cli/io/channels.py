@@ -2,27 +2,21 @@
 
 Renderers name their AOVs differently, and layer names are the artist's; so the last element of a
 layer's name is what counts, in any case, without separators; where that says nothing, its last
-words. A motion layer only gets a first guess of its convention here, by what
-:mod:`exwarp_cli.io.producers` knows; measuring decides (:mod:`exwarp_cli.synthesis.calibration`).
+words. A motion layer only gets a first guess of its convention here, by the program that is
+recognised by names; measuring decides (:mod:`exwarp_cli.synthesis.calibration`).
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
-from exwarp_cli.domain.motion import MotionConvention
-from exwarp_cli.errors import LayoutError
+from exwarp_cli.domain.motion import PRESETS, MotionConvention
 from exwarp_cli.io.exr.header import Channel
-from exwarp_cli.io.producers import (
-    BACKWARD_NAMES,
-    FORWARD_NAMES,
-    UNKNOWN,
-    is_cryptomatte_name,
-    recognise_producer,
-)
+
+UNKNOWN = "unknown"  # the producer of files whose names do not tell
 
 
 class Role(Enum):
@@ -55,6 +49,11 @@ class ChannelRef:
         """The last element of the name: R, X, u and the like."""
         return self.name.rsplit(".", 1)[-1]
 
+    @property
+    def label(self) -> str:
+        """The name as users see it, and channel maps have it: with its AOV."""
+        return f"{self.aov}:{self.name}" if self.aov else self.name
+
 
 Refs = tuple[ChannelRef, ...]
 
@@ -83,6 +82,9 @@ class _Rule:
     leaves: tuple[str, ...]
     components: tuple[str, ...]
 
+
+FORWARD_NAMES = ("forward", "motionfore")
+BACKWARD_NAMES = ("backward", "motionback")
 
 _ONE = ("X", "R", "Y", "V")
 _RULES: dict[Role, tuple[_Rule, ...]] = {
@@ -171,6 +173,42 @@ _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+[a-z]?")
 _NAME_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+")
 # Names of parts that say nothing of what they hold.
 _NO_LAYER_NAME = re.compile(r"(part|subimage|image|layer|default|main)?[0-9]*")
+_CRYPTOMATTE = re.compile(r"(^|[._:])(crypto[A-Za-z_]*(\d\d)?|\w*HitProxyMask\d\d)$", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class _Signature:
+    """What the layers of a producer look like; names are patterns of full names."""
+
+    producer: str
+    preset: str
+    motion: str
+    min_channels: int = 2
+    components: str = ""  # that the motion layer's begin with
+    other_layer: str = ""  # that must exist, too
+    own_file: bool | None = None  # None: does not matter
+
+
+_ARNOLD = r"(^|[._])([NP]|ID|crypto_\w+)$"
+_KARMA = r"(?i)(^|[._:])(hit(pz|p|n)|objectid)$"
+_VRAY = r"(?i)(^|[._])(vray\w+|zdepth|normals|renderid|materialid)$"
+
+_SIGNATURES = (
+    _Signature("Unreal Movie Render Queue", "unreal-mrq", r"MovieRenderQueue_?MotionVectors?$"),
+    _Signature("Blender", "blender", r"(?i)(^|\.)vector$"),
+    _Signature("Unreal (one file per AOV)", "unreal", r"MotionVector$", own_file=True),
+    _Signature("RenderMan", "renderman", r"(?i)motion(fore|back)$"),
+    _Signature("Nuke convention", "nuke", r"(?i)(forward|backward)$"),
+    _Signature("MoonRay", "moonray", r"motion_vectors$"),
+    _Signature("Karma", "karma", r"(?i)motionvector$", other_layer=_KARMA),
+    _Signature("Arnold", "arnold", r"(?i)motion_?vector$", min_channels=3),
+    _Signature("Arnold", "arnold", r"(?i)motion_?vector$", other_layer=_ARNOLD),
+    _Signature("Redshift", "redshift", r"MotionVectors$", components="RG"),
+    _Signature("V-Ray", "vray", r"(?i)velocity$", min_channels=3),
+    _Signature("V-Ray", "vray", r"(?i)velocity$", other_layer=_VRAY),
+    _Signature("V-Ray", "vray", r"(?i)(^|[._])(mv|speed)$", other_layer=_VRAY),
+    _Signature("ReelSmart or Twixtor", "reelsmart", r"(?i)(^|[._])(rsmb|reelsmart|twixtor)\w*$|^$"),
+)
 
 
 @dataclass
@@ -183,11 +221,10 @@ class _Layer:
     named_by_part: bool
     components: dict[str, ChannelRef] = field(default_factory=dict)
 
-    def pick(self, letters: str) -> Refs | None:
-        """Return the channels of these components, or None if one is absent."""
-        if any(key not in self.components for key in letters):
-            return None
-        return tuple(self.components[key] for key in letters)
+    def pick(self, letters: str) -> Refs:
+        """Return the channels of these components, () if one is absent."""
+        refs = tuple(self.components[key] for key in letters if key in self.components)
+        return refs if len(refs) == len(letters) else ()
 
     def first_match(self, rule: _Rule) -> Refs:
         """Return the channels that a rule asks for, () if some are absent."""
@@ -198,9 +235,14 @@ class _Layer:
         return next(filter(None, (self.pick(letters) for letters in rule.components)), ())
 
 
-def detect_layout(channels: Mapping[str, Iterable[Channel]]) -> Layout:
-    """Recognise the roles of one frame's channels by AOV; "" is the main file's."""
-    layers = _group_by_layer(channels)
+def detect_layout(
+    channels: Mapping[str, Iterable[Channel]], excluded: Collection[ChannelRef] = ()
+) -> Layout:
+    """Recognise the roles of one frame's channels by AOV; "" is the main file's.
+
+    The `excluded` ones have none, as those of Cryptomattes.
+    """
+    layers = _group_by_layer(channels, excluded)
     # Of several view layers, geometry is looked for in the one whose colour is used.
     near = layers
     roles: dict[Role, Refs] = {}
@@ -210,13 +252,14 @@ def detect_layout(channels: Mapping[str, Iterable[Channel]]) -> Layout:
             continue
         roles[role] = refs
         if role is Role.COLOUR:
-            parent = _parent(refs[0].name)
+            # "A" for "A.Combined.R"
+            parent = refs[0].name.rpartition(".")[0].rpartition(".")[0]
             part = next(layer.part for layer in layers if refs[0] in layer.components.values())
             # Without layers that are named by the parts of other pictures.
             near = [
                 layer
                 for layer in layers
-                if _parent(f"{layer.name}.") == parent
+                if layer.name.rpartition(".")[0] == parent
                 and (layer.part == part or layer.leaf or not layer.name)
             ]
             near.sort(key=lambda layer: layer.part != part)
@@ -246,17 +289,6 @@ def detect_layout(channels: Mapping[str, Iterable[Channel]]) -> Layout:
     return Layout(ordered, guess, producer, _incomplete(layers, roles), several)
 
 
-def require_role(layout: Layout, role: Role, file: str, channels: Iterable[str]) -> Refs:
-    """Return a role's channels; LayoutError, which lists all `channels` of the file, if absent."""
-    if role not in layout:
-        partly = f" ({layout.incomplete[role]})" if role in layout.incomplete else ""
-        raise LayoutError(
-            f"{file} has no {role.value} channels that are recognised{partly}, only "
-            f"{', '.join(channels)}; name them in a channel map, or render the missing pass"
-        )
-    return layout.roles[role]
-
-
 def role_named(name: str) -> Role | None:
     """Return the role that a whole name stands for, or None.
 
@@ -273,14 +305,33 @@ def split_words(name: str) -> list[str]:
     return [word.lower() for word in _WORD.findall(name)]
 
 
-def _group_by_layer(channels: Mapping[str, Iterable[Channel]]) -> list[_Layer]:
+def vector_direction(layer: str) -> str:
+    """Return "forward" or "backward" if the name of a layer of vectors ends so, else ""."""
+    name = re.sub(r"[^a-z]", "", layer.lower())
+    for direction, names in (("forward", FORWARD_NAMES), ("backward", BACKWARD_NAMES)):
+        if name.endswith(names):
+            return direction
+    return ""
+
+
+def is_cryptomatte_name(layer: str) -> bool:
+    """Return True for a usual name of a Cryptomatte's rank or preview.
+
+    Headers may name others; only the file's attributes are certain.
+    """
+    return _CRYPTOMATTE.search(layer) is not None
+
+
+def _group_by_layer(
+    channels: Mapping[str, Iterable[Channel]], excluded: Collection[ChannelRef]
+) -> list[_Layer]:
     """Group channels by layer, in file order, without those of Cryptomattes.
 
     A channel that is named by a word without a layer, as `hitPz`, is a layer of its own.
     """
     layers: dict[tuple[str, str, int], _Layer] = {}
-    for aov, members in channels.items():
-        members = tuple(members)
+    for aov, listed in channels.items():
+        members = [c for c in listed if ChannelRef(aov, c.name) not in excluded]
         # What the parts' names say of channels that carry no layer of their own.
         letters: dict[int, set[str]] = {}
         names: dict[str, list[str]] = {}
@@ -363,11 +414,6 @@ def _letter(component: str) -> str:
     return _LONG_COMPONENTS.get(component.upper(), component.upper())
 
 
-def _parent(name: str) -> str:
-    """Return what stands before a channel's layer: "A" for "A.Combined.R"."""
-    return name.rpartition(".")[0].rpartition(".")[0]
-
-
 def _plain(name: str) -> str:
     """Return a name in lower case, without what separates its words."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
@@ -409,7 +455,7 @@ def _find_role(layers: list[_Layer], role: Role) -> Refs:
         return refs
     # A file with red and green alone, as plug-ins write it.
     if len(layers) == 1 and not layers[0].leaf and set(layers[0].components) == {"R", "G"}:
-        return layers[0].pick("RG") or ()
+        return layers[0].pick("RG")
     return ()
 
 
@@ -463,7 +509,7 @@ def _motion_convention(
     motion = roles[Role.MOTION]
     own = next(layer for layer in layers if motion[0] in layer.components.values())
     letters = "".join(ref.component[0].upper() for ref in motion)
-    producer = recognise_producer(own.name, letters, (), own.own_file)[1]
+    producer = _recognise_producer(own.name, letters, (), own.own_file)[1]
     third = {"XY": "Z", "RG": "B"}.get(letters, "")
     if third in own.components and not producer.startswith(("Unreal", "Blender")):
         motion, letters = (*motion, own.components[third]), letters + third
@@ -471,7 +517,43 @@ def _motion_convention(
     if own.name.endswith("motion_vectors") and letters == "RG" and len(colour) == 4:
         motion, letters = (*motion, colour[3]), "RGA"
     names = [layer.name for layer in layers]
-    return motion, *recognise_producer(own.name, letters, names, own.own_file)
+    return motion, *_recognise_producer(own.name, letters, names, own.own_file)
+
+
+def _recognise_producer(
+    layer: str, components: str, layers: Collection[str], own_file: bool
+) -> tuple[MotionConvention | None, str]:
+    """Return the convention and the producer that names suggest, else None and "unknown".
+
+    `layer` is the full name of the first motion layer, or of its AOV if that has a file of its own;
+    `components` the first letter of each motion channel, in capitals; `layers` all full names.
+    """
+    signs = (
+        sign
+        for sign in _SIGNATURES
+        if re.search(sign.motion, layer)
+        and len(components) >= sign.min_channels
+        and components.startswith(sign.components)
+        and sign.own_file in (None, own_file)
+        and (not sign.other_layer or any(re.search(sign.other_layer, n) for n in layers))
+    )
+    sign = next(signs, None)
+    if sign is None:
+        return None, UNKNOWN
+    convention, count = PRESETS[sign.preset], len(components)
+    if convention.count <= count:
+        return convention, sign.producer
+    # Without what takes more channels than there are.
+    before, after = convention.to_previous, convention.to_next
+    if before is None or after is None:
+        before, after = (
+            axes and replace(axes, length=None, alpha=None) for axes in (before, after)
+        )
+    elif re.search(r"(?i)(backward|motionback)$", layer):
+        before, after = replace(before, x_channel=0, y_channel=1), None
+    else:
+        before, after = (axes if max(axes.channels) < count else None for axes in (before, after))
+    return replace(convention, to_previous=before, to_next=after), sign.producer
 
 
 def _incomplete(layers: list[_Layer], roles: Mapping[Role, Refs]) -> dict[Role, str]:

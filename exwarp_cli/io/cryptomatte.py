@@ -21,7 +21,7 @@ import json
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import IntEnum
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -109,12 +109,6 @@ class Cryptomatte:
     def refs(self) -> frozenset[ChannelRef]:
         """All its channels. They go together: ids and shares of two pixels cannot be mixed."""
         return frozenset(ref for rank in self.ranks for ref in rank)
-
-    def moved(self, names: Mapping[str, str]) -> Cryptomatte:
-        """Return it with other names of AOVs."""
-        aov = names.get(self.aov, self.aov)
-        ranks = tuple(tuple(replace(ref, aov=aov) for ref in rank) for rank in self.ranks)
-        return replace(self, aov=aov, ranks=ranks)
 
     def require_exact(self, where: str) -> None:
         """Refuse ids that are no 32-bit floats, so that too few bits tell objects apart."""
@@ -216,7 +210,9 @@ def _words(name: str) -> list[str]:
     return re.findall(r"[^\W_]+", name.lower())
 
 
-def surface_ids(ranks: Float32, rounded: bool = False) -> Int32:
+def surface_ids(
+    ranks: Float32, rounded: bool = False, dynamic: Collection[int] | None = None
+) -> Int32:
     """Return the id of the surface that each pixel shows, int32 [H, W].
 
     `ranks` is float32 [H, W, 4]: id, share, id, share of ranks 0 and 1. The id is of the surface
@@ -224,25 +220,19 @@ def surface_ids(ranks: Float32, rounded: bool = False) -> Int32:
     bits of the hash without its sign: positive, equal in every frame. With `rounded` they are
     rounded to 24 bits, as PXR24 compression does, to be compared with such.
 
+    With `dynamic`, ids as this function returns them, only what moves has an id: 0 where a pixel
+    shows what stands still, -1 where nothing leads and something that moves has a share.
+
     Of 10,000 objects some two share an id with a probability of 2.3 % (1.2 % with all 32 bits);
     rounded, some six pairs do.
     """
     bits, shares = _bits_and_shares(ranks)
     ids = np.empty(bits.shape[:2], np.int32)
-    raw_channels.write_dominant_ids(bits, shares, LEAD, rounded, ids)
-    return ids
-
-
-def dynamic_stencil(ranks: Float32, dynamic: Collection[int], rounded: bool = False) -> Int32:
-    """Return the stencil of a G-buffer, int32 [H, W]: ids of the surfaces that move.
-
-    0 where a pixel shows what stands still, -1 where nothing leads and something that moves has a
-    share. `dynamic` are ids as `surface_ids` returns them; the others are its parameters.
-    """
-    bits, shares = _bits_and_shares(ranks)
-    ids = np.empty(bits.shape[:2], np.int32)
-    moving = np.array(sorted(dynamic), np.int32)
-    raw_channels.write_moving_ids(bits, shares, LEAD, rounded, moving, ids)
+    if dynamic is None:
+        raw_channels.write_dominant_ids(bits, shares, LEAD, rounded, ids)
+    else:
+        moving = np.array(sorted(dynamic), np.int32)
+        raw_channels.write_moving_ids(bits, shares, LEAD, rounded, moving, ids)
     return ids
 
 
@@ -324,10 +314,8 @@ class IdReading:
         Raises DamagedFileError, which names the file `where`, if the ids were destroyed.
         """
         require_lossless_ids(ranks, f"{where}, layer {self.cryptomatte.name!r},")
-        if self.dynamic is None:
-            ids = surface_ids(ranks, self.rounded)
-        else:
-            ids = dynamic_stencil(ranks, self.dynamic.ids, self.rounded)
+        moving = None if self.dynamic is None else self.dynamic.ids
+        ids = surface_ids(ranks, self.rounded, moving)
         if depth is not None:
             ids = refine_ids_by_depth(ids, depth)
         return (None, ids) if self.dynamic is None else (ids, None)

@@ -21,7 +21,7 @@ from exwarp_cli.domain.frame import Float32
 
 F64 = npt.NDArray[np.float64]
 
-FAR = 1e9  # depth from which on a pixel counts as background
+FAR = 1e9  # depth from which on a pixel counts as background: Blender writes 1e10 there
 
 # Pixels that a camera is fitted to, and below which nothing is concluded.
 SAMPLES, LEAST = 3000, 200

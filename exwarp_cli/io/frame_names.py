@@ -17,8 +17,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from exwarp_cli.io.channels import Role, role_named
-from exwarp_cli.io.producers import is_cryptomatte_name
+from exwarp_cli.io.channels import Role, is_cryptomatte_name, role_named
 
 _TOKEN = re.compile(r"#+|@+|%[0-9]{0,2}d|\$F[0-9]{0,2}")
 _NUMBER = re.compile(r"-?[0-9]+")

@@ -21,15 +21,13 @@ from exwarp_cli.domain.frame import (
 )
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
-from exwarp_cli.io.channels import ChannelRef, Role, detect_layout, require_role
+from exwarp_cli.io.channels import ChannelRef, Role, detect_layout
 from exwarp_cli.io.cryptomatte import find_cryptomattes
+from exwarp_cli.io.depth import FAR
 from exwarp_cli.io.exr.reader import ExrFile
-from exwarp_cli.io.shot import Shot, count_nonfinite, without_cryptomattes
-from exwarp_cli.io.views import choose_view, list_views, view_channels
+from exwarp_cli.io.shot import Shot, count_nonfinite
+from exwarp_cli.io.views import view_channels, view_in_file
 from exwarp_cli.runtime.frame_pool import pool
-
-# Depth from which on a pixel counts as background: Blender writes 1e10 there.
-FAR = 1e9
 
 # Share of non-finite colour from which on a frame is refused rather than repaired.
 MAX_BROKEN = 0.5
@@ -105,9 +103,9 @@ def read_raw(
         if len({planes.windows[ref] for ref in refs[Role.COLOUR]}) == 1:
             broken_colour = broken
     gbuffer = _geometry(planes, shot, canvas)
-    if ids is not None:
+    pixels = planes.stack(Role.STENCIL, canvas, refs=ranks) if ranks else None
+    if ids is not None and pixels is not None:
         file = shot.files(number)[ids.cryptomatte.aov]
-        pixels = planes.join(Role.STENCIL, ranks, canvas, 0.0)
         stencil, object_ids = ids.read(pixels, gbuffer.depth, file)
         gbuffer = replace(gbuffer, stencil=stencil, objects=object_ids)
     motion = planes.stack(Role.MOTION, canvas)
@@ -133,26 +131,21 @@ class _Planes:
     broken: dict[str, int] = field(default_factory=dict)
 
     def stack(
-        self, role: Role, canvas: Window, fill: float = 0.0, count: bool = True
-    ) -> Float32 | None:
-        """Return a role's channels, float32 [H, W, C] on a canvas, or None; see `join`."""
-        if role not in self.refs:
-            return None
-        return self.join(role, self.refs[role], canvas, fill, count)
-
-    def join(
         self,
         role: Role,
-        refs: tuple[ChannelRef, ...],
         canvas: Window,
-        fill: float,
+        fill: float = 0.0,
         count: bool = True,
-    ) -> Float32:
-        """Return channels of a role, float32 [H, W, C] on a canvas.
+        refs: tuple[ChannelRef, ...] = (),
+    ) -> Float32 | None:
+        """Return a role's channels, float32 [H, W, C] on a canvas; None if it has none.
 
         Without `count`, non-finite pixels are left to the caller to count if the channels cover
-        just the canvas.
+        just the canvas. `refs` stand in for the channels that the layout has for the role.
         """
+        refs = refs or self.refs.get(role, ())
+        if not refs:
+            return None
         members = [self.planes[ref].astype(np.float32, copy=False) for ref in refs]
         windows = [self.windows[ref] for ref in refs]
         if len(set(windows)) == 1:
@@ -248,14 +241,19 @@ def read_image(path: Path, view: str = "") -> Image:
     Raises InputError if the file is missing or damaged, LayoutError if no colour is recognised.
     """
     with ExrFile(path) as file:
-        views = list_views(file.parts)
-        channels = view_channels(
-            file.parts, choose_view(views, view or None, path) if views else ""
-        )
+        channels = view_channels(file.parts, view_in_file(file.parts, view, path))
         mattes = find_cryptomattes({"": channels.values()}, {"": file.header.texts})
-        layout = detect_layout({"": without_cryptomattes(channels, mattes)})
-        refs = require_role(layout, Role.COLOUR, str(path), channels)
-        colour = [channels[ref.name] for ref in refs]
+        layout = detect_layout(
+            {"": channels.values()}, {ref for matte in mattes for ref in matte.refs}
+        )
+        if Role.COLOUR not in layout:
+            partly = layout.incomplete.get(Role.COLOUR, "")
+            raise LayoutError(
+                f"{path} has no colour channels that are recognised{partly and f' ({partly})'}, "
+                f"only {', '.join(channels)}; name them in a channel map, or render the missing "
+                "pass"
+            )
+        colour = [channels[ref.name] for ref in layout.roles[Role.COLOUR]]
         planes = file.read(colour)
         part = file.parts[colour[0].part]
         placed = []

@@ -2,7 +2,8 @@
 
 A layer is what belongs together in a pixel: a colour with its alpha, the three numbers of a normal,
 an id. Kinds go by the roles that were recognised (:mod:`exwarp_cli.io.channels`), then by pixel
-type, components and the names that renderers use.
+type, components and the names that renderers use. Of the layers of a shot without a role, some may
+be motion vectors that were not recognised.
 """
 
 from __future__ import annotations
@@ -13,10 +14,15 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING
 
 from exwarp_cli.errors import UsageError
-from exwarp_cli.io.channels import ChannelRef, Layout, Role
+from exwarp_cli.io.channels import ChannelRef, Layout, Role, split_words
 from exwarp_cli.io.exr.header import Channel
+from exwarp_cli.io.sequences import neighbouring_sequences
+
+if TYPE_CHECKING:
+    from exwarp_cli.io.shot import Shot
 
 # What --layers takes beside names: the layer that frames are made for, and every one.
 BEAUTY, ALL = "beauty", "all"
@@ -46,11 +52,6 @@ class Layer:
     # In the order of the file: in every frame of the sequence, and in the frame that was read.
     refs: tuple[ChannelRef, ...]
     channels: tuple[Channel, ...]
-
-    @property
-    def aov(self) -> str:
-        """Name of the AOV's own sequence if each AOV has a file of its own, else ""."""
-        return self.refs[0].aov
 
     @property
     def leaf(self) -> str:
@@ -117,6 +118,17 @@ _NAMES = (
     ),
     (LayerKind.DEPTH, re.compile(r"z|.*depth|z(norm|inv)|(ray)?hitpz|distance")),
 )
+
+
+MAX_LISTED = 12  # layers that a message names
+
+_MOTION_WORDS = frozenset(
+    {"motion", "move", "movement", "mv", "mvec", "mvecs", "mb", "vec", "vecs", "vector", "vectors"}
+    | {"vel", "velo", "velocity", "speed", "flow", "optical", "disparity", "displacement"}
+    | {"forward", "fwd", "fore", "backward", "bwd", "back", "prev", "previous", "next", "blur"}
+)
+_MOTION_BEGINNINGS = ("motion", "velocit", "vector", "mvec", "flow")
+_PAIRS = ("UV", "XY", "RG")
 
 
 def group_layers(
@@ -225,3 +237,86 @@ def _kind_by_name(name: str, channels: list[Channel]) -> LayerKind:
     # A vector of unknown meaning: a mixture of two directions may be none of both.
     is_vector = len(components) > 1 and not components & (_FAMILIES["RGBA"] | _ALPHA)
     return LayerKind.DATA if is_vector else LayerKind.COLOUR
+
+
+def likely_vectors(refs: Iterable[ChannelRef]) -> tuple[tuple[ChannelRef, ...], ...]:
+    """Return the layers that may hold motion vectors, the likeliest first, by name alone.
+
+    Of each layer, its first two components in the order X, Y, or U, V, or R, G. A layer counts if
+    its name has a word of motion, or if it has these two components and no third.
+    """
+    layers: dict[str, dict[str, ChannelRef]] = defaultdict(dict)
+    for ref in refs:
+        layer = ref.label.rpartition(".")[0] or ref.aov
+        layers[layer].setdefault(ref.component[:1].upper(), ref)
+    named: list[tuple[ChannelRef, ...]] = []
+    unnamed: list[tuple[ChannelRef, ...]] = []
+    for layer, components in layers.items():
+        pair = next((pair for pair in _PAIRS if set(pair) <= set(components)), None)
+        if pair is None:
+            continue
+        vectors = tuple(components[letter] for letter in pair)
+        if _has_motion_word(layer):
+            named.append(vectors)
+        elif len(components) == 2:
+            unnamed.append(vectors)
+    return (*named, *unnamed)
+
+
+def is_colour_alone(shot: Shot) -> bool:
+    """Return True if a shot has nothing but its beauty: footage, and no render with passes."""
+    has_roles = not set(shot.layout.roles) <= {Role.COLOUR} or shot.layout.incomplete
+    if has_roles or shot.aovs or shot.cryptomattes:
+        return False
+    # Some renderers keep the beauty's alpha in a layer of its own.
+    more = [ref for ref in shot.unused if ref.component.lower() not in ("a", "alpha")]
+    return not more and not _neighbouring_vectors(shot)
+
+
+def _neighbouring_vectors(shot: Shot) -> list[str]:
+    """Return the patterns of sequences beside a shot whose names have a word of motion."""
+    sequences = {} if shot.aovs else neighbouring_sequences(shot.sequence)
+    return [member.pattern for name, member in sequences.items() if _has_motion_word(name)]
+
+
+def _has_motion_word(name: str) -> bool:
+    words = split_words(re.sub(r".*:", "", name))
+    return any(w in _MOTION_WORDS or w.startswith(_MOTION_BEGINNINGS) for w in words)
+
+
+def no_vectors_message(shot: Shot, estimable: bool = True) -> str:
+    """Return the message that a shot has no usable vectors: its unknown channels, and what to do.
+
+    `estimable` is true if the method could estimate motion.
+    """
+    incomplete = shot.layout.incomplete.get(Role.MOTION)
+    partly = "" if incomplete is None else f" ({incomplete})"
+    # Channels of Cryptomattes have a use. Those of the main file come first.
+    hashed = {ref for matte in shot.cryptomattes for ref in matte.refs}
+    order = ["", *shot.aovs]
+    unused = [ref for ref in shot.unused if ref not in hashed]
+    unused.sort(key=lambda ref: order.index(ref.aov))
+    layers: dict[str, list[str]] = defaultdict(list)
+    for ref in unused:
+        layer, dot, component = ref.label.rpartition(".")
+        layers[layer + dot].append(component)
+    listed = [
+        f"{layer}{components[0]}" if len(components) == 1 else f"{layer}{{{','.join(components)}}}"
+        for layer, components in layers.items()
+    ]
+    more = f" and {len(listed) - MAX_LISTED} more layers" if len(listed) > MAX_LISTED else ""
+    unknown = f"; not recognised: {', '.join(listed[:MAX_LISTED])}{more}" if unused else ""
+    likeliest = ""
+    if likely := likely_vectors(unused):
+        names = ", ".join(ref.name.rpartition(".")[0] or ref.aov for ref, _ in likely[:3])
+        aov = likely[0][0].aov
+        pattern = (shot.aovs[aov] if aov else shot.sequence).pattern
+        channels = ",".join(ref.name for ref in likely[0])
+        likeliest = f"; likeliest: {names}, to be named as in --aov motion={pattern}:{channels}"
+    elif patterns := _neighbouring_vectors(shot):
+        likeliest = f"; likeliest: {patterns[0]}, to be named as in --aov motion={patterns[0]}:R,G"
+    remedy = ", or allow --estimate-motion" if estimable and not is_colour_alone(shot) else ""
+    return (
+        f"{shot.sequence.pattern} has no motion vectors that are recognised{partly}{unknown}"
+        f"{likeliest}; render the motion pass{remedy}, or use --method hold or blend"
+    )

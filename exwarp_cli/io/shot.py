@@ -17,15 +17,21 @@ from exwarp_cli.domain.frame import Bool, Window, is_surely_finite, nonfinite_pi
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.channel_map import AovFile, ChannelMap, detect_aov, find_channel
-from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect_layout
+from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect_layout, vector_direction
 from exwarp_cli.io.cryptomatte import Cryptomatte, IdReading, find_cryptomattes
 from exwarp_cli.io.depth import DepthReading, depth_reading_by_name
 from exwarp_cli.io.exr.header import Channel, Part
 from exwarp_cli.io.exr.reader import ExrFile, FileHeader, HeaderCache, deep_image_error
 from exwarp_cli.io.frame_names import split_pass
-from exwarp_cli.io.producers import vector_direction
 from exwarp_cli.io.sequences import AovSet, Sequence, find_aov_set, find_sequence
-from exwarp_cli.io.views import ALL, choose_view, expand_view, list_views, view_channels
+from exwarp_cli.io.views import (
+    ALL,
+    choose_view,
+    expand_view,
+    list_views,
+    view_channels,
+    view_in_file,
+)
 
 T = TypeVar("T")
 
@@ -67,17 +73,6 @@ class ShotFiles:
     view: str = ""
     views: tuple[str, ...] = ()
     cache: HeaderCache = field(default_factory=HeaderCache)
-    _last: dict[int, dict[str, FileHeader]] = field(default_factory=dict)
-
-    def read_headers(self, number: int) -> dict[str, FileHeader]:
-        """Read one frame's headers by AOV, the leader's first; those of the last one are kept."""
-        if number not in self._last:
-            members = {} if self.leader in self.aovs.values() else {"": self.leader}
-            members |= self.aovs
-            paths = {aov: member.files[number] for aov, member in members.items()}
-            headers = {aov: read_flat_header(path, self.cache) for aov, path in paths.items()}
-            self._last = {number: headers}
-        return self._last[number]
 
 
 @dataclass(frozen=True)
@@ -133,9 +128,10 @@ class Shot:
         return {aov: sequence.files[number] for aov, sequence in sequences.items()}
 
     @property
-    def listed(self) -> str:
-        """Every channel, by the names that a channel map takes, for a message."""
-        return ", ".join(map(channel_label, self.every)) or "none that can be read"
+    def unused(self) -> list[ChannelRef]:
+        """The channels without a role, those of Cryptomattes too, in the order of the files."""
+        used = {ref for refs in self.layout.roles.values() for ref in refs}
+        return [ref for ref in self.every if ref not in used]
 
     def channels(self, parts: Iterable[Part], aov: str = "") -> dict[str, Channel]:
         """Return the channels of this shot's view in a file, by the names that the layout has."""
@@ -159,9 +155,9 @@ def open_shot(
     Raises InputError if there is no such sequence or view, its first frame cannot be read, or a
     sequence of its AOVs lacks a frame or is of another size.
     """
-    request = _Request.of(view, aovs, channel_map, keep_going)
-    files = find_files(spec, keep_going, request.decided, request.view)
-    return _open_files(files, request)
+    if channel_map is not None:
+        view = view or channel_map.view
+    return _open(spec, view, aovs, channel_map, keep_going)[0]
 
 
 def open_views(
@@ -177,72 +173,67 @@ def open_views(
     """
     if view != ALL:
         return (open_shot(spec, view, aovs, channel_map, keep_going),)
-    request = replace(_Request.of(None, aovs, channel_map, keep_going), view=None)
-    files = find_files(spec, keep_going, request.decided)
-    hero = _open_files(files, request)
-    if not hero.views:
-        raise LayoutError(f"{hero.sequence.pattern} has no views; leave --view {ALL} out")
-    names = hero.views[1:]
-    if files.view:
-        return (hero, *(open_shot(spec, name, aovs, channel_map, keep_going) for name in names))
-    requests = (replace(request, view=name) for name in names)
-    return (hero, *(_open_view(files, hero.first, request) for request in requests))
+    return _open(spec, None, aovs, channel_map, keep_going, every_view=True)
 
 
-@dataclass(frozen=True)
-class _Request:
-    """Options of `open_shot`, joined with its channel map; options come first."""
-
-    view: str | None
-    aovs: tuple[AovFile, ...]
-    channel_map: ChannelMap | None
-    keep_going: bool
-    decided: frozenset[Role]  # roles whose channels the user names
-
-    @classmethod
-    def of(
-        cls,
-        view: str | None,
-        aovs: tuple[AovFile, ...],
-        channel_map: ChannelMap | None,
-        keep_going: bool,
-    ) -> _Request:
-        roles = {aov.role for aov in aovs}
-        if channel_map is not None:
-            view = view or channel_map.view
-            aovs += tuple(aov for aov in channel_map.aovs if aov.role not in roles)
-            roles.update((aov.role for aov in aovs), channel_map.channels)
-        return cls(view, aovs, channel_map, keep_going, frozenset(roles))
-
-
-def _open_files(files: ShotFiles, request: _Request) -> Shot:
-    """Open a shot by its first frame, or by the first that is sound with `keep_going`."""
+def _open(
+    spec: str,
+    view: str | None,
+    aovs: tuple[AovFile, ...],
+    channel_map: ChannelMap | None,
+    keep_going: bool,
+    every_view: bool = False,
+) -> tuple[Shot, ...]:
+    """Open one view, or the hero and every other one, by the first frame that counts."""
+    roles = {aov.role for aov in aovs}
+    if channel_map is not None:
+        aovs += tuple(aov for aov in channel_map.aovs if aov.role not in roles)
+        roles.update((aov.role for aov in aovs), channel_map.channels)
+    files = find_files(spec, keep_going, roles, view)
 
     def open_by_frame(number: int) -> Shot:
-        shot = _open_view(files, number, request)
-        if request.keep_going:
+        shot = _open_view(files, number, view, aovs, channel_map, keep_going)
+        if keep_going:
             require_sound(shot.files(number).values())
         return shot
 
     numbers = files.leader.numbers
-    return first_usable(numbers if request.keep_going else numbers[:1], open_by_frame)
+    shot = first_usable(numbers if keep_going else numbers[:1], open_by_frame)
+    if not every_view:
+        return (shot,)
+    if not shot.views:
+        raise LayoutError(f"{shot.sequence.pattern} has no views; leave --view {ALL} out")
+    further = (
+        open_shot(spec, name, aovs, channel_map, keep_going)
+        if files.view
+        else _open_view(files, shot.first, name, aovs, channel_map, keep_going)
+        for name in shot.views[1:]
+    )
+    return (shot, *further)
 
 
-def _open_view(files: ShotFiles, number: int, request: _Request) -> Shot:
+def _open_view(
+    files: ShotFiles,
+    number: int,
+    wanted: str | None,
+    aovs: tuple[AovFile, ...],
+    channel_map: ChannelMap | None,
+    keep_going: bool,
+) -> Shot:
     """Recognise the channels of one view in one frame."""
-    headers = files.read_headers(number)
+    members = {} if files.leader in files.aovs.values() else {"": files.leader}
+    members |= files.aovs
+    headers = {aov: read_flat_header(m.files[number], files.cache) for aov, m in members.items()}
     parts = {aov: header.parts for aov, header in headers.items()}
     texts = {aov: header.texts for aov, header in headers.items()}
     main, pattern = next(iter(parts.values())), files.leader.pattern
     views = files.views if files.view else list_views(main)
-    view = files.view or choose_view(views, request.view, pattern)
-    within = {aov: _view_in_file(own, view, files.view, pattern) for aov, own in parts.items()}
+    view = files.view or choose_view(views, wanted, pattern)
+    within = {aov: view_in_file(own, view, pattern, files.view) for aov, own in parts.items()}
     channels = {aov: view_channels(own, within[aov]) for aov, own in parts.items()}
     members_by_aov = {aov: members.values() for aov, members in channels.items()}
     mattes = find_cryptomattes(members_by_aov, texts)
-    own = detect_layout(
-        {aov: without_cryptomattes(members, mattes, aov) for aov, members in channels.items()}
-    )
+    own = detect_layout(members_by_aov, {ref for matte in mattes for ref in matte.refs})
     if Role.COLOUR in own:
         mattes = find_cryptomattes(members_by_aov, texts, own.roles[Role.COLOUR][0].name)
     names = {name.upper() for members in channels.values() for name in members}
@@ -251,7 +242,6 @@ def _open_view(files: ShotFiles, number: int, request: _Request) -> Shot:
             f"{pattern} holds luminance alone (a channel Y), which is no colour; write the frames "
             "as RGB"
         )
-    channel_map = request.channel_map
     shot = Shot(
         files.leader,
         files.aovs,
@@ -261,14 +251,14 @@ def _open_view(files: ShotFiles, number: int, request: _Request) -> Shot:
         view,
         within,
         channel_map=channel_map,
-        aov_files=request.aovs,
+        aov_files=aovs,
         cryptomattes=mattes,
         every=tuple(ChannelRef(aov, name) for aov, names in channels.items() for name in names),
         first=number,
-        keep_going=request.keep_going,
+        keep_going=keep_going,
         headers=files.cache,
     )
-    for aov in request.aovs:
+    for aov in aovs:
         shot = _with_aov(shot, aov)
     return _with_readings(shot, own)
 
@@ -286,7 +276,7 @@ def _with_readings(shot: Shot, own: Layout) -> Shot:
     if shot.channel_map is not None and shot.channel_map.depth_kind is not None:
         depth = DepthReading.of(shot.channel_map.depth_kind)
     by_hand: dict[str, Any] = {
-        role.value: [channel_label(ref) for ref in roles.get(role, ())]
+        role.value: [ref.label for ref in roles.get(role, ())]
         for role in Role
         if roles.get(role) != own.roles.get(role)
     }
@@ -322,9 +312,7 @@ def _needed_aovs(aov_set: AovSet, decided: Collection[Role]) -> list[str]:
             parts = read_flat_header(path, HeaderCache()).parts
         except InputError:  # reported when that frame is read
             continue
-        views = list_views(parts)
-        channels = view_channels(parts, views[0] if views else "")
-        own = set(detect_layout({"": channels.values()}).roles)
+        own = set(detect_layout({"": view_channels(parts).values()}).roles)
         break
     roles = {name: split_pass(name).role for name in aov_set.aovs}
     names = [
@@ -353,22 +341,6 @@ def read_flat_header(path: Path, headers: HeaderCache) -> FileHeader:
     return header
 
 
-def without_cryptomattes(
-    channels: Mapping[str, Channel], cryptomattes: Iterable[Cryptomatte], aov: str = ""
-) -> tuple[Channel, ...]:
-    """Return channels without those of Cryptomattes."""
-    refs = {ref for matte in cryptomattes for ref in matte.refs}
-    return tuple(c for name, c in channels.items() if ChannelRef(aov, name) not in refs)
-
-
-def _view_in_file(parts: tuple[Part, ...], view: str, view_in_name: str, file: object) -> str:
-    """Return the view of a file that is read, "" for one without views or all of one view."""
-    views = list_views(parts)
-    if not views or (view_in_name and view not in views):
-        return ""
-    return choose_view(views, view or None, file)
-
-
 def _with_aov(shot: Shot, aov: AovFile) -> Shot:
     """Take a role's channels from a sequence of its own."""
     expanded, view_in_name, _ = expand_view(aov.pattern, shot.view or None)
@@ -388,7 +360,7 @@ def _with_aov(shot: Shot, aov: AovFile) -> Shot:
             f"{path} of {aov.option} has the display window {parts[0].display_window} where the "
             f"shot has {shot.display}; render all AOVs at one resolution"
         )
-    within = _view_in_file(parts, shot.view, view_in_name, path)
+    within = view_in_file(parts, shot.view, path, view_in_name)
     channels = view_channels(parts, within)
     # Files that hold several roles are read once.
     same_files = (n for n, member in shot.aovs.items() if member.pattern == sequence.pattern)
@@ -397,7 +369,7 @@ def _with_aov(shot: Shot, aov: AovFile) -> Shot:
     if aov.role is Role.STENCIL and mattes and not aov.channels:
         layout = Layout({aov.role: mattes[0].stencil})
     else:
-        layout = _with_aov_names(detect_aov(aov, channels, path), {aov.role.value: name})
+        layout = detect_aov(aov, channels, name, path)
     every, cryptomattes = shot.every, shot.cryptomattes
     if name not in shot.aovs:
         every += tuple(ChannelRef(name, channel) for channel in channels)
@@ -426,15 +398,23 @@ def _with_leader(shot: Shot, aov: str) -> Shot:
     """Make an AOV's sequence the leader: frames are named like those with the colour."""
     has_aov_name = shot.sequence in shot.aovs.values()
     names = {aov: ""} if has_aov_name else {"": MAIN, aov: ""}
+
+    def rename(refs: Iterable[ChannelRef]) -> tuple[ChannelRef, ...]:
+        return tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in refs)
+
+    roles = {role: rename(refs) for role, refs in shot.layout.roles.items()}
     aovs = {name: sequence for name, sequence in shot.aovs.items() if name != aov}
     return replace(
         shot,
         sequence=shot.aovs[aov],
         aovs=aovs if has_aov_name else {MAIN: shot.sequence, **aovs},
-        layout=_with_aov_names(shot.layout, names),
-        every=_refs_with_aov_names(shot.every, names),
+        layout=replace(shot.layout, roles=roles, alphas=rename(shot.layout.alphas)),
+        every=rename(shot.every),
         within={names.get(name, name): view for name, view in shot.within.items()},
-        cryptomattes=tuple(matte.moved(names) for matte in shot.cryptomattes),
+        cryptomattes=tuple(
+            replace(m, aov=names.get(m.aov, m.aov), ranks=tuple(map(rename, m.ranks)))
+            for m in shot.cryptomattes
+        ),
     )
 
 
@@ -443,7 +423,7 @@ def _corrected(
 ) -> Layout:
     """Put a channel map's roles in place of those that were recognised."""
     refs = [ChannelRef(aov, name) for aov, members in channels.items() for name in members]
-    by_label = {channel_label(ref): ref for ref in refs}
+    by_label = {ref.label: ref for ref in refs}
     roles = dict(layout.roles)
     for role, names in channel_map.channels.items():
         roles.pop(role, None)
@@ -461,31 +441,15 @@ def _corrected(
     )
 
 
-def _with_aov_names(layout: Layout, names: Mapping[str, str]) -> Layout:
-    roles = {role: _refs_with_aov_names(refs, names) for role, refs in layout.roles.items()}
-    return replace(layout, roles=roles, alphas=_refs_with_aov_names(layout.alphas, names))
-
-
-def _refs_with_aov_names(
-    refs: Iterable[ChannelRef], names: Mapping[str, str]
-) -> tuple[ChannelRef, ...]:
-    return tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in refs)
-
-
 def alpha_note(layout: Layout) -> str | None:
     """Return the note that a colour has no alpha as several channels may be it, or None."""
     if not layout.alphas:
         return None
-    names = ", ".join(channel_label(ref) for ref in layout.alphas)
+    names = ", ".join(ref.label for ref in layout.alphas)
     return (
         f"alpha is left out, as {names} may each be it; name one as the fourth of channels.colour "
         "in a channel map"
     )
-
-
-def channel_label(ref: ChannelRef) -> str:
-    """Return a channel's name as users see it, and channel maps have it: with its AOV."""
-    return f"{ref.aov}:{ref.name}" if ref.aov else ref.name
 
 
 def first_usable(numbers: Iterable[int], read: Callable[[int], T]) -> T:

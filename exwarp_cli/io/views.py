@@ -71,6 +71,18 @@ def choose_view(views: tuple[str, ...], wanted: str | None, file: object) -> str
     )
 
 
+def view_in_file(parts: Iterable[Part], view: str, file: object, view_in_name: str = "") -> str:
+    """Return the view of a file that is read, "" if it has none, or is all of one view.
+
+    `view` is the wanted one, "" the hero; `view_in_name` that of the file by its name. Raises
+    LayoutError if the file has others.
+    """
+    views = list_views(parts)
+    if not views or (view_in_name and view not in views):
+        return ""
+    return choose_view(views, view or None, file)
+
+
 def view_channels(parts: Iterable[Part], view: str = "") -> dict[str, Channel]:
     """Return the channels of a view by their name without it, in file order, without deep ones.
 

@@ -13,13 +13,12 @@ from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import Timeline, ranges
 from exwarp_cli.errors import MotionError, UsageError
 from exwarp_cli.io.channel_map import channel_map_text, write_channel_map
-from exwarp_cli.io.channels import ChannelRef, Role
+from exwarp_cli.io.channels import UNKNOWN, ChannelRef, Role
 from exwarp_cli.io.cryptomatte import Cryptomatte, Manifest
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.exr.header import Part
 from exwarp_cli.io.footage import describe_footage
-from exwarp_cli.io.producers import UNKNOWN
-from exwarp_cli.io.shot import MAIN, Shot, channel_label
+from exwarp_cli.io.shot import MAIN, Shot
 from exwarp_cli.pipeline.depth_and_ids import read_ids, sound_cryptomattes, with_depth_ordered
 from exwarp_cli.pipeline.motion_convention import find_motion, motion_names
 from exwarp_cli.pipeline.source import open_keys, open_plain, rate_of, require_one_size, step_note
@@ -90,8 +89,7 @@ class Inspection:
             ],
             "aovs": {aov: member.pattern for aov, member in self.shot.aovs.items()},
             "roles": {
-                role.value: [channel_label(ref) for ref in refs]
-                for role, refs in layout.roles.items()
+                role.value: [ref.label for ref in refs] for role, refs in layout.roles.items()
             },
             "channels": dict(self.types),
             "depth_kind": self.shot.depth.kind.value if Role.DEPTH in layout else None,
@@ -137,7 +135,7 @@ def inspect(settings: SourceSettings) -> Inspection:
         header = shot.headers.read(path)
         parts = parts or header.parts
         for name, channel in shot.channels(header.parts, aov).items():
-            types[channel_label(ChannelRef(aov, name))] = channel.pixel_type
+            types[ChannelRef(aov, name).label] = channel.pixel_type
     finding, problem = None, None
     try:
         finding = find_motion(shot, settings.motion)
@@ -171,7 +169,7 @@ def save_channel_map(inspection: Inspection, path: Path, overwrite: bool) -> Non
 
     def name_in_file(ref: ChannelRef) -> str:
         # Also where colour comes from another sequence.
-        return channel_label(replace(ref, aov="") if ref.aov == MAIN else ref)
+        return (replace(ref, aov="") if ref.aov == MAIN else ref).label
 
     channels = {role: tuple(map(name_in_file, refs)) for role, refs in layout.roles.items()}
     motion = None
@@ -189,12 +187,6 @@ def save_channel_map(inspection: Inspection, path: Path, overwrite: bool) -> Non
     aovs = {aov.role.value for aov in shot.aov_files}
     if any(aov.role is Role.COLOUR for aov in shot.aov_files):
         aovs.add("")
-    unused = [name_in_file(ref) for ref in unused_channels(shot) if ref.aov not in aovs]
+    unused = [name_in_file(ref) for ref in shot.unused if ref.aov not in aovs]
     text = channel_map_text(about, texts, channels, shot.aov_files, unused)
     write_channel_map(path, text, overwrite)
-
-
-def unused_channels(shot: Shot) -> list[ChannelRef]:
-    """Return the channels without a role, with those of Cryptomattes, in the order of the files."""
-    used = {ref for refs in shot.layout.roles.values() for ref in refs}
-    return [ref for ref in shot.every if ref not in used]

@@ -11,13 +11,12 @@ from functools import partial
 import numpy as np
 
 from exwarp_cli.domain.frame import place_on_canvas
-from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
+from exwarp_cli.domain.motion import PRESETS, AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.domain.timeline import number_step
 from exwarp_cli.errors import InputError, MotionError, UsageError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import is_visible, read_raw
-from exwarp_cli.io.producers import PRESETS
-from exwarp_cli.io.shot import Shot, channel_label
+from exwarp_cli.io.shot import Shot
 from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
 from exwarp_cli.synthesis.calibration import calibrate, preset_hint
 from exwarp_cli.synthesis.calibration_samples import (
@@ -40,7 +39,7 @@ MOST = 1e30
 # Pairs that are looked through for motion where the first ones hold none, and those measured.
 SPREAD, MOST_MOVING = 16, 3
 
-# What to do about motion blur, by producer as `io.producers` names them.
+# What to do about motion blur, by producer as `io.channels` names them.
 BLUR_ADVICE = {
     "Blender": "switch it off in Render Properties > Motion Blur, as Cycles writes no vectors with "
     "it",
@@ -69,7 +68,7 @@ def motion_names(shot: Shot) -> tuple[str, ...]:
         short = tuple(".".join(ref.name.split(".")[-elements:]) for ref in refs)
         if len(set(short)) == len(short):
             return short
-    return tuple(channel_label(ref) for ref in refs)
+    return tuple(ref.label for ref in refs)
 
 
 def parse_motion(text: str, names: tuple[str, ...], size: tuple[int, int]) -> MotionConvention:

@@ -31,8 +31,8 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import clip_rate, find_footage, is_plain, make_shot, read_display_window
 from exwarp_cli.io.frames import require_visible
 from exwarp_cli.io.generated_frames import frame_rate
+from exwarp_cli.io.layers import is_colour_alone, no_vectors_message
 from exwarp_cli.io.shot import Shot, open_shot, open_views
-from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors_message
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.views import ALL
 from exwarp_cli.pipeline.depth_and_ids import (
@@ -143,9 +143,10 @@ def open_source(
         return Source(plain, None, _no_number, timeline, None, fps, fps_source, cuts, motion_needed)
     keys, settings = open_keys(settings)
     if Role.COLOUR not in keys.layout:
+        listed = ", ".join(ref.label for ref in keys.every) or "none that can be read"
         raise LayoutError(
             f"{keys.sequence.pattern} has no colour channels that are recognised, only "
-            f"{keys.listed}; name them in a channel map, or render the beauty pass"
+            f"{listed}; name them in a channel map, or render the beauty pass"
         )
     timeline, fps, fps_source = _timeline(keys, settings)
     if settings.gbuffers is not None and timeline.steps is None:

@@ -9,7 +9,6 @@ import pytest
 
 from exwarp_cli.io.cryptomatte import (
     IdKind,
-    dynamic_stencil,
     find_dynamic_objects,
     hash_name,
     read_manifest,
@@ -69,7 +68,7 @@ def test_the_stencil_has_what_is_named_and_nothing_else(keys):
     chosen = find_dynamic_objects("ball,car*,W*", manifests, "it")
     assert set(chosen.names) == MOVERS
     ranks = ranks_in(keys[0], found)
-    stencil = dynamic_stencil(ranks, chosen.ids)
+    stencil = surface_ids(ranks, dynamic=chosen.ids)
     assert set(np.unique(stencil)) - {-1, 0} == set(chosen.ids)
     known = (stencil >= 0) & (surface_ids(ranks) >= 0)
     moving = np.isin(surface_ids(ranks), chosen.ids)

@@ -104,10 +104,10 @@ class TestOffers:
         assert offered("upsample", "--aov", "motion=nowhere/") == []
 
     def test_names_are_those_of_the_registries(self):
+        from exwarp_cli.domain.motion import PRESETS
         from exwarp_cli.io.channels import Role
         from exwarp_cli.io.exr.writer import COMPRESSIONS
         from exwarp_cli.io.generated_frames import OPENEXR_COMPRESSIONS
-        from exwarp_cli.io.producers import PRESETS
         from exwarp_cli.synthesis.methods import METHODS
 
         assert tuple(METHODS) == completion.METHODS

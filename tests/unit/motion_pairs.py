@@ -8,8 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from exwarp_cli.domain.motion import AxisMap, MotionConvention
-from exwarp_cli.io.producers import PRESETS
+from exwarp_cli.domain.motion import PRESETS, AxisMap, MotionConvention
 from exwarp_cli.synthesis.calibration_samples import FrameSamples, MotionFrame, sample_frame
 from tests.unit.scenes import View, town
 

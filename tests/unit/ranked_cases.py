@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 
-from exwarp_cli.io.cryptomatte import dynamic_stencil, refine_ids_by_depth, surface_ids
+from exwarp_cli.io.cryptomatte import refine_ids_by_depth, surface_ids
 
 
 def case(seed: int, height: int = 24, width: int = 31) -> np.ndarray:
@@ -34,7 +34,7 @@ def everything() -> dict[str, np.ndarray]:
         shown = surface_ids(ranks, rounded)
         some = [int(i) for i in np.unique(shown) if i > 0][::2]
         found[f"surfaces {rounded}"] = shown
-        found[f"moving {rounded}"] = dynamic_stencil(ranks, some, rounded)
+        found[f"moving {rounded}"] = surface_ids(ranks, rounded, some)
         depth = np.random.default_rng(6).choice(np.array([1, 1.03, 2, np.inf]), shown.shape)
         found[f"by depth {rounded}"] = refine_ids_by_depth(shown, depth.astype(np.float32))
     return found

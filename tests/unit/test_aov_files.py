@@ -87,31 +87,33 @@ class TestRecognise:
         ],
     )
     def test_by_the_role_or_the_only_layer(self, role, there, taken):
-        found = detect_aov(AovFile(role, "p"), channels(*there), "it")
+        found = detect_aov(AovFile(role, "p"), channels(*there), "aov", "it")
         (refs,) = found.roles.values()
-        assert {ref.aov for ref in refs} == {role.value}
+        assert {ref.aov for ref in refs} == {"aov"}
         names = tuple(ref.name for ref in refs)
         assert names == taken or tuple(name.rpartition(".")[2] for name in names) == taken
 
     def test_colour_that_holds_vectors(self):
-        found = detect_aov(AovFile(Role.MOTION, "p"), channels(*"RGBA"), "it")
+        found = detect_aov(AovFile(Role.MOTION, "p"), channels(*"RGBA"), "aov", "it")
         assert [ref.name for ref in found.roles[Role.MOTION]][:2] == ["R", "G"]
 
     def test_names_say_what_motion_means(self):
-        found = detect_aov(AovFile(Role.MOTION, "p"), channels("forward.u", "forward.v"), "it")
+        found = detect_aov(
+            AovFile(Role.MOTION, "p"), channels("forward.u", "forward.v"), "aov", "it"
+        )
         assert found.guess is not None
-        assert detect_aov(AovFile(Role.MOTION, "p"), channels("u", "v"), "it").guess is None
+        assert detect_aov(AovFile(Role.MOTION, "p"), channels("u", "v"), "aov", "it").guess is None
 
     def test_channels_by_name(self):
         there = channels("mv.R", "mv.G", "other.B", "a.X", "b.X")
-        found = detect_aov(AovFile(Role.MOTION, "p", ("R", "mv.G")), there, "it")
+        found = detect_aov(AovFile(Role.MOTION, "p", ("R", "mv.G")), there, "aov", "it")
         assert [ref.name for ref in found.roles[Role.MOTION]] == ["mv.R", "mv.G"]
         for name, message in (("Q", "it has only mv.R, mv.G"), ("X", "several of that name")):
             with pytest.raises(
                 LayoutError, match=f"--aov motion=p names .*{message}.*; correct it"
             ):
-                detect_aov(AovFile(Role.MOTION, "p", (name, "G")), there, "it")
+                detect_aov(AovFile(Role.MOTION, "p", (name, "G")), there, "aov", "it")
 
     def test_nothing_to_recognise(self):
         with pytest.raises(LayoutError, match=r"it has no depth .* --aov depth=p:Z"):
-            detect_aov(AovFile(Role.DEPTH, "p"), channels("G", "B"), "it")
+            detect_aov(AovFile(Role.DEPTH, "p"), channels("G", "B"), "aov", "it")

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.motion import AxisMap, MotionConvention
+from exwarp_cli.domain.motion import PRESETS, AxisMap, MotionConvention
 from exwarp_cli.errors import MotionError
-from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.synthesis.calibration import calibrate
 from exwarp_cli.synthesis.calibration_samples import MotionFrame
 from tests.matrix import combinations, spread

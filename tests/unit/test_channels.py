@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from exwarp_cli.domain.motion import AxisMap, MotionConvention
-from exwarp_cli.errors import LayoutError
-from exwarp_cli.io.channels import Layout, Role, detect_layout, require_role
+from exwarp_cli.domain.motion import PRESETS, AxisMap, MotionConvention
+from exwarp_cli.io.channels import (
+    Layout,
+    Role,
+    detect_layout,
+    is_cryptomatte_name,
+)
 from exwarp_cli.io.exr.header import Channel
-from exwarp_cli.io.producers import PRESETS, is_cryptomatte_name
 
 
 def channels(*names: str) -> list[Channel]:
@@ -237,8 +240,6 @@ class TestPlain:
             Role.MOTION: "'Vector' has only X, Z",
             Role.NORMAL: "'Normal' has only X, Y",
         }
-        with pytest.raises(LayoutError, match=r"motion channels.*\('Vector' has only X, Z\)"):
-            require_role(layout, Role.MOTION, "x.exr", ["R"])
 
     def test_half_of_the_vectors_beside_whole_ones_is_said_too(self):
         layout = found("RGB", "forward.uv", "backward.u")
@@ -350,14 +351,3 @@ def test_cryptomatte_by_its_usual_names(layer):
 @pytest.mark.parametrize("layer", ["object", "cryptid.mask", "HitProxy", "uCryptomatteManifest.x"])
 def test_other_names_are_no_cryptomatte(layer):
     assert not is_cryptomatte_name(layer)
-
-
-class TestRequire:
-    def test_what_is_there(self):
-        layout = found("RGB")
-        assert require_role(layout, Role.COLOUR, "x.exr", "RGB") == layout.roles[Role.COLOUR]
-
-    def test_what_is_not(self):
-        said = r"^x\.exr has no motion channels .*, only R, G, foo\.X; name them in a channel map"
-        with pytest.raises(LayoutError, match=said):
-            require_role(found("RGB"), Role.MOTION, "x.exr", ["R", "G", "foo.X"])

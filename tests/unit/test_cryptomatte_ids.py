@@ -14,7 +14,6 @@ from exwarp_cli.io.cryptomatte import (
     DynamicObjects,
     IdKind,
     IdReading,
-    dynamic_stencil,
     hash_name,
     refine_ids_by_depth,
     require_lossless_ids,
@@ -126,7 +125,7 @@ class TestDynamic:
         ],
     )
     def test_only_what_moves_has_an_id(self, ranks, expected):
-        found = dynamic_stencil(pixels(ranks), [surface_id(A)])[0, 0]
+        found = surface_ids(pixels(ranks), dynamic=[surface_id(A)])[0, 0]
         assert found == (surface_id(expected) if expected > 0 else expected)
 
     @pytest.mark.parametrize("rounded", [False, True])
@@ -135,7 +134,7 @@ class TestDynamic:
         ranks = case(17)
         ids = sorted({int(i) for i in surface_ids(ranks, rounded).ravel()} - {0, -1})[-count:]
         dynamic = ids if count else []
-        found = dynamic_stencil(ranks, dynamic[::-1], rounded)
+        found = surface_ids(ranks, rounded, dynamic[::-1])
         expected = reference.image(reference.moving, ranks, set(dynamic), LEAD, rounded)
         np.testing.assert_array_equal(found, expected)
         assert bool(count) == bool(found.any())

@@ -210,7 +210,13 @@ class TestPixels:
 
     def test_an_image_without_colour(self, tmp_path):
         path = write_single(tmp_path / "a.exr", {"Z": plane(3, 4, 5)})
-        with pytest.raises(LayoutError, match="no colour channels"):
+        named = r"^\S+a\.exr has no colour channels that .*, only Z; name them in a channel map"
+        with pytest.raises(LayoutError, match=named):
+            read_image(path)
+        path = write_single(tmp_path / "b.exr", {f"beauty.{c}": plane(3, 4, 5) for c in "RG"})
+        with pytest.raises(
+            LayoutError, match=r"recognised \('beauty' has only R, G\), only beauty"
+        ):
             read_image(path)
 
 

@@ -178,7 +178,7 @@ class TestStructure:
         layers = group_layers(
             files, detect_layout({aov: file.values() for aov, file in files.items()})
         )
-        assert [(layer.aov, layer.name) for layer in layers] == [
+        assert [(layer.refs[0].aov, layer.name) for layer in layers] == [
             ("Depth", "Depth"),
             ("Colour", "Colour"),
         ]

@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from exwarp_cli.commands.upsample import command
 from exwarp_cli.domain.frame import Window
-from exwarp_cli.domain.motion import AxisMap, MotionConvention
+from exwarp_cli.domain.motion import PRESETS, AxisMap, MotionConvention
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
-from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.pipeline.motion_convention import motion_names, parse_motion

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.motion import AxisMap, MotionConvention
+from exwarp_cli.domain.motion import PRESETS, AxisMap, MotionConvention
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import Slot, Timeline
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError
-from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot import open_shot
 from exwarp_cli.pipeline.motion_convention import find_motion, motion_names

@@ -216,27 +216,20 @@ class RawHeader:
 
         Raises RuntimeError, ValueError or ArithmeticError when OpenEXR refuses the header.
         """
-        try:
-            return _parse_by_openexr(self.data)
-        except UnicodeDecodeError:
-            data, changed = in_utf8(self.data)
-        headers = _parse_by_openexr(data)
+        data, changed = in_utf8(self.data)
+        opaque = OpenEXR.OpaqueAttribute  # which OpenEXR cannot write back
+        # From memory, so that the file is not opened once more.
+        with OpenEXR.File(io.BytesIO(data), header_only=True) as file:
+            headers = tuple(
+                {n: v for n, v in part.header.items() if not isinstance(v, opaque)}
+                for part in file.parts
+            )
         for (part, name), text in changed.items():
             if text is not None:
                 headers[part][name] = text
             else:
                 headers[part].pop(name, None)
         return headers
-
-
-def _parse_by_openexr(data: bytes) -> tuple[dict[str, Any], ...]:
-    opaque = OpenEXR.OpaqueAttribute  # which OpenEXR cannot write back
-    # From memory, so that the file is not opened once more.
-    with OpenEXR.File(io.BytesIO(data), header_only=True) as file:
-        return tuple(
-            {name: value for name, value in part.header.items() if not isinstance(value, opaque)}
-            for part in file.parts
-        )
 
 
 def in_utf8(data: bytes) -> tuple[bytes, dict[tuple[int, str], str | None]]:
@@ -249,23 +242,26 @@ def in_utf8(data: bytes) -> tuple[bytes, dict[tuple[int, str], str | None]]:
     out = bytearray(data)
     changed: dict[tuple[int, str], str | None] = {}
     for attribute in attributes_in(data):
-        name, value = decode(attribute.name), decode(attribute.value)
         is_text = attribute.kind in (b"string", b"stringvector")
-        is_lossy = is_text and replace_non_utf8(value) != value
-        if is_lossy:
-            out[attribute.begin : attribute.end] = replace_non_utf8(value).encode()
-        if replace_non_utf8(name) != name:
-            end = attribute.at + len(attribute.name)
-            out[attribute.at : end] = replace_non_utf8(name).encode()
-            changed[attribute.part, replace_non_utf8(name)] = None
-        elif is_lossy:
+        name, value = decode(attribute.name), decode(attribute.value) if is_text else ""
+        new_name, new_value = replace_non_utf8(name), replace_non_utf8(value)
+        if new_value != value:
+            out[attribute.begin : attribute.end] = new_value.encode()
+        if new_name != name:
+            out[attribute.at : attribute.at + len(attribute.name)] = new_name.encode()
+            changed[attribute.part, new_name] = None
+        elif new_value != value:
             changed[attribute.part, name] = value if attribute.kind == b"string" else None
     return bytes(out), changed
 
 
 def replace_non_utf8(text: str) -> str:
     """Return text that can be written as UTF-8: of the same length there, and mostly the same."""
-    return _LONE_SURROGATE.sub(_STAND_IN, text)
+    try:
+        text.encode()  # takes a tenth of a search; manifests have megabytes
+    except UnicodeEncodeError:
+        return _LONE_SURROGATE.sub(_STAND_IN, text)
+    return text
 
 
 def restore_non_utf8(
@@ -344,11 +340,10 @@ class Part:
 
 def part_from_spec(index: int, spec: oiio.ImageSpec, is_multipart: bool) -> Part:
     """Describe a part by OpenImageIO's specification; its channels have their raw names."""
-
-    def text(name: str) -> str:
-        value = spec.getattribute(name)
-        return value if isinstance(value, str) else ""
-
+    name, view = (
+        value if isinstance(value := spec.getattribute(key), str) else ""
+        for key in ("oiio:subimagename", "view")
+    )
     formats = [str(f) for f in spec.channelformats] or [str(spec.format)] * spec.nchannels
     channels = enumerate(zip(spec.channelnames, formats, strict=True))
     views = spec.getattribute("multiView")
@@ -356,11 +351,11 @@ def part_from_spec(index: int, spec: oiio.ImageSpec, is_multipart: bool) -> Part
         views = (views,) if views else ()
     return Part(
         index,
-        text("oiio:subimagename") if is_multipart else "",
+        name if is_multipart else "",
         Window(spec.x, spec.y, spec.width, spec.height),
         Window(spec.full_x, spec.full_y, spec.full_width, spec.full_height),
         tuple(Channel(index, i, name, name, kind) for i, (name, kind) in channels),
-        text("view"),
+        view,
         bool(spec.deep),
         spec.tile_width > 0,
         tuple(str(v) for v in views) if isinstance(views, (tuple, list)) else (),
@@ -386,7 +381,16 @@ def part_from_header(
     # OpenImageIO drops the attributes after a broken one.
     if any(len(v) != ATTRIBUTE_SIZES.get(kind, len(v)) for kind, v in values.values()):
         raise ValueError("an attribute has a wrong size")
-    lists = {n: _parse_texts(n, v) for n, (kind, v) in values.items() if kind == b"stringvector"}
+    lists: dict[bytes, list[bytes]] = {}
+    for name, (kind, value) in values.items():
+        if kind == b"stringvector":
+            members, at = lists.setdefault(name, []), 0
+            while at + 4 <= len(value):
+                (size,) = struct.unpack_from("<I", value, at)
+                members.append(value[at + 4 : at + 4 + size])
+                at += 4 + size
+            if at != len(value) or b"" in members or any(b"\0" in text for text in members):
+                raise ValueError(f"{decode(name)} is no plain list")
     ordered = ((decode(raw), PIXEL_TYPES[kind]) for raw, kind in in_openimageio_order(channels))
     return Part(
         index,
@@ -397,19 +401,8 @@ def part_from_header(
         texts[b"view"],
         False,
         b"tiles" in values,
-        lists.get(b"multiView", ()),
+        tuple(decode(text) for text in lists.get(b"multiView", ())),
     )
-
-
-def _parse_texts(name: bytes, value: bytes) -> tuple[str, ...]:
-    texts, at = [], 0
-    while at + 4 <= len(value):
-        (size,) = struct.unpack_from("<I", value, at)
-        texts.append(value[at + 4 : at + 4 + size])
-        at += 4 + size
-    if at != len(value) or b"" in texts or any(b"\0" in text for text in texts):
-        raise ValueError(f"{decode(name)} is no plain list")
-    return tuple(decode(text) for text in texts)
 
 
 def window_of(values: Values, name: bytes) -> Window:

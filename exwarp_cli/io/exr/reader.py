@@ -368,9 +368,28 @@ def open_image(path: Path) -> oiio.ImageInput:
         image = None
     if image is None:
         reason = _first_line(oiio.geterror)
-        if "ubsampled" in reason:
-            raise _subsampled_error(path)
-        raise damaged_error(path, reason)
+        if "ubsampled" not in reason:
+            raise damaged_error(path, reason)
+        steps: dict[str, tuple[int, int]] = {}  # across and down, of the channels that lack pixels
+        with suppress(OSError, ValueError):
+            with path.open("rb", buffering=0) as file:
+                raw = RawHeader.read(file, path.stat().st_size)
+            for attribute in raw.attributes:
+                if attribute.kind == b"chlist":
+                    for name, _, pixel_steps in channels_in(attribute.value):
+                        if pixel_steps != (1, 1):
+                            steps[name.decode("utf-8", "replace")] = pixel_steps
+        if {name.rpartition(".")[2] for name in steps} == {"RY", "BY"}:
+            raise LayoutError(
+                f"{path} holds luminance and chroma (Y, RY, BY) in channels of different sizes, "
+                "which is not read; write it as RGB"
+            )
+        listed = ", ".join(f"{name} (1 pixel in {x}x{y})" for name, (x, y) in steps.items())
+        raise LayoutError(
+            f"{path} is not read, as it has subsampled channels, stored at a lower resolution than "
+            f"the others{listed and ': '}{listed}; render them at full resolution, or leave them "
+            "out"
+        )
     return image
 
 
@@ -390,29 +409,6 @@ def deep_image_error(path: Path) -> LayoutError:
     return LayoutError(
         f"{path} is a deep image, which is not read; give the flat render, or flatten the colour "
         "with 'oiiotool IN --flatten -o OUT'"
-    )
-
-
-def _subsampled_error(path: Path) -> LayoutError:
-    """Build the error for a file with channels of fewer pixels, which OpenImageIO does not open."""
-    steps: dict[str, tuple[int, int]] = {}  # across and down, of the channels that lack pixels
-    with suppress(OSError, ValueError):
-        with path.open("rb", buffering=0) as file:
-            raw = RawHeader.read(file, path.stat().st_size)
-        for attribute in raw.attributes:
-            if attribute.kind == b"chlist":
-                for name, _, pixel_steps in channels_in(attribute.value):
-                    if pixel_steps != (1, 1):
-                        steps[name.decode("utf-8", "replace")] = pixel_steps
-    if {name.rpartition(".")[2] for name in steps} == {"RY", "BY"}:
-        return LayoutError(
-            f"{path} holds luminance and chroma (Y, RY, BY) in channels of different sizes, which "
-            "is not read; write it as RGB"
-        )
-    listed = ", ".join(f"{name} (1 pixel in {x}x{y})" for name, (x, y) in steps.items())
-    return LayoutError(
-        f"{path} is not read, as it has subsampled channels, stored at a lower resolution than the "
-        f"others{listed and ': '}{listed}; render them at full resolution, or leave them out"
     )
 
 

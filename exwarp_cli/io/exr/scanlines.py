@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from threading import Lock, local
-from typing import BinaryIO
+from typing import BinaryIO, TypeAlias
 
 import deflate
 import numpy as np
@@ -69,6 +69,10 @@ REQUIRED = {
     b"screenWindowCenter": (b"v2f", 8),
     b"screenWindowWidth": (b"float", 4),
 }
+
+# Where the channels of a `ChannelRequest` go: int64 [K, 2] as kernels want it, bytes of each of the
+# part's channels and its place in the array or -1; and that array, bits, uint32 [H, W, C]
+_Destination: TypeAlias = tuple[I64, np.ndarray]
 
 _NO_BYTES, _NO_OFFSETS = np.empty(0, np.uint8), np.empty(0, np.int64)
 
@@ -162,16 +166,23 @@ def _parse_flat(values: Values, size: int, flags: int) -> ChunkLayout | None:
     is_flat = kind == (b"string", b"tiledimage" if tiles else b"scanlineimage")
     if kind is None:
         is_flat = not flags & MULTIPART
-    channels = _parse_channels(values)
+    try:
+        channels = tuple(channels_in(values.get(b"channels", (b"", b""))[1]))
+    except ValueError:
+        return None
+    names = [name for name, _, _ in channels]
+    are_usual = bool(names) and values[b"channels"][0] == b"chlist" and names == sorted(set(names))
+    # Subsampled channels have other steps.
+    are_usual &= all(kind in BYTES and steps == (1, 1) for _, kind, steps in channels)
     required = {name: values.get(name, (b"", b"")) for name in REQUIRED}
     has_required = {n: (k, len(v)) for n, (k, v) in required.items()} == REQUIRED
-    if not is_flat or channels is None or not has_required:
+    if not is_flat or not are_usual or not has_required:
         return None
     compression, order = required[b"compression"][1][0], required[b"lineOrder"][1][0]
     window, display = window_of(values, b"dataWindow"), window_of(values, b"displayWindow")
     if compression >= len(LINES) or order > 1 or min(window.shape + display.shape) < 1:
         return None
-    line = window.width * sum(BYTES[kind] for _, kind in channels)
+    line = window.width * sum(BYTES[kind] for _, kind, _ in channels)
     if line * LINES[compression] > MAX_CHUNK or line * window.height > MAX_RATIO * size:
         return None
     tile = None
@@ -183,21 +194,8 @@ def _parse_flat(values: Values, size: int, flags: int) -> ChunkLayout | None:
             return None
     if not flags & MULTIPART and bool(flags & TILED) != (tile is not None):
         return None
-    return ChunkLayout(None, compression, window, channels, tile, _NO_OFFSETS, _NO_OFFSETS)
-
-
-def _parse_channels(values: Values) -> tuple[tuple[bytes, int], ...] | None:
-    """Return name and type of each channel; None where one is subsampled, or they lie unsorted."""
-    kind, value = values.get(b"channels", (b"", b""))
-    try:
-        channels = tuple(channels_in(value))
-    except ValueError:
-        return None
-    names = [name for name, _, _ in channels]
-    is_flat = all(kind in BYTES and steps == (1, 1) for _, kind, steps in channels)
-    if kind != b"chlist" or not channels or not is_flat or names != sorted(set(names)):
-        return None
-    return tuple((name, kind) for name, kind, _ in channels)
+    stored = tuple((name, kind) for name, kind, _ in channels)
+    return ChunkLayout(None, compression, window, stored, tile, _NO_OFFSETS, _NO_OFFSETS)
 
 
 @dataclass(eq=False)
@@ -242,15 +240,6 @@ class ChannelRequest:
     integer: bool  # whether they are integers
 
 
-@dataclass(frozen=True)
-class _Destination:
-    """Where the channels of a `ChannelRequest` go."""
-
-    # int64 [K, 2] as kernels want it: bytes of each channel, and its place in `out` or -1
-    columns: I64
-    out: np.ndarray  # Bits, uint32 [H, W, C]
-
-
 def read_blocks(file: BinaryIO, requests: Sequence[ChannelRequest]) -> list[np.ndarray | None]:
     """Decode channels of parts of an unbuffered file whose layout `is_decoded_here`.
 
@@ -268,32 +257,21 @@ def read_blocks(file: BinaryIO, requests: Sequence[ChannelRequest]) -> list[np.n
                 places = [names.index(n) if n in names else -1 for n, _ in layout.channels]
                 columns = np.array([layout.sizes, places], np.int64).T.copy()
                 members = by_part.setdefault(layout.number, (layout, []))[1]
-                members.append(_Destination(columns, out))
+                members.append((columns, out))
         arrays.append(out)
-    file_bytes = FileBytes(file)
-    runs: list[_BlockRun] = []
+    runs: list[tuple[ChunkLayout, list[_Destination], I64]] = []
     for layout, members in by_part.values():
         order = np.argsort(layout.starts, kind="stable")  # as they follow each other on disk
         step = max(1, RUN_BYTES // (layout.lines * layout.window.width * sum(layout.sizes)))
         for first in range(0, len(order), step):
-            runs.append(_BlockRun(file_bytes, layout, members, order[first : first + step]))
-    broken = _decode(runs)
-    return [
-        None
-        if out is None or request.layout.number in broken
-        else out.view(np.uint32 if request.integer else np.float32)
-        for request, out in zip(requests, arrays, strict=True)
-    ]
+            runs.append((layout, members, order[first : first + step]))
+    file_bytes = FileBytes(file)
+    broken: set[int | None] = set()  # numbers of the parts that could not be decoded
 
-
-def _decode(runs: Sequence[_BlockRun]) -> set[int | None]:
-    """Decode runs on several threads; return the numbers of parts that could not be decoded."""
-    broken: set[int | None] = set()
-
-    def decode(run: _BlockRun) -> None:
+    def decode(run: tuple[ChunkLayout, list[_Destination], I64]) -> None:
         with cores.hold_cores():
-            if run.layout.number not in broken and not run.decode():
-                broken.add(run.layout.number)
+            if run[0].number not in broken and not _decode_blocks(file_bytes, *run):
+                broken.add(run[0].number)
 
     threads = min(cores.spare_count(), len(runs))
     if threads > 1:
@@ -303,58 +281,48 @@ def _decode(runs: Sequence[_BlockRun]) -> set[int | None]:
             results = executor.map(decode, runs)
             with cores.release_cores():
                 list(results)
-            return broken
+            runs = []
     for run in runs:
         decode(run)
-    return broken
+    return [
+        None
+        if out is None or request.layout.number in broken
+        else out.view(np.uint32 if request.integer else np.float32)
+        for request, out in zip(requests, arrays, strict=True)
+    ]
 
 
-@dataclass(frozen=True)
-class _BlockRun:
-    """Blocks of a part that one thread decodes into destinations."""
+def _decode_blocks(
+    file: FileBytes, layout: ChunkLayout, destinations: Sequence[_Destination], chunks: I64
+) -> bool:
+    """Decode blocks of a part; False when one of them is not what it should be."""
+    from exwarp_cli.kernels import exr_filters  # numba: not for what reads no pixels
 
-    file: FileBytes
-    layout: ChunkLayout
-    destinations: Sequence[_Destination]
-    chunks: I64
-
-    def _read_blocks(self, leader_size: int) -> Iterator[tuple[int, U8]]:
-        """Yield each block's index, and its bytes with padding.
-
-        Blocks that follow each other are read at once.
-        """
-        layout = self.layout
-        size = leader_size + sum(layout.sizes) * layout.window.width * layout.lines
-        starts = layout.starts[self.chunks]
+    # Before each block: the part's number, the first line, the bytes.
+    leader = struct.Struct("<2i" if layout.number is None else "<3i")
+    line_size = layout.window.width * sum(layout.sizes)
+    try:
+        starts = layout.starts[chunks]
         # In front of something else there may be a gap of any length.
-        ends = np.minimum(layout.ends[self.chunks], starts + size)
+        ends = np.minimum(layout.ends[chunks], starts + leader.size + layout.lines * line_size)
         breaks = np.flatnonzero(starts[1:] != ends[:-1]) + 1
-        for blocks in np.split(np.arange(len(starts)), breaks):
-            begin = int(starts[blocks[0]])
-            data = self.file.read_padded(begin, int(ends[blocks[-1]]) - begin)
-            data.flags.writeable = False  # kernels are compiled for arrays of one kind
-            for i in blocks:
-                index = int(self.chunks[i])
-                yield index, data[starts[i] - begin : ends[i] - begin + INPUT_PADDING]
-
-    def decode(self) -> bool:
-        """Decode all blocks; False when one of them is not what it should be."""
-        from exwarp_cli.kernels import exr_filters  # numba: not for what reads no pixels
-
-        layout = self.layout
-        # Before each block: the part's number, the first line, the bytes.
-        leader = struct.Struct("<2i" if layout.number is None else "<3i")
-        try:
-            for index, data in self._read_blocks(leader.size):
+        # Blocks that follow each other are read at once.
+        for run in np.split(np.arange(len(starts)), breaks):
+            begin = int(starts[run[0]])
+            blocks = file.read_padded(begin, int(ends[run[-1]]) - begin)
+            blocks.flags.writeable = False  # kernels are compiled for arrays of one kind
+            for i in run:
+                data = blocks[starts[i] - begin : ends[i] - begin + INPUT_PADDING]
                 if len(data) < leader.size + INPUT_PADDING:
                     return False
-                first = index * layout.lines
+                first = int(chunks[i]) * layout.lines
                 rows = min(layout.lines, layout.window.height - first)
                 *number, line, size = leader.unpack_from(data.data)
-                full_size = rows * layout.window.width * sum(layout.sizes)
+                full_size = rows * line_size
                 packed = data[leader.size : leader.size + size + INPUT_PADDING]
                 is_own = number in ([], [layout.number]) and line == layout.window.y + first
-                if not is_own or not 0 < size <= full_size or len(packed) != size + INPUT_PADDING:
+                is_complete = 0 < size <= full_size and len(packed) == size + INPUT_PADDING
+                if not is_own or not is_complete:
                     return False
                 pixels: U8 | None
                 if size == full_size:  # stored uncompressed, as it did not become smaller
@@ -363,11 +331,11 @@ class _BlockRun:
                     kernel, pixels = exr_filters.read_predicted, inflate(packed, full_size)
                 if pixels is None:
                     return False
-                for destination in self.destinations:
-                    kernel(pixels, destination.columns, destination.out[first : first + rows])
-        except (OSError, MemoryError):
-            return False
-        return True
+                for columns, out in destinations:
+                    kernel(pixels, columns, out[first : first + rows])
+    except (OSError, MemoryError):
+        return False
+    return True
 
 
 def inflate(packed: U8, size: int) -> U8 | None:

@@ -147,15 +147,6 @@ class ViewLayers:
     colour: tuple[ChannelRef, ...]  # R, G, B and, if there, A of the beauty
     layers: tuple[Layer, ...] = ()  # further layers; the beauty may be among them
 
-    @property
-    def keys(self) -> dict[PlaneKey, bool]:
-        """Every channel, the beauty's first, and whether its values are bounded."""
-        bounded = {(self.view, ref): True for ref in self.colour}
-        for layer in self.layers:
-            for ref in layer.refs:
-                bounded.setdefault((self.view, ref), layer.kind is not LayerKind.DEPTH)
-        return bounded
-
 
 @dataclass(frozen=True)
 class PlaneTemplate:
@@ -232,8 +223,11 @@ def read_template(
     placed: dict[int, dict[int, PlaneTemplate]] = {}
     for layers in wanted:
         channels = view_channels(parts, layers.within)
-        for key, bounded in layers.keys.items():
-            ref = key[1]
+        bounded = dict.fromkeys(layers.colour, True)
+        for layer in layers.layers:
+            for ref in layer.refs:
+                bounded.setdefault(ref, layer.kind is not LayerKind.DEPTH)
+        for ref, is_bounded in bounded.items():
             channel = channels.get(ref.name)
             if channel is None and ref in layers.colour:
                 raise damaged_error(path, "its colour channels are gone")
@@ -243,7 +237,7 @@ def read_template(
                     "render all frames with the same passes, or leave that layer out of --layers"
                 )
             dtype = np.dtype(PIXEL_TYPES.get(channel.pixel_type, np.float32))
-            plane = PlaneTemplate(key, channel.raw_name, dtype, bounded)
+            plane = PlaneTemplate((layers.view, ref), channel.raw_name, dtype, is_bounded)
             placed.setdefault(channel.part, {}).setdefault(channel.index, plane)
     written_views = [layers.within for layers in wanted]
     part_templates = tuple(
