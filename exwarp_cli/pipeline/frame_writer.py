@@ -67,7 +67,6 @@ class FrameWriter(ResourceOwner):
     sums: Sums = field(default_factory=dict)
     _video: VideoWriter | None = None
     _last_shown: np.ndarray | None = None  # by the video
-    _replaced_early: set[int] = field(default_factory=set)
 
     def _open(self, stack: ExitStack) -> None:
         threads = cores.count()
@@ -139,27 +138,21 @@ class FrameWriter(ResourceOwner):
         may_replace = self.output.overwrites or self.output.resumes
         return may_replace and self.keeps_frames and path_exists(self._path(number))
 
-    def replace_key(self, number: int, source: Path) -> None:
-        """Replace an earlier copy of a key frame at once, if it is another than the source."""
-        # The frames around a key frame name its digest, by which a later run knows a copy of an
-        # earlier render. If they are replaced first and the run is killed, none names that copy.
-        if not self.output.resumes or not self.is_in_the_way(number):
-            return
-        if number not in self._replaced_early and not self.has_copy(number, source):
-            self._copy(number, source)
-            self._replaced_early.add(number)
-
     def pass_key(self, number: int, source: Path) -> bool:
         """Copy a key frame's file, all its layers and attributes but for another frame rate.
 
         Return True if an earlier run had copied it.
         """
-        if number in self._replaced_early:
-            return False
-        resumed = self.has_copy(number, source)
-        if not resumed:
+        if self.has_copy(number, source):
+            return True
+        if self.output.resumes and self.is_in_the_way(number):
+            # At once. The frames around a key frame name its digest, by which a later run knows a
+            # copy of an earlier render. If they are replaced first and the run is killed, none
+            # names that copy.
+            self._copy(number, source)
+        else:
             self._writer.submit(partial(self._copy, number, source))
-        return resumed
+        return False
 
     def has_rendered(self, number: int, source: Path, recipe: str) -> bool:
         """Return True if an earlier run wrote a rendered frame of a slot, and it is kept."""

@@ -54,15 +54,6 @@ class TrialMaterial:
     number: int  # its input number
 
 
-@dataclass(frozen=True)
-class TrialFrames:
-    """What frames depend on by their gate."""
-
-    keys: tuple[int, ...] = ()
-    instants: tuple[Slot, ...] = ()  # with G-buffers of their own
-    text: str = "gate without a trial"
-
-
 class TrialReader:
     """Chooses the key frame that is predicted for an interval, and reads it."""
 
@@ -113,13 +104,16 @@ class TrialReader:
             return True
         steps, slots = self._source.timeline.steps or 0, self._slots(index)
         complete = len(slots) == (2 * steps - 1 if self._lookahead else steps)
-        return complete and self._store.unreadable.all_readable(slots)
+        return complete and not self._store.unreadable.has(*slots)
 
-    def frames(self, key: int) -> TrialFrames:
-        """Return what the trial of an interval reads, for fingerprints."""
+    def frames(self, key: int) -> tuple[tuple[int, ...], tuple[Slot, ...], str]:
+        """Return what the trial of an interval reads, for fingerprints.
+
+        The key frames, the instants with G-buffers of their own, and a text.
+        """
         index = self.choose(key)
         if index is None:
-            return TrialFrames()
+            return (), (), "gate without a trial"
         instants: tuple[Slot, ...] = ()
         if self._source.slots is not None:
             older = () if self._lookahead else self._history(index - 1)
@@ -127,7 +121,7 @@ class TrialReader:
                 *self._slots(index),
                 *(slot for i in older for slot in self._store.slots_after(i)),
             )
-        return TrialFrames(self._keys(index), instants, f"gate {index - key}")
+        return self._keys(index), instants, f"gate {index - key}"
 
     def _keys(self, index: int) -> tuple[int, ...]:
         """Return the key frames that a trial reads, ascending."""
@@ -155,71 +149,53 @@ class TrialReader:
         index = self.choose(key)
         if index is None or index == self.last_read:
             return TrialInputs(index)
-        alone = replace(
-            inputs, slots=tuple(map(self._store.get_slot, self._slots(index))), history=(),
-            lacks_history=False, observed=(), layers=None, older=None, views=(), trial=None,
-            truth=IntervalTruth(), region=False, held=False, after_hold=False,
-        )  # fmt: skip
+        store = self._store
+        slots = tuple(map(store.get_slot, self._slots(index)))
+        following: KeyFrame | None = None
+        history: tuple[HistoryFrame, ...] = ()
         if not self._lookahead:
-            around = self._before(index, alone)
+            # The interval before the key frame, whose last slot is at that key frame.
+            get = store.get_complete if self._reads_late else store.get_in_shot
+            history = tuple(
+                HistoryFrame(get(i), store.get_way_back(i), self._shots.repeats(i + 1))
+                for i in self._history(index - 1)
+            )
+            frame, times = get(index - 1), tuple((i + 1) / FACTOR for i in range(FACTOR))
         elif self._source.estimated:
-            around = self._by_flow(index, alone)
+            # An interval of twice the length, along motion that is estimated across it.
+            estimates = MotionEstimates(lambda i: store.get(index - 1 + 2 * i), 2)
+            frame, following = estimates.moving(0, False, True), estimates.moving(1, True, False)
+            times = (0.5,)
         else:
-            around = self._both_sides(index, alone)
-        truth, number = self._store.get(index).image, self._source.timeline.numbers[index]
+            # An interval of twice the length: the key frame that it leaves out is a slot.
+            before, middle, after = map(store.get_in_shot, self._keys(index))
+            frame, following = _vectors_over(before, 2), _vectors_over(after, 2)
+            between = _vectors_over(middle, 1).gbuffer
+            if self._source.slots is None and between is not None:
+                slots = (between,)
+            times = tuple((i + 1) / (len(slots) + 1) for i in range(len(slots)))
+        around = replace(
+            inputs, key=index - 1, frame=frame, following=following, slots=slots, history=history,
+            times=times, lacks_history=False, observed=(), layers=None, older=None, views=(),
+            trial=None, truth=IntervalTruth(), region=False, held=False, after_hold=False,
+        )  # fmt: skip
+        truth, number = store.get(index).image, self._source.timeline.numbers[index]
         self.last_read = index
         return TrialInputs(index, TrialMaterial(around, truth, number))
 
-    def _both_sides(self, index: int, alone: IntervalInputs) -> IntervalInputs:
-        """Return an interval of twice the length: the key frame that it leaves out is a slot."""
-        frames = (self._store.get_in_shot(i) for i in self._keys(index))
-        before, middle, after = map(_with_vectors_both_ways, frames)
-        slots = alone.slots
-        if self._source.slots is None and middle.gbuffer is not None:
-            slots = (middle.gbuffer,)
-        times = tuple((i + 1) / (len(slots) + 1) for i in range(len(slots)))
-        return replace(
-            alone, key=index - 1, frame=_over_two(before), following=_over_two(after), slots=slots,
-            times=times,
-        )  # fmt: skip
 
-    def _by_flow(self, index: int, alone: IntervalInputs) -> IntervalInputs:
-        """Return an interval of twice the length, along motion that is estimated across it."""
-        estimates = MotionEstimates(lambda i: self._store.get(index - 1 + 2 * i), 2)
-        before, after = estimates.moving(0, False, True), estimates.moving(1, True, False)
-        return replace(alone, key=index - 1, frame=before, following=after, slots=(), times=(0.5,))
-
-    def _before(self, index: int, alone: IntervalInputs) -> IntervalInputs:
-        """Return the interval before a key frame, whose last slot is at that key frame."""
-        store = self._store
-        get = store.get_complete if self._reads_late else store.get_in_shot
-        history = tuple(
-            HistoryFrame(get(i), store.get_way_back(i), self._shots.repeats(i + 1))
-            for i in self._history(index - 1)
-        )
-        times = tuple((i + 1) / FACTOR for i in range(FACTOR))
-        return replace(
-            alone, key=index - 1, frame=get(index - 1), following=None, history=history, times=times
-        )
-
-
-def _with_vectors_both_ways(frame: KeyFrame) -> KeyFrame:
-    """Return a key frame with vectors both ways: those that are missing at constant velocity."""
+def _vectors_over(frame: KeyFrame, intervals: int) -> KeyFrame:
+    """Return a key frame with vectors both ways, over so many intervals, at constant velocity."""
     gbuffer = frame.gbuffer
     if gbuffer is None or not gbuffer.has_motion:
         return frame
-    if gbuffer.to_previous is None:
-        assert gbuffer.to_next is not None
-        return replace(frame, gbuffer=replace(gbuffer, to_previous=-gbuffer.to_next))
-    if gbuffer.to_next is None:
-        return replace(frame, gbuffer=replace(gbuffer, to_next=-gbuffer.to_previous))
-    return frame
-
-
-def _over_two(frame: KeyFrame) -> KeyFrame:
-    """Return a key frame whose vectors reach over two key intervals, at constant velocity."""
-    gbuffer = frame.gbuffer
-    return frame if gbuffer is None else replace(frame, gbuffer=over_interval(gbuffer, 2))
+    before, after = gbuffer.to_previous, gbuffer.to_next
+    if before is None and after is not None:
+        before = -after
+    elif after is None and before is not None:
+        after = -before
+    both = replace(gbuffer, to_previous=before, to_next=after)
+    return replace(frame, gbuffer=over_interval(both, intervals))
 
 
 class Gate:
@@ -244,19 +220,15 @@ class Gate:
 
     def decide(self, inputs: TrialInputs) -> Trial:
         """Return the trial of an interval, of which it or one before brought the material along."""
-        if inputs.key is None:
-            return Trial()
-        if inputs.key != self._last_key:
-            assert self._received.key == inputs.key and self._received.material is not None
-            self._last_trial = self._predict(self._received.material)
-            self._last_key, self._received = inputs.key, TrialInputs()
-            self._builder.forget()
-        return self._last_trial
-
-    def _predict(self, material: TrialMaterial) -> Trial:
         from exwarp_cli.metrics.display import encode_display
         from exwarp_cli.metrics.registry import measure_psnr
 
+        if inputs.key is None:
+            return Trial()
+        if inputs.key == self._last_key:
+            return self._last_trial
+        material = self._received.material
+        assert self._received.key == inputs.key and material is not None
         interval = self._builder.build(material.around)
         lookahead, count = self._method.lookahead, len(interval.times)
         slot = count // 2 + 1 if lookahead else count
@@ -272,7 +244,10 @@ class Gate:
             # What extrapolation gains lies in holes: by the mean of tiles it was refused on the
             # scene town, where it gains 0.8 dB.
             values = warped.overall(), by_network.overall()
-        return Trial.measured(material.number, *values)
+        self._last_trial = Trial.measured(material.number, *values)
+        self._last_key, self._received = inputs.key, TrialInputs()
+        self._builder.forget()
+        return self._last_trial
 
 
 def mean_tile_psnr(error: npt.NDArray[np.floating]) -> float:

@@ -111,63 +111,29 @@ class IntervalBuilder:
         self._frames: dict[FrameKey, KeyFrame] = {}
         self._instants: dict[tuple[Slot, Basis], GBuffer] = {}
         self._past: dict[FrameKey, OlderKeyFrame] = {}
-        self._without_surface: KeyFrame | None = None
 
     def build(self, inputs: IntervalInputs) -> Interval:
-        """Bring what was read onto one window: the display's and the data of the frames around.
+        """Bring what was read onto one window, and settle its motion.
 
-        Of a region of a picture, its own.
+        The window is the display's and the data of the frames around; of a region, its own. What
+        was built without history may be built again with it, before the next interval.
         """
         assert inputs.frame is not None
         window = inputs.frame.image.data_window
-        canvas = window
         if not inputs.region:
-            canvas = self._display.union(window)
-            if inputs.following is not None:
-                canvas = canvas.union(inputs.following.image.data_window)
-            for rendered in inputs.rendered.frames.values():
-                if rendered.leads:
-                    canvas = canvas.union(rendered.frame.image.data_window)
-        require_canvas(f"frame {inputs.frame.number} and the next one", canvas)
-        ids = self._moving.find(inputs, canvas)
-        return self._settle(with_stencils(inputs, ids), (canvas, ids))
-
-    def forget(self) -> None:
-        """Drop what was kept for later intervals."""
-        self._frames, self._past, self._instants = {}, {}, {}
-        self._without_surface = None
-
-    def add_history(self, interval: Interval, inputs: IntervalInputs) -> Interval:
-        """Return an interval with the history and surface that it was built without.
-
-        It is of the key setting, and no slot is rendered yet.
-        """
-        frame, settled = inputs.frame, interval.key.gbuffer
-        if frame is None or frame.gbuffer is None or settled is None:
-            return interval
-        window = interval.key.image.data_window
-        parts = {part: getattr(frame.gbuffer, part) for part in SURFACE_PARTS}
-        placed = GBuffer(frame.gbuffer.window, **parts).on(window)
-        surface = {part: getattr(placed, part) for part in SURFACE_PARTS}
-        key = replace(interval.key, gbuffer=replace(settled, **surface))
-        basis = window, None
-        # What leads back goes by all vectors of the key frame: those of the interval may lack some.
-        complete = self._without_surface
-        assert complete is not None and complete.gbuffer is not None
-        complete = replace(complete, gbuffer=replace(complete.gbuffer, **surface))
-        self._frames[inputs.key, basis, has_surface(complete)] = complete
-        return replace(interval, key=key, past=self._lead_back(inputs, complete, basis))
-
-    def _settle(self, inputs: IntervalInputs, basis: Basis) -> Interval:
-        """Settle what was read, on one window and with what moves as its stencil."""
+            leading = [each.frame for each in inputs.rendered.frames.values() if each.leads]
+            for frame in (inputs.following, *leading):
+                if frame is not None:
+                    window = window.union(frame.image.data_window)
+            window = window.union(self._display)
+        require_canvas(f"frame {inputs.frame.number} and the next one", window)
+        ids = self._moving.find(inputs, window)
+        inputs, basis = with_stencils(inputs, ids), (window, ids)
         assert inputs.frame is not None
-        window, _ = basis
         following = None
         if inputs.following is not None:
             following = self._frame(inputs.key + 1, inputs.following, basis)
         key = self._frame(inputs.key, inputs.frame, basis)
-        if inputs.lacks_history:
-            self._without_surface = key
         slots = tuple(
             self._scratch.store(settle_motion(gbuffer.on(window))) for gbuffer in inputs.slots
         )
@@ -199,6 +165,10 @@ class IntervalBuilder:
             rendered=rendered,
         )
 
+    def forget(self) -> None:
+        """Drop what was kept for later intervals."""
+        self._frames, self._past, self._instants = {}, {}, {}
+
     def _settle_frame(self, frame: KeyFrame, window: Window) -> KeyFrame:
         placed = frame.extended(window)
         if placed.gbuffer is None:
@@ -224,7 +194,14 @@ class IntervalBuilder:
         for index, older in zip(range(inputs.key - 1, -1, -1), inputs.history, strict=False):
             frame_key = index, basis, has_surface(older.frame)
             if frame_key not in self._past:
-                motion = self._scratch.store(self._motion_back(index, older, newer, basis))
+                if older.held:
+                    motion = np.zeros((*basis[0].shape, 2), np.float32)
+                elif older.instants:
+                    motion = self._motion_over_slots(index, older.instants, basis)
+                else:
+                    assert newer.gbuffer is not None
+                    motion = displacement(newer.gbuffer, -1)
+                motion = self._scratch.store(motion)
                 frame = self._frame(index, older.frame, basis)
                 # Guessed is motion that is made of vectors to the key frame after `newer`.
                 leads = older.held or bool(older.instants)
@@ -235,18 +212,13 @@ class IntervalBuilder:
             newer = steps[-1].frame
         return tuple(steps)
 
-    def _motion_back(
-        self, index: int, older: HistoryFrame, newer: KeyFrame, basis: Basis
+    def _motion_over_slots(
+        self, index: int, instants: tuple[GBuffer, ...], basis: Basis
     ) -> Float32:
-        """Return the motion, float32 [H, W, 2], from a key frame to the one before it."""
+        """Return the motion, float32 [H, W, 2], back to a key frame along all `instants`."""
         window, _ = basis
-        if older.held:
-            return np.zeros((*window.shape, 2), np.float32)
-        if not older.instants:
-            assert newer.gbuffer is not None
-            return displacement(newer.gbuffer, -1)
-        slots = slots_back_to(index, len(older.instants) - 1)
-        *way, (_, last) = zip(slots, older.instants, strict=True)
+        slots = slots_back_to(index, len(instants) - 1)
+        *way, (_, last) = zip(slots, instants, strict=True)
         settled = []
         for slot, gbuffer in way:
             kept = self._instants.get((slot, basis))
@@ -352,8 +324,11 @@ class IntervalPreparer:
         choice, trial = None, None
         if judge is not self._judge and (inputs.rendered.frames or not interval.has_motion):
             judge = self._judge  # which warps
-        if has_missing and not interval.held:
-            trial = self._try_network(judge, inputs, timing_ms)
+        ends_shot = judge.method.lookahead and inputs.following is None
+        may_run_network = has_missing and not interval.held and not ends_shot
+        if may_run_network and judge.gate is not None and inputs.trial is not None:
+            with record_time(timing_ms, "gate", len(slots)):
+                trial = judge.gate.decide(inputs.trial)
         # A policy looks at every interval: the states of later ones hold what it saw.
         if slots and (has_missing or judge.method.judge is DecisionSource.POLICY):
             choice = judge.select_path(inputs, interval)
@@ -364,7 +339,11 @@ class IntervalPreparer:
             timing_ms |= {step: ms / len(slots) for step, ms in choice.timing_ms.items()}
         extrapolates = choice is not None and choice.plan.extrapolates
         if extrapolates and inputs.lacks_history:
-            interval, inputs = self._add_history(judge, interval, inputs)
+            # It is built again with what only extrapolation needs.
+            inputs = self._reader.leader.add_history(inputs)
+            builder = self._builder if judge is self._judge else self._last_builder
+            with record_time(timing_ms, "geometry", len(slots)):
+                interval = builder.build(inputs)
         elif not (extrapolates or inputs.slots or inputs.truth.frames or self._has_layers):
             interval = interval.bare()  # slots are warped from the key frame
         self._broken = count_broken(inputs, self._broken) if has_missing else {}
@@ -373,25 +352,6 @@ class IntervalPreparer:
             interval, choice, existing, timing_ms, self._broken, trial, parts
         )
         return prepared, inputs.without_geometry()
-
-    def _add_history(
-        self, judge: IntervalJudge, interval: Interval, inputs: IntervalInputs
-    ) -> tuple[Interval, IntervalInputs]:
-        """Read what only extrapolation needs; return the interval with it, and its inputs."""
-        inputs = self._reader.add_history(inputs)
-        if judge is self._judge:
-            return self._builder.add_history(interval, inputs), inputs
-        return self._last_builder.build(inputs), inputs
-
-    def _try_network(
-        self, judge: IntervalJudge, inputs: IntervalInputs, timing_ms: dict[str, float]
-    ) -> Trial | None:
-        """Return what the gate decides by; None where no network would make the frames."""
-        ends_shot = judge.method.lookahead and inputs.following is None
-        if judge.gate is None or inputs.trial is None or ends_shot:
-            return None
-        with record_time(timing_ms, "gate", len(self._timeline.made_of(inputs.key))):
-            return judge.gate.decide(inputs.trial)
 
     def _split(self, interval: Interval, inputs: IntervalInputs) -> Mapping[int, SubSlot]:
         """Return how slots beside rendered frames are made, and say where these are of no use."""

@@ -7,12 +7,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import takewhile
 
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import FACTOR, Cut, Slot
+from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.generated_frames import FrameTemplate
 from exwarp_cli.io.sequences import Sequence
@@ -20,7 +19,7 @@ from exwarp_cli.pipeline.extra_layers import Content, LayerFrames, LayerReader, 
 from exwarp_cli.pipeline.fingerprint import Fingerprinter
 from exwarp_cli.pipeline.gate import TrialInputs, TrialReader
 from exwarp_cli.pipeline.ground_truth import IntervalTruth, TruthReader
-from exwarp_cli.pipeline.key_frames import HistoryFrame, KeyFrameStore, Regions, reads_late
+from exwarp_cli.pipeline.key_frames import HistoryFrame, KeyFrameStore, is_opaque, reads_late
 from exwarp_cli.pipeline.output_plan import frame_suffix
 from exwarp_cli.pipeline.rendered_frames import (
     IntervalRendered,
@@ -190,10 +189,9 @@ class IntervalReader:
                 self.trials = first, last
         if keep_going:
             self.fingerprinter.reading = self.store.reading
-        self._regions = Regions(source.keys.display, self.store.get_window)
         self._layers = LayerReader(content) if content.extra else None
         if self._layers is not None:
-            self.store.read_with(self._layers.require)
+            self.store.companions.append(self._layers.read_key)
         self.rendered: RenderedReader | None = None
         if rendered is not None:
             self.rendered = RenderedReader(
@@ -234,9 +232,7 @@ class IntervalReader:
         lookahead = self._looks_ahead(key)
         frame = store.get_in_shot(key)
         following = store.get_in_shot(key + 1, before=True) if lookahead else None
-        region = self._regions.is_region(
-            key, frame.image, None if following is None else following.image
-        )
+        images = [each.image for each in (frame, following) if each is not None]
         slots = tuple(map(store.get_slot, store.slots_after(key)))
         lacks_history = self._reads_late or (self._method.tail is not None and not lookahead)
         history = tuple(
@@ -263,7 +259,7 @@ class IntervalReader:
             older,
             times=tuple(float(source.timeline.time(s)) for s in source.timeline.between(key)),
             followed=store.is_followed(key),
-            region=region,
+            region=store.is_steady(key) and all(map(is_opaque, images)),
             held=self._is_held(key),
             after_hold=self.shots.repeats(key),
             rendered=self._read_rendered(key),
@@ -315,8 +311,6 @@ class IntervalReader:
 
     def release(self, key: int) -> None:
         """Drop what no interval after this one needs, or not yet, as it was read to find cuts."""
-        if self._reads_late and key in self.observed_keys:
-            self.store.keep_shape(key)
         # A look-ahead method reads one again at a cut.
         is_last = key + 2 >= len(self._source.timeline.numbers)
         back = self._keys_back(self._method.lookahead and not is_last)
@@ -325,7 +319,7 @@ class IntervalReader:
         if self._layers is not None:
             self._layers.release_before(key)
             oldest = min(oldest, key) if self._contents[0].looks_back else oldest
-        self.store.release_before(oldest, key)
+        self.store.release_before(oldest, key, self._reads_late and key in self.observed_keys)
 
     def fingerprints(self, key: int) -> dict[int, str]:
         """Digest what the frame of each slot depends on, but for those that were rendered."""
@@ -364,7 +358,7 @@ class IntervalReader:
     ) -> dict[int, str]:
         """Digest what slots are made of, and what their gate goes by."""
         surroundings = list(cuts)
-        if self._regions.is_steady(key):
+        if self.store.is_steady(key):
             surroundings.append("steady window")
         if self._is_held(key):
             surroundings.append("held")
@@ -372,10 +366,10 @@ class IntervalReader:
         surroundings += [f"repeats {i - key}" for i in sorted(later) if self.shots.repeats(i)]
         trials = self._trials_at(key)
         if trials is not None:
-            trial = trials.frames(key)
-            keys = [*keys, *(index for index in trial.keys if index not in keys)]
-            instants = [*instants, *trial.instants]
-            surroundings.append(trial.text)
+            trial_keys, trial_instants, text = trials.frames(key)
+            keys = [*keys, *(index for index in trial_keys if index not in keys)]
+            instants = [*instants, *trial_instants]
+            surroundings.append(text)
         rendered = self._read_rendered(key).frames
         surroundings += [
             f"rendered {i} {each.recipe}" for i, each in rendered.items() if each.leads
@@ -413,12 +407,11 @@ class IntervalReader:
         older = tuple(range(key - 1, self.shots.begin(key, back) - 1, -1))
         if self._source.slots is None:
             return older
-
-        def leads_back(index: int) -> bool:
+        for count, index in enumerate(older):
             slots = self.store.slots_after(index)
-            return bool(slots) and self.unreadable.all_readable(slots)
-
-        return tuple(takewhile(leads_back, older))
+            if not slots or self.unreadable.has(*slots):
+                return older[:count]
+        return older
 
     def _keys_back(self, looks_ahead: bool) -> int:
         """Return how many older key frames slots may depend on, along rendered motion."""
@@ -446,7 +439,7 @@ class IntervalReader:
         if key == 0 or self.shots.starts_at(key):
             return None
         before = Slot(key - 1, 0 if self._source.slots is None else FACTOR - 1)
-        return before if self.unreadable.all_readable((before,)) else None
+        return None if self.unreadable.has(before) else before
 
 
 class ViewsReader:
@@ -456,36 +449,14 @@ class ViewsReader:
     """
 
     def __init__(self, leader: IntervalReader, followers: tuple[IntervalReader, ...] = ()) -> None:
-        self._leader, self._followers = leader, followers
-
-    @property
-    def leading_recipes(self) -> Fingerprinter:
-        """What digests the frames of the view that decides."""
-        return self._leader.fingerprinter
-
-    @property
-    def cuts(self) -> tuple[Cut, ...] | None:
-        """The cuts that were met so far; None where none are looked for or given."""
-        return self._leader.shots.cuts
-
-    @property
-    def truth(self) -> TruthReader:
-        """What reads ground truth."""
-        return self._leader.truth
-
-    @property
-    def rendered(self) -> RenderedReader | None:
-        """What reads rendered frames; None without."""
-        return self._leader.rendered
+        self.leader, self._followers = leader, followers  # the view that decides, and the others
 
     def read(self, key: int, needed: Needed) -> IntervalInputs | SkippedInterval:
         """Read an interval; see `IntervalReader.read`. A frame depends on all its views.
 
         Where frames may be unreadable it is read again when it meets one, without what lies behind.
         """
-        leader = self._leader
-        if not leader.unreadable.tolerant:
-            return self._read_all(key, needed)
+        leader = self.leader
         observed_keys = leader.observed_keys
         last_trials = [trials.last_read for trials in leader.trials]
         while True:
@@ -493,6 +464,8 @@ class ViewsReader:
             try:
                 return self._read_all(key, needed)
             except InputError as error:
+                if not leader.unreadable.tolerant:
+                    raise
                 # No interval brought along what this one did.
                 leader.observed_keys = observed_keys
                 for trials, last in zip(leader.trials, last_trials, strict=True):
@@ -500,28 +473,24 @@ class ViewsReader:
                 if len(leader.unreadable) == count:
                     return self._skip(key, str(error))
 
-    def add_history(self, inputs: IntervalInputs) -> IntervalInputs:
-        """Return an interval with what extrapolation needs; see `IntervalReader.add_history`."""
-        return self._leader.add_history(inputs)
-
     def _skip(self, key: int, reason: str) -> SkippedInterval:
         """Skip an interval, but for its key frame if that can be read."""
         passed = None
         with suppress(InputError):
-            passed = self._leader.read_key(key)
-        for reader in (self._leader, *self._followers):
+            passed = self.leader.read_key(key)
+        for reader in (self.leader, *self._followers):
             reader.release(key)
         return SkippedInterval(key, reason, passed)
 
     def _read_all(self, key: int, needed: Needed) -> IntervalInputs:
         if not self._followers:
-            return self._leader.read(key, needed)
-        by_view = [reader.fingerprints(key) for reader in (self._leader, *self._followers)]
+            return self.leader.read(key, needed)
+        by_view = [reader.fingerprints(key) for reader in (self.leader, *self._followers)]
         recipes = {
             slot: hashlib.sha256(" ".join(view[slot] for view in by_view).encode()).hexdigest()
             for slot in by_view[0]
         }
-        inputs = self._leader.read(key, lambda index, _: needed(index, recipes))
+        inputs = self.leader.read(key, lambda index, _: needed(index, recipes))
         is_needed = inputs.frame is not None
         views = tuple(reader.read(key, lambda *_: is_needed) for reader in self._followers)
         read_ms = inputs.read_ms + sum(view.read_ms for view in views)

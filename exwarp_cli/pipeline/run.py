@@ -27,7 +27,6 @@ from exwarp_cli.pipeline.fingerprint import key_fingerprint
 from exwarp_cli.pipeline.frame_writer import (
     FRAMES_BEHIND,
     FrameWriter,
-    Sums,
     files_of,
     verify,
     verify_video,
@@ -45,9 +44,8 @@ from exwarp_cli.pipeline.messages import announce_skipped, skipped_interval, ski
 from exwarp_cli.pipeline.output_plan import is_video_kept, video_fingerprint, video_look, video_note
 from exwarp_cli.pipeline.progress import FrameListener, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.scheduling import (
-    Mode,
     ParallelSlots,
-    mode,
+    fits_pool,
     prefetch,
     read_depth,
     record_time,
@@ -109,40 +107,31 @@ def write_intervals(
     OutputError
         When files are not on the disk as they were written, where that is verified.
     """
-    settings = job.settings
+    settings, targets = job.settings, job.targets
     use_threads(settings.threads)
     reader = make_reader(job)
+    leader = reader.leader
     try:
         note = ""
-        if job.targets.frames is None:
-            note = video_fingerprint(reader.leading_recipes, settings, job.keys, job.rendered)
-        if listener is None and is_video_kept(job.targets, settings, note):
-            return RunOutcome(cuts=reader.cuts)
+        if targets.frames is None:
+            note = video_fingerprint(leader.fingerprinter, settings, job.keys, job.rendered)
+        if listener is None and is_video_kept(targets, settings, note):
+            return RunOutcome(cuts=leader.shots.cuts)
         run = Run(job, reader, note, progress, listener)
         with hold_cores():
             frames = run.render_all()
-        outcome = RunOutcome(
-            frames,
-            reader.cuts,
-            tuple(run.left_out),
-            nonfinite=broken_pixels_of(job, reader.truth.nonfinite, reader.rendered),
-        )
-        if job.sums and frames:
-            outcome = _with_checksums(outcome, job, run.writer.sums)
-        return outcome
+        broken = broken_pixels_of(job, leader.truth.nonfinite, leader.rendered)
+        outcome = RunOutcome(frames, leader.shots.cuts, tuple(run.left_out), nonfinite=broken)
+        if not (job.sums and frames):
+            return outcome
+        files, verified = files_of(targets, frames, run.writer.sums), None
+        if settings.verify:
+            verified = verify(targets, frames, files, job.source.keys.view, outcome.shown)
+            if targets.frames is not None and targets.video is not None:
+                verify_video(targets.video, outcome.shown)
+        return replace(outcome, files=files, verified=verified)
     finally:
         job.close()
-
-
-def _with_checksums(outcome: RunOutcome, job: Job, sums: Sums) -> RunOutcome:
-    """Add checksums of the files to an outcome, and read these back, where that is asked."""
-    files = files_of(job.targets, outcome.frames, sums)
-    count = None
-    if job.settings.verify:
-        count = verify(job.targets, outcome.frames, files, job.source.keys.view, outcome.shown)
-        if job.targets.frames is not None and job.targets.video is not None:
-            verify_video(job.targets.video, outcome.shown)
-    return replace(outcome, files=files, verified=count)
 
 
 class Run:
@@ -217,7 +206,12 @@ class Run:
         if isinstance(inputs, SkippedInterval):
             self._skip(inputs)
             return
-        self._note_window(inputs)
+        if inputs.frame is not None and inputs.region not in self._noted_windows:
+            # How windows smaller than the display window are read is said once each way.
+            note = window_note(inputs.frame.image, inputs.region)
+            if note is not None:
+                self._noted_windows.add(inputs.region)
+                self._progress.message(note)
         try:
             prepared, inputs = self._preparer.prepare(inputs)
         except InputError as error:  # of what only extrapolation needs
@@ -230,7 +224,10 @@ class Run:
         ):
             self.left_out.append(problem)
             announce_skipped(self._progress, problem)
-        self._pass_key(inputs)
+        if self._pulses is not None:
+            self._pulses.add_key(inputs.key, self._key_image(inputs), inputs.followed)
+        if self._timeline.shows(inputs.key):
+            self._write_key(inputs)
         self._render_slots(prepared, inputs)
 
     def _render_slots(self, prepared: PreparedInterval, inputs: IntervalInputs) -> None:
@@ -242,11 +239,11 @@ class Run:
         if interval is not None and inputs.truth.frames:
             measured = self._job.settings.measured
             scores = IntervalScores(interval, self._display, measured, inputs.followed)
-        how = mode(
+        in_pool = fits_pool(
             prepared, self._job.method, self._display.pixels, self._layers.any, self._slots.workers
         )
-        render = partial(self._renderer.render, prepared, inputs, in_pool=how is Mode.IN_POOL)
-        in_order = self._slots.render(render, missing, how)
+        render = partial(self._renderer.render, prepared, inputs, in_pool=in_pool)
+        in_order = self._slots.render(render, missing, in_pool)
         first_record = len(self._records)
         for slot in slots:
             # Handed on at once: a variable would hold a frame while the next is rendered.
@@ -262,17 +259,24 @@ class Run:
                 interval.forget(slot.index - 1 if prepared.extrapolates else slot.index)
             check_stop()
         if scores is not None:
-            self._complete_scores(first_record, inputs, scores)
+            # What takes all frames of the interval is added to their scores.
+            timing_ms: dict[str, float] = {}
+            with record_time(timing_ms, "score", len(inputs.truth.frames)):
+                ends = {
+                    slot: i.on(i.display_window).pixels for slot, i in inputs.truth.ends.items()
+                }
+                complete = scores.complete(ends)
+            for index, record in enumerate(self._records[first_record:], start=first_record):
+                if record.slot in complete:
+                    overall, holes = complete[record.slot]
+                    elapsed = {"score": record.timing_ms["score"] + timing_ms["score"]}
+                    self._records[index] = replace(
+                        record,
+                        score=overall,
+                        hole_score=holes,
+                        timing_ms=record.timing_ms | elapsed,
+                    )
         self._layers.begin(inputs, None)
-
-    def _note_window(self, inputs: IntervalInputs) -> None:
-        """Say how windows smaller than the display window are read, once each way."""
-        if inputs.frame is None or inputs.region in self._noted_windows:
-            return
-        note = window_note(inputs.frame.image, inputs.region)
-        if note is not None:
-            self._noted_windows.add(inputs.region)
-            self._progress.message(note)
 
     def _skip(self, skipped: SkippedInterval) -> None:
         """Pass the key frame through if it can be read, and record what is missing."""
@@ -288,18 +292,6 @@ class Run:
             self.writer.show_again()
             number = self._timeline.number(slot)
             self._progress.advance(number, "left out", kind_of(slot.index), made=False)
-
-    def _pass_key(self, inputs: IntervalInputs) -> None:
-        """Pass the key frame through, if it is shown, and keep how sharp it is."""
-        is_shown = self._timeline.shows(inputs.key)
-        path = self._source.keys.sequence.files[self._timeline.numbers[inputs.key]]
-        if is_shown and self.writer.copies(path):
-            # Before any frame that is made of a new render, the copy of an earlier one is replaced.
-            self.writer.replace_key(self._timeline.number(Slot(inputs.key, 0)), path)
-        if self._pulses is not None:
-            self._pulses.add_key(inputs.key, self._key_image(inputs), inputs.followed)
-        if is_shown:
-            self._write_key(inputs)
 
     def _write_key(self, inputs: IntervalInputs) -> None:
         """Copy the key frame's file, or write what it decodes to, and record it."""
@@ -390,23 +382,6 @@ class Run:
                 is_key=is_key,
             )
         writer.show(image)
-
-    def _complete_scores(self, first: int, inputs: IntervalInputs, scores: IntervalScores) -> None:
-        """Add what takes all frames of an interval to its scores; `first` is its first record."""
-        timing_ms: dict[str, float] = {}
-        with record_time(timing_ms, "score", len(inputs.truth.frames)):
-            ends = {slot: i.on(i.display_window).pixels for slot, i in inputs.truth.ends.items()}
-            complete = scores.complete(ends)
-        for index, record in enumerate(self._records[first:], start=first):
-            if record.slot in complete:
-                overall, holes = complete[record.slot]
-                elapsed = record.timing_ms["score"] + timing_ms["score"]
-                self._records[index] = replace(
-                    record,
-                    score=overall,
-                    hole_score=holes,
-                    timing_ms=record.timing_ms | {"score": elapsed},
-                )
 
 
 def make_reader(job: Job) -> ViewsReader:

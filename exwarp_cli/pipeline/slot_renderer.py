@@ -6,8 +6,8 @@ A decision is text in the header of the frame that it led to, so that a later ru
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import astuple, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.tiles import Risk, TileMakers, TilePlan
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import OutputError
-from exwarp_cli.io.exr.writer import PREFIX, Plane, PlaneKey, Template
+from exwarp_cli.io.exr.writer import PREFIX, Template
 from exwarp_cli.io.generated_frames import (
     KEY_FRAMES,
     REQUESTED_METHOD,
@@ -28,7 +28,7 @@ from exwarp_cli.io.generated_frames import (
 )
 from exwarp_cli.io.layers import LayerKind
 from exwarp_cli.metrics.temporal import mean_gradient
-from exwarp_cli.pipeline.extra_layers import ExtraLayers, named_by_path
+from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.frame_writer import FrameWriter
 from exwarp_cli.pipeline.interval_builder import PreparedInterval
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
@@ -89,15 +89,18 @@ class SlotRenderer:
         part = prepared.parts.get(slot.index)
         around, index = (interval, slot.index) if part is None else (part.interval, part.index)
         timing = dict(prepared.timing_ms)
-        layers_timing: dict[str, float] = {}
         with record_time(timing, "render"):
             predicted = self._predict(around, plan, index)
         if part is not None:
             around.forget(index)
         timing[timing_step(predicted.made_by)] = timing.pop("render")
         image = Image(predicted.pixels, interval.key.image.data_window, self._source.keys.display)
-        with record_time(layers_timing, "layers"):
-            layers = self._make_layers(slot, predicted, inputs, plan)
+        template, layers = inputs.metadata.template, {}
+        if self._layers.any:
+            assert isinstance(template, Template)  # layers are for EXR
+            with record_time(timing, "layers"):
+                predict = partial(self._predict, plan=plan, slot=slot.index)
+                layers = self._layers.make(slot.index, predicted, predict, template)
         mask = self._mask(interval, slot)
         # The first repeat of a key frame that is not shown itself is no repeat.
         is_shown = inputs.after_hold or self._source.timeline.shows(slot.key)
@@ -105,23 +108,13 @@ class SlotRenderer:
         kind = FrameKind.GENERATED if is_first else predicted.kind
         measures = self._measures_gradient(kind, slot, inputs)
         shows = bool(inputs.truth.frames) or writer.shows
-        template = inputs.metadata.template
         as_written = rounded(image, template) if shows or measures else None
         gradient = None
         if as_written is not None and measures:
             with record_time(timing, "pulse"):
-                gradient = self._gradient(as_written)
-        record = self._new_record(slot, prepared, inputs, predicted, part)
-        record = replace(
-            record,
-            kind=kind,
-            # Rounded to float32 as the header of the frame keeps it.
-            hole_fraction=(
-                None if mask is None else float(np.float32(np.count_nonzero(mask) / mask.size))
-            ),
-            timing_ms=timing | (layers_timing if layers else {}),
-            risk=predicted.risk if kind is FrameKind.GENERATED else None,
-        )
+                gradient = mean_gradient(as_written.on(self._source.keys.display).pixels)
+        predicted = replace(predicted, kind=kind)
+        record = self._new_record(slot, prepared, inputs, predicted, part, mask, timing)
         if in_pool:
             interval.forget(slot.index)
         attributes = self._attributes(record, inputs)
@@ -138,7 +131,27 @@ class SlotRenderer:
         """Return a frame that an earlier run wrote; with its holes if `masked` or scored."""
         number, writer = self._source.timeline.number(slot), self._writer
         try:
-            record = self._read_record(slot, writer.written(number))
+            header = writer.written(number)
+            holes, risk = header.get("holeFraction"), header.get(PREDICTED_ERROR)
+            gate, tiles = header.get("gate"), header.get("tiles")
+            record = FrameRecord(
+                number=number,
+                file=writer.name(number),
+                key=self._source.timeline.numbers[slot.key],
+                slot=slot.index,
+                kind=FrameKind(header["kind"]),
+                method=str(header["method"]),
+                sources=_parse_numbers(str(header["sources"])),
+                rendered_sources=_parse_numbers(str(header.get(RENDERED_SOURCES, ""))),
+                hole_fraction=None if holes is None else float(holes),
+                resumed=True,
+                made_by=infer_maker(header.get("madeBy"), str(header["method"])),
+                path=header.get("path"),
+                decision=parse_decision(header.get("decision")),
+                risk=None if risk is None else Risk.parsed(float(risk), str(header["risk"])),
+                trial=None if gate is None else Trial.parsed(str(gate)),
+                tiles=None if tiles is None else TileMakers.parsed(str(tiles)),
+            )
         except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise OutputError(
                 f"what {writer.name(number)} says of itself was changed by hand; remove it, or "
@@ -147,7 +160,9 @@ class SlotRenderer:
         scored = interval is not None and slot.index in inputs.truth.frames
         measures = self._measures_gradient(record.kind, slot, inputs)
         image = writer.read(number) if scored or measures else None
-        gradient = self._gradient(image) if image is not None and measures else None
+        gradient = None
+        if image is not None and measures:
+            gradient = mean_gradient(image.on(self._source.keys.display).pixels)
         mask = None if interval is None or not (scored or masked) else self._mask(interval, slot)
         return RenderedSlot(record, image, mask=mask, gradient=gradient)
 
@@ -184,9 +199,6 @@ class SlotRenderer:
         is_new = kind is FrameKind.GENERATED
         return self._gradients and is_new and slot.index not in inputs.truth.frames
 
-    def _gradient(self, image: Image) -> float:
-        return mean_gradient(image.on(self._source.keys.display).pixels)
-
     def _mask(self, interval: Interval, slot: Slot) -> Bool | None:
         """Return the hole mask of a slot on the display window."""
         mask = interval.hole_mask(slot.index)
@@ -202,22 +214,7 @@ class SlotRenderer:
         if self._method.predict is not None:
             return self._method.predict(interval, slot)
         assert plan is not None
-        return replace(predict_path(plan.path, interval, slot), method=self._method.name)
-
-    def _make_layers(
-        self, slot: Slot, predicted: Predicted, inputs: IntervalInputs, plan: Plan | TilePlan | None
-    ) -> Mapping[PlaneKey, Plane]:
-        """Make what is written with a slot's beauty: further layers, and other views."""
-        if not self._layers.any:
-            return {}
-        path = plan.path if isinstance(plan, Plan) else None
-
-        def predict(interval: Interval) -> Predicted:
-            return named_by_path(self._predict(interval, plan, slot.index), path)
-
-        template = inputs.metadata.template
-        assert isinstance(template, Template)  # layers are for EXR
-        return self._layers.make(slot.index, named_by_path(predicted, path), predict, template)
+        return predict_path(plan.path, interval, slot)
 
     def _new_record(
         self,
@@ -226,9 +223,13 @@ class SlotRenderer:
         inputs: IntervalInputs,
         predicted: Predicted,
         part: SubSlot | None,
+        mask: Bool | None,
+        timing_ms: dict[str, float],
     ) -> FrameRecord:
         """Record what a frame is and what it was made from."""
         timeline, plan = self._source.timeline, prepared.plan
+        # What a path made that was decided is of the method that decides.
+        decided = isinstance(plan, Plan) and self._method.predict is None
         number = timeline.number(slot)
         rendered = () if part is None else part.rendered
         sources = predicted.sources if part is None else part.keys
@@ -240,39 +241,22 @@ class SlotRenderer:
             key=timeline.numbers[slot.key],
             slot=slot.index,
             kind=predicted.kind,
-            method=predicted.method,
+            method=self._method.name if decided else predicted.method,
             sources=sources,
             rendered_sources=tuple(timeline.number(Slot(slot.key, i)) for i in rendered),
+            # Rounded to float32 as the header of the frame keeps it.
+            hole_fraction=(
+                None if mask is None else float(np.float32(np.count_nonzero(mask) / mask.size))
+            ),
             nonfinite_pixels=broken,
+            timing_ms=timing_ms,
             made_by=predicted.made_by,
             path=plan.path if isinstance(plan, Plan) else None,
             decision=plan.decision_of(slot.index) if isinstance(plan, Plan) else None,
             replaced=self._writer.is_in_the_way(number),
+            risk=predicted.risk if predicted.kind is FrameKind.GENERATED else None,
             trial=prepared.trial,
             tiles=plan.makers(slot.index) if isinstance(plan, TilePlan) else predicted.tiles,
-        )
-
-    def _read_record(self, slot: Slot, header: Mapping[str, Any]) -> FrameRecord:
-        """Return the record of a frame from what its header says."""
-        number, holes = self._source.timeline.number(slot), header.get("holeFraction")
-        error, gate, tiles = (header.get(name) for name in (PREDICTED_ERROR, "gate", "tiles"))
-        return FrameRecord(
-            number=number,
-            file=self._writer.name(number),
-            key=self._source.timeline.numbers[slot.key],
-            slot=slot.index,
-            kind=FrameKind(header["kind"]),
-            method=str(header["method"]),
-            sources=_parse_numbers(str(header["sources"])),
-            rendered_sources=_parse_numbers(str(header.get(RENDERED_SOURCES, ""))),
-            hole_fraction=None if holes is None else float(holes),
-            resumed=True,
-            made_by=infer_maker(header.get("madeBy"), str(header["method"])),
-            path=header.get("path"),
-            decision=parse_decision(header.get("decision")),
-            risk=None if error is None else Risk.parsed(float(error), str(header["risk"])),
-            trial=None if gate is None else Trial.parsed(str(gate)),
-            tiles=None if tiles is None else TileMakers.parsed(str(tiles)),
         )
 
     def _attributes(self, record: FrameRecord, inputs: IntervalInputs) -> dict[str, Any]:

@@ -171,13 +171,13 @@ def test_an_interval_that_is_completed_is_one_that_was_read_whole(extrapolated):
 
     builder = IntervalBuilder(DISPLAY, Filled())
     for index in range(3):
-        made = builder.build(bare(index))
+        builder.build(bare(index))
         if index in extrapolated:
-            builder.add_history(made, whole(index))
+            builder.build(whole(index))
     made = builder.build(bare(3))
     assert len(made.past) == 1 and made.past[0].frame.gbuffer.albedo is None
     assert {index for index, *_ in builder._frames} <= {3, *extrapolated}
-    found = builder.add_history(made, whole(3))
+    found = builder.build(whole(3))
     expected = IntervalBuilder(DISPLAY, Filled()).build(whole(3))
     assert len(found.past) == 2
     for one, other in zip(
