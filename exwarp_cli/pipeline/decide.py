@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -147,15 +148,13 @@ class OraclePath:
         if set(inputs.truth.frames) != set(range(1, FACTOR)):
             return Choice(Plan.fixed("S6"))
 
-        def as_written(pixels: Float32) -> Float32:
-            return quantise_picture(pixels, inputs.metadata.template)
-
         by_psnr = self.judge is DecisionSource.PSNR
         timing_ms: dict[str, float] = {}
         with record_time(timing_ms, "decide"):
             truth = {
                 slot: image.on(self.display).pixels for slot, image in inputs.truth.frames.items()
             }
+            as_written = partial(quantise_picture, template=inputs.metadata.template)
             scores = outcomes_of(interval, truth, self.display, as_written)
             best = outcomes.best_psnr(scores) if by_psnr else outcomes.best_return(scores)
             path = tuple(PATHS)[int(best)]

@@ -156,6 +156,6 @@ def _foreseen(job: Job, slot: Slot, kept: bool) -> ForeseenFrame:
     exists = path is not None and path_exists(path)
     fate = Fate.KEEP if kept else Fate.REPLACE if exists else Fate.WRITE
     kind = FrameKind.GENERATED if slot.index else FrameKind.KEY
-    if slot.index and job.rendered is not None and job.rendered.has(number):
+    if slot.index and job.rendered is not None and number in job.rendered.sequence.files:
         kind = FrameKind.RENDERED
     return ForeseenFrame(number, kind, fate)

@@ -86,16 +86,6 @@ class FrameWriter(ResourceOwner):
         return () if self._video is None else self._video.remarks
 
     @property
-    def shows(self) -> bool:
-        """True if every frame has to be shown, for a video."""
-        return self._video is not None
-
-    @property
-    def keeps_frames(self) -> bool:
-        """True if frames become files, and not a video alone."""
-        return self.output.frames is not None
-
-    @property
     def _key_rate(self) -> Fraction | None:
         return None if self.output.keeps_bytes else self.written_fps
 
@@ -136,7 +126,8 @@ class FrameWriter(ResourceOwner):
         # A run that may replace none began without any: what exists now is its own, as after the
         # loss of a worker.
         may_replace = self.output.overwrites or self.output.resumes
-        return may_replace and self.keeps_frames and path_exists(self._path(number))
+        frames = self.output.frames
+        return may_replace and frames is not None and path_exists(frames.path(number))
 
     def pass_key(self, number: int, source: Path) -> bool:
         """Copy a key frame's file, all its layers and attributes but for another frame rate.

@@ -31,7 +31,6 @@ from exwarp_cli.synthesis.methods import Method, predict_both_ways
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.interval_builder import IntervalBuilder
     from exwarp_cli.pipeline.interval_inputs import IntervalInputs
-    from exwarp_cli.pipeline.source import Source
 
 # Mean squared error of a tile, on the scale of 255, that is added to all: less is not visible.
 NEGLIGIBLE = 1.0
@@ -59,14 +58,13 @@ class TrialReader:
 
     def __init__(
         self,
-        source: Source,
         method: Method,
         store: KeyFrameStore,
         # Returns the key frames that lead back from one, the newest first.
         history: Callable[[int], tuple[int, ...]],
         reads_late: bool,  # True if the store keeps key frames without their surface
     ) -> None:
-        self._source, self._store, self._shots = source, store, store.shots
+        self._source, self._store, self._shots = store.source, store, store.shots
         self._history = history
         self._lookahead = method.lookahead
         self._reads_late = reads_late
@@ -139,12 +137,7 @@ class TrialReader:
     def read(self, key: int, inputs: IntervalInputs) -> TrialInputs:
         """Read the trial of an interval, unless the one before brought the same along.
 
-        `inputs` is the interval as read.
-
-        Raises
-        ------
-        InputError
-            When a file cannot be read.
+        `inputs` is the interval as read. Raises InputError when a file cannot be read.
         """
         index = self.choose(key)
         if index is None or index == self.last_read:

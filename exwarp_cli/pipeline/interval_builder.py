@@ -11,7 +11,6 @@ import numpy as np
 from exwarp_cli.domain.decision import Plan, Trial
 from exwarp_cli.domain.frame import (
     SURFACE_PARTS,
-    Float32,
     GBuffer,
     KeyFrame,
     Window,
@@ -190,14 +189,20 @@ class IntervalBuilder:
     ) -> tuple[OlderKeyFrame, ...]:
         """Return the key frames before, each with the motion that leads back to it."""
         steps: list[OlderKeyFrame] = []
-        newer = key
+        newer, window = key, basis[0]
         for index, older in zip(range(inputs.key - 1, -1, -1), inputs.history, strict=False):
             frame_key = index, basis, has_surface(older.frame)
             if frame_key not in self._past:
                 if older.held:
-                    motion = np.zeros((*basis[0].shape, 2), np.float32)
+                    motion = np.zeros((*window.shape, 2), np.float32)
                 elif older.instants:
-                    motion = self._motion_over_slots(index, older.instants, basis)
+                    slots = slots_back_to(index, len(older.instants) - 1)
+                    *way, (_, last) = zip(slots, older.instants, strict=True)
+                    settled = []
+                    for slot, gbuffer in way:
+                        kept = self._instants.get((slot, basis))
+                        settled.append(settle_motion(gbuffer.on(window)) if kept is None else kept)
+                    motion = span_motion([*settled, last.on(window)], -1)
                 else:
                     assert newer.gbuffer is not None
                     motion = displacement(newer.gbuffer, -1)
@@ -211,19 +216,6 @@ class IntervalBuilder:
             steps.append(self._past[frame_key])
             newer = steps[-1].frame
         return tuple(steps)
-
-    def _motion_over_slots(
-        self, index: int, instants: tuple[GBuffer, ...], basis: Basis
-    ) -> Float32:
-        """Return the motion, float32 [H, W, 2], back to a key frame along all `instants`."""
-        window, _ = basis
-        slots = slots_back_to(index, len(instants) - 1)
-        *way, (_, last) = zip(slots, instants, strict=True)
-        settled = []
-        for slot, gbuffer in way:
-            kept = self._instants.get((slot, basis))
-            settled.append(settle_motion(gbuffer.on(window)) if kept is None else kept)
-        return span_motion([*settled, last.on(window)], -1)
 
     def _release_before(
         self, inputs: IntervalInputs, slots: tuple[GBuffer, ...], basis: Basis
@@ -244,11 +236,11 @@ class IntervalBuilder:
 
 
 class IntervalJudge:
-    """Decides how intervals of one method are made: by its gate, and by what selects their path."""
+    """What decides how intervals of a method are made: its gate, and what selects their path."""
 
     def __init__(self, job: Job, method: Method) -> None:
         source, self.method = job.source, method
-        self._selector = make_selector(method, source, job.policy, job.settings.spent)
+        self.selector = make_selector(method, source, job.policy, job.settings.spent)
         self.gate: Gate | None = None
         if job.is_gated:
             trial_builder = IntervalBuilder(
@@ -256,18 +248,6 @@ class IntervalJudge:
                 scratch=source.scratch,
             )  # fmt: skip
             self.gate = Gate(method, trial_builder, source.keys.display)
-
-    def select_path(self, inputs: IntervalInputs, interval: Interval) -> Choice | None:
-        """Decide an interval's path; None where it is held, and nothing is to be decided.
-
-        A policy looks at it all the same.
-        """
-        if self._selector is None:
-            return None
-        if interval.held and self.method.judge is not DecisionSource.POLICY:
-            return None
-        choice = self._selector.select(inputs, interval)
-        return None if interval.held else choice
 
 
 class IntervalPreparer:
@@ -297,10 +277,7 @@ class IntervalPreparer:
     def prepare(self, inputs: IntervalInputs) -> tuple[PreparedInterval, IntervalInputs]:
         """Build an interval, and decide its path; return it with what is left of its inputs.
 
-        Raises
-        ------
-        InputError
-            When a file cannot be read that only extrapolation needs.
+        Raises InputError when a file cannot be read that only extrapolation needs.
         """
         slots = self._timeline.made_of(inputs.key)
         if inputs.frame is None:  # every slot of it is written
@@ -321,17 +298,19 @@ class IntervalPreparer:
             or self._writer.has(number(slot), recipes[slot.index])
         )
         has_missing = len(existing) < len(slots)
+        has_new = has_missing and not interval.held
         choice, trial = None, None
         if judge is not self._judge and (inputs.rendered.frames or not interval.has_motion):
             judge = self._judge  # which warps
         ends_shot = judge.method.lookahead and inputs.following is None
-        may_run_network = has_missing and not interval.held and not ends_shot
-        if may_run_network and judge.gate is not None and inputs.trial is not None:
+        if has_new and not ends_shot and judge.gate is not None and inputs.trial is not None:
             with record_time(timing_ms, "gate", len(slots)):
                 trial = judge.gate.decide(inputs.trial)
         # A policy looks at every interval: the states of later ones hold what it saw.
-        if slots and (has_missing or judge.method.judge is DecisionSource.POLICY):
-            choice = judge.select_path(inputs, interval)
+        looks = has_new or judge.method.judge is DecisionSource.POLICY
+        if judge.selector is not None and slots and looks:
+            choice = judge.selector.select(inputs, interval)
+            choice = None if interval.held else choice
         if trial is not None and not trial.pays:
             interval = replace(interval, interpolator=None)
             choice = None if choice is None else replace(choice, plan=only_warps(choice.plan))

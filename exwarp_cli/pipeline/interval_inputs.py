@@ -21,12 +21,7 @@ from exwarp_cli.pipeline.gate import TrialInputs, TrialReader
 from exwarp_cli.pipeline.ground_truth import IntervalTruth, TruthReader
 from exwarp_cli.pipeline.key_frames import HistoryFrame, KeyFrameStore, is_opaque, reads_late
 from exwarp_cli.pipeline.output_plan import frame_suffix
-from exwarp_cli.pipeline.rendered_frames import (
-    IntervalRendered,
-    RenderedFrames,
-    RenderedReader,
-    leads_on,
-)
+from exwarp_cli.pipeline.rendered_frames import IntervalRendered, RenderedFrames, RenderedReader
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.shots import UnreadableFrames
 from exwarp_cli.pipeline.source import FrameOf, Source
@@ -181,11 +176,11 @@ class IntervalReader:
             self.trials = leader.trials
             self.fingerprinter.share_digests(leader.fingerprinter)
         elif method.gated and settings.gate:
-            first = TrialReader(source, method, self.store, self._history, self._reads_late)
+            first = TrialReader(method, self.store, self._history, self._reads_late)
             self.trials = (first,)
             if method.tail is not None:
                 history = partial(self._history, ahead=False)
-                last = TrialReader(source, method.tail, self.store, history, reads_late=True)
+                last = TrialReader(method.tail, self.store, history, reads_late=True)
                 self.trials = first, last
         if keep_going:
             self.fingerprinter.reading = self.store.reading
@@ -194,22 +189,14 @@ class IntervalReader:
             self.store.companions.append(self._layers.read_key)
         self.rendered: RenderedReader | None = None
         if rendered is not None:
-            self.rendered = RenderedReader(
-                rendered, self._contents, source.written_fps, keep_going,
-                leads_on(source, method, self._contents),
-            )  # fmt: skip
+            self.rendered = RenderedReader(rendered, self._contents, method)
         # The key frames whose instants intervals brought along.
         self.observed_keys: frozenset[int] = frozenset()
 
     def read(self, key: int, needed: Needed = lambda key, recipes: True) -> IntervalInputs:
-        """Read an interval.
+        """Read an interval; raises InputError when a file cannot be used.
 
         `needed` is called before more is decoded than cuts are found by.
-
-        Raises
-        ------
-        InputError
-            When a file cannot be used.
         """
         timing_ms: dict[str, float] = {}
         with record_time(timing_ms, "read"):
@@ -276,12 +263,8 @@ class IntervalReader:
     def add_history(self, inputs: IntervalInputs) -> IntervalInputs:
         """Return an interval with its older key frames, and the surface of its key frame.
 
-        Another thread may read the next interval meanwhile.
-
-        Raises
-        ------
-        InputError
-            When a file cannot be read.
+        Another thread may read the next interval meanwhile. Raises InputError when a file cannot be
+        read.
         """
         assert inputs.frame is not None
         # Look-ahead methods read no normals either.
@@ -293,14 +276,17 @@ class IntervalReader:
         )
         return replace(inputs, frame=frame, history=history, lacks_history=False)
 
-    def read_key(self, key: int) -> IntervalInputs:
-        """Read what a key frame is passed through by, and no more of its interval."""
-        timing_ms: dict[str, float] = {}
-        with record_time(timing_ms, "read"):
-            frame = replace(self.store.get(key), gbuffer=None)
-            number = self._source.timeline.numbers[key]
-            metadata = FrameMetadata(template_of(self._contents, self._suffix, number))
-        return IntervalInputs(key, metadata, frame, read_ms=timing_ms["read"])
+    def skip(self, key: int, reason: str) -> SkippedInterval:
+        """Skip an interval, but for its key frame if that can be read."""
+        passed, timing_ms = None, dict[str, float]()
+        with suppress(InputError):
+            with record_time(timing_ms, "read"):
+                frame = replace(self.store.get(key), gbuffer=None)
+                number = self._source.timeline.numbers[key]
+                metadata = FrameMetadata(template_of(self._contents, self._suffix, number))
+            passed = IntervalInputs(key, metadata, frame, read_ms=timing_ms["read"])
+        self.release(key)
+        return SkippedInterval(key, reason, passed)
 
     def read_observed(self, key: int) -> tuple[tuple[PolicyObservation, ...], tuple[GBuffer, ...]]:
         """Read what features of an interval come from: its instants, and its slots' G-buffers."""
@@ -471,16 +457,9 @@ class ViewsReader:
                 for trials, last in zip(leader.trials, last_trials, strict=True):
                     trials.last_read = last
                 if len(leader.unreadable) == count:
-                    return self._skip(key, str(error))
-
-    def _skip(self, key: int, reason: str) -> SkippedInterval:
-        """Skip an interval, but for its key frame if that can be read."""
-        passed = None
-        with suppress(InputError):
-            passed = self.leader.read_key(key)
-        for reader in (self.leader, *self._followers):
-            reader.release(key)
-        return SkippedInterval(key, reason, passed)
+                    for reader in self._followers:
+                        reader.release(key)
+                    return leader.skip(key, str(error))
 
     def _read_all(self, key: int, needed: Needed) -> IntervalInputs:
         if not self._followers:

@@ -83,9 +83,9 @@ class KeyFrameStore:
         self._shapes: dict[Slot, GBuffer] = {}
         self._windows: dict[int, Window | None] = {}
         numbers, lossy = source.timeline.numbers, isinstance(source.keys.sequence, ClipSequence)
-        self.shots = Shots(source.cuts, numbers, self.get, unreadable, lossy)
+        shots = None if leader is None else leader.shots
+        self.shots = Shots(source.cuts, numbers, self.get, unreadable, lossy, shots)
         if leader is not None:
-            self.shots.follow(leader.shots)
             leader.companions.append(self.get)
         self._estimates = None
         if source.estimated:

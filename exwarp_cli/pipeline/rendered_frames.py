@@ -7,7 +7,6 @@ import json
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
 
@@ -40,10 +39,6 @@ class RenderedFrames:
 
     sequence: Sequence  # their files by output number; no others
     note: str  # says which frames are used, and which are not
-
-    def has(self, number: int) -> bool:
-        """Return True if an output frame was rendered."""
-        return number in self.sequence.files
 
     def require_apart(self, frames: FramePattern | None) -> None:
         """Refuse to write over the rendered frames themselves; raises OutputError."""
@@ -144,18 +139,11 @@ class RenderedReader:
         self,
         rendered: RenderedFrames,
         contents: tuple[Content, ...],  # of every view: a rendered frame must have all of it
-        rate: Fraction | None,  # that headers get; None where it is not known
-        tolerant: bool = False,  # whether to generate frames whose rendered ones cannot be used
-        leads: bool = False,  # whether slots around are made from them, too; see `leads_on`
+        method: Method,  # says whether slots around are made from them, too
     ) -> None:
-        source = contents[0].source
-        self._convention = source.convention
-        self._timeline = source.timeline
-        self._plain = is_plain(source.keys.sequence)
-        self._leads = leads
+        self._source = source = contents[0].source
+        self._leads = leads_on(source, method, contents)
         self._sequence = rendered.sequence
-        self._rate = rate
-        self._tolerant = tolerant
         self._shots = [
             replace(content.source.keys, sequence=rendered.sequence, aovs={})
             for content in contents
@@ -173,21 +161,21 @@ class RenderedReader:
     def read(self, key: int) -> IntervalRendered:
         """Read those of an interval, by the index of its key frame; the last one is kept.
 
-        Raises InputError when a frame cannot be used, unless tolerant.
+        Raises InputError when a frame cannot be used, unless such frames are to be generated.
         """
         if self._last_key == key:
             return self._last
         frames: dict[int, RenderedFrame] = {}
         unusable: dict[int, str] = {}
-        for slot in self._timeline.made_of(key):
-            number = self._timeline.number(slot)
+        for slot in self._source.timeline.made_of(key):
+            number = self._source.timeline.number(slot)
             if number not in self._sequence.files:
                 continue
             try:
                 frames[slot.index] = self._read_frame(slot, number)
             except InputError as error:
                 problem = f"frame {number} of --rendered cannot be used: {error}"
-                if not self._tolerant:
+                if not self._source.keys.keep_going:
                     raise type(error)(problem) from error
                 unusable[slot.index] = problem
         self._last_key, self._last = key, IntervalRendered(frames, unusable)
@@ -212,18 +200,18 @@ class RenderedReader:
             layers.frame(number)
             layers.keep(())
         digest = digest_frame(self._sequence, number)
-        facts = [__version__, FrameKind.RENDERED.value, digest, str(self._rate)]
+        facts = [__version__, FrameKind.RENDERED.value, digest, str(self._source.written_fps)]
         text = json.dumps([*facts, slot.key, slot.index])
         return RenderedFrame(path, frames[0], hashlib.sha256(text.encode()).hexdigest())
 
     def _read_as_key(self, shot: Shot, number: int) -> KeyFrame:
         """Read a frame as if it were a key frame; raises InputError where that fails."""
-        if self._plain:
+        if is_plain(self._source.keys.sequence):
             return KeyFrame(number, read_key_picture(shot, number), None)
         if self._leads:
             with suppress(LayoutError):  # a frame without geometry takes its place all the same
                 raw = read_raw(shot, number, (Role.COLOUR, *GEOMETRY_WITHOUT_NORMAL), objects=True)
-                return raw.key(self._convention)
+                return raw.key(self._source.convention)
         return replace(read_raw(shot, number, (Role.COLOUR,)).key(None), gbuffer=None)
 
 

@@ -70,10 +70,7 @@ def upsample(
 ) -> RunSummary:
     """Write the slots of the selected key frames; return what was written and how good it is.
 
-    Raises
-    ------
-    ExwarpError
-        For anything that a user can cause; frames written until then are complete.
+    Raises ExwarpError for anything that a user can cause; frames written until then are complete.
     """
     return run_job(open_job(settings), progress or Progress(), listener)
 
@@ -100,12 +97,8 @@ def write_intervals(
     """Do the work of a job whose folders exist, in this thread.
 
     The caller starts and finishes `progress`, and has planned `listener`. The outcome has no frames
-    for a video alone that existed as this run would make it.
-
-    Raises
-    ------
-    OutputError
-        When files are not on the disk as they were written, where that is verified.
+    for a video alone that existed as this run would make it. Raises OutputError when files are not
+    on the disk as they were written, where that is verified.
     """
     settings, targets = job.settings, job.targets
     use_threads(settings.threads)
@@ -302,7 +295,7 @@ class Run:
         replaced = writer.is_in_the_way(output)
         if writer.copies(path):
             resumed = writer.pass_key(output, path)
-        elif not writer.keeps_frames:
+        elif writer.output.frames is None:
             resumed = False
         else:
             recipe = key_fingerprint(source.keys, number, source.written_fps)
@@ -361,7 +354,7 @@ class Run:
         record, writer, listener = rendered.record, self.writer, self._listener
         if listener is not None and not listener.wants(record.number, record.score, record.risk):
             listener = None
-        if listener is None and not writer.shows:
+        if listener is None and writer.output.video is None:
             return
         is_key = record.kind is FrameKind.KEY
         if is_key:

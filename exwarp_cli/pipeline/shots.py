@@ -84,6 +84,8 @@ class Shots:
         # Key frames that cannot be read: shots end before them, and begin after them.
         unreadable: UnreadableFrames | None = None,
         lossy: bool = False,  # True if a lossy codec may have changed pictures that are repeated
+        # Of the view that tells where shots begin: all views are cut and held alike.
+        leader: Shots | None = None,
     ) -> None:
         self._wish = wish
         self._numbers = numbers
@@ -97,13 +99,10 @@ class Shots:
         self._repeats: dict[int, bool] = {}
         self._changes: dict[int, PictureChange] = {}
         self._leaps: dict[int, _Leap | None] = {}
-        self._leader: Shots | None = None
-        self._followers: list[Shots] = []
-
-    def follow(self, leader: Shots) -> None:
-        """Let another view tell where shots begin: all views are cut and held alike."""
         self._leader = leader
-        leader._followers.append(self)
+        self._followers: list[Shots] = []
+        if leader is not None:
+            leader._followers.append(self)
 
     @property
     def cuts(self) -> tuple[Cut, ...] | None:

@@ -107,7 +107,7 @@ class SlotRenderer:
         is_first = slot.index == 1 and not is_shown
         kind = FrameKind.GENERATED if is_first else predicted.kind
         measures = self._measures_gradient(kind, slot, inputs)
-        shows = bool(inputs.truth.frames) or writer.shows
+        shows = bool(inputs.truth.frames) or writer.output.video is not None
         as_written = rounded(image, template) if shows or measures else None
         gradient = None
         if as_written is not None and measures:
@@ -184,7 +184,7 @@ class SlotRenderer:
         }
         if not resumed and writer.copies(frame.path):
             writer.pass_rendered(number, frame.path, marks)
-        elif not resumed and writer.keeps_frames:
+        elif not resumed and writer.output.frames is not None:
             own = {f"{PREFIX}{name}": value for name, value in marks.items()}
             attributes = {**rate_attribute(self._source), **own}
             writer.write_decoded(number, frame.frame.image, inputs.metadata.template, attributes)
