@@ -30,7 +30,7 @@ from exwarp_cli.pipeline.decide import Choice, make_selector, only_warps
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.gate import Gate
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, ViewsReader
-from exwarp_cli.pipeline.key_frames import HistoryFrame, slots_back_to, without_surface
+from exwarp_cli.pipeline.key_frames import slots_back_to, without_surface
 from exwarp_cli.pipeline.rendered_frames import leads_on
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
@@ -439,20 +439,7 @@ def with_stencils(inputs: IntervalInputs, ids: Ids | None) -> IntervalInputs:
             return gbuffer
         return replace(gbuffer, stencil=select_ids(gbuffer.objects, ids), objects=None)
 
-    def with_stencil(frame: KeyFrame) -> KeyFrame:
-        return frame if frame.gbuffer is None else replace(frame, gbuffer=marked(frame.gbuffer))
-
-    return replace(
-        inputs,
-        frame=None if inputs.frame is None else with_stencil(inputs.frame),
-        following=None if inputs.following is None else with_stencil(inputs.following),
-        slots=tuple(map(marked, inputs.slots)),
-        history=tuple(
-            HistoryFrame(with_stencil(older.frame), tuple(map(marked, older.instants)))
-            for older in inputs.history
-        ),
-        rendered=inputs.rendered.map_frames(with_stencil),
-    )
+    return inputs.map_geometry(marked)
 
 
 def _moving_ids(canvas: Window, now: GBuffer, before: GBuffer | None = None) -> Ids:

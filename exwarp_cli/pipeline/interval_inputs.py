@@ -99,20 +99,32 @@ class IntervalInputs:
 
     def without_geometry(self) -> IntervalInputs:
         """Return the interval with the colour of its key frames alone, once it is built."""
-
         # With raw vectors and positions, a key frame takes three times the memory of its colour.
-        def colour(frame: KeyFrame) -> KeyFrame:
-            return replace(frame, gbuffer=None)
+        return replace(self.map_geometry(lambda _: None), observed=(), trial=None)
 
+    def map_geometry(self, change: Callable[[GBuffer], GBuffer | None]) -> IntervalInputs:
+        """Return the interval with other G-buffers; None leaves one out."""
+
+        def changed(frame: KeyFrame) -> KeyFrame:
+            return frame if frame.gbuffer is None else replace(frame, gbuffer=change(frame.gbuffer))
+
+        def all_changed(gbuffers: tuple[GBuffer, ...]) -> tuple[GBuffer, ...]:
+            return tuple(gbuffer for gbuffer in map(change, gbuffers) if gbuffer is not None)
+
+        rendered = {
+            slot: replace(each, frame=changed(each.frame))
+            for slot, each in self.rendered.frames.items()
+        }
         return replace(
             self,
-            frame=None if self.frame is None else colour(self.frame),
-            following=None if self.following is None else colour(self.following),
-            slots=(),
-            history=tuple(HistoryFrame(colour(past.frame), (), past.held) for past in self.history),
-            observed=(),
-            trial=None,
-            rendered=self.rendered.map_frames(colour),
+            frame=None if self.frame is None else changed(self.frame),
+            following=None if self.following is None else changed(self.following),
+            slots=all_changed(self.slots),
+            history=tuple(
+                HistoryFrame(changed(past.frame), all_changed(past.instants), past.held)
+                for past in self.history
+            ),
+            rendered=replace(self.rendered, frames=rendered),
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -125,11 +125,6 @@ class IntervalRendered:
     frames: Mapping[int, RenderedFrame] = field(default_factory=dict)
     # Why further ones cannot be used; these slots are generated.
     unusable: Mapping[int, str] = field(default_factory=dict)
-
-    def map_frames(self, change: Callable[[KeyFrame], KeyFrame]) -> IntervalRendered:
-        """Return the same with changed frames."""
-        frames = {i: replace(each, frame=change(each.frame)) for i, each in self.frames.items()}
-        return replace(self, frames=frames)
 
 
 class RenderedReader:

@@ -159,6 +159,13 @@ class TestBuilt:
         for i, slot in enumerate(found.slots, start=1):
             np.testing.assert_array_equal(slot.stencil, view(2 + i / 4).gbuffer().stencil)
 
+    def test_nothing_moved_between_equal_pictures(self):
+        read = inputs(2, "key")
+        newer, oldest = read.history
+        history = (replace(newer, held=True), oldest)
+        past = IntervalBuilder(DISPLAY, Filled()).build(replace(read, history=history)).past
+        assert not past[0].motion.any() and np.abs(past[1].motion).max() > 1
+
     @SETTINGS
     def test_what_moved_before_does_not_count_later(self, setting):
         """An id that the box has in one interval is a wall's in a later one."""
