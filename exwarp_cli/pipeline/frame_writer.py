@@ -45,7 +45,8 @@ FRAMES_BEHIND = 4
 
 FRAME, HOLES, VIDEO = "frame", "holes", "video"  # kinds of written files
 
-Sums = dict[tuple[str, int], str]  # SHA-256 of written files, by kind and number of the frame
+# SHA-256 of written files, by kind and number of the frame; of a video there is none.
+Sums = dict[tuple[str, int | None], str]
 
 
 @dataclass
@@ -278,10 +279,13 @@ def sum_of(pieces: Iterable[Buffer]) -> str:
 
 
 def sum_in(path: Path) -> str:
-    """Return the SHA-256 of a file, hexadecimal; raises OSError."""
+    """Return the SHA-256 of a file, hexadecimal; raises OutputError when it cannot be read."""
     check_stop()
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise output_error(path, error) from error
 
 
 def files_of(
@@ -291,14 +295,10 @@ def files_of(
 
     Raises OutputError when a file cannot be read.
     """
-    files = []
-    for kind, number, path, _ in _list_files(targets, frames):
-        digest = None if number is None else sums.get((kind, number))
-        try:
-            files.append(WrittenFile(kind, number, path.name, digest or sum_in(path)))
-        except OSError as error:
-            raise output_error(path, error) from error
-    return tuple(files)
+    return tuple(
+        WrittenFile(kind, number, path.name, sums.get((kind, number)) or sum_in(path))
+        for kind, number, path, _ in _list_files(targets, frames)
+    )
 
 
 def verify(
@@ -325,11 +325,7 @@ def verify(
 
 def verify_video(path: Path, shown: int) -> None:
     """Read a video of `shown` frames again that was written with frames. Raises OutputError."""
-    try:
-        digest = sum_in(path)
-    except OSError as error:
-        raise output_error(path, error) from error
-    _require_sound([_Check(VIDEO, None, path, digest, False, "", shown)])
+    _require_sound([_Check(VIDEO, None, path, sum_in(path), False, "", shown)])
 
 
 @dataclass(frozen=True)
@@ -358,7 +354,7 @@ class _Check:
             if self.is_sealed:
                 read_picture(self.path, self.view)
                 return read_fingerprint(self.path) is not None
-        except (OSError, InputError):
+        except (OSError, InputError, OutputError):
             return False
         return True
 

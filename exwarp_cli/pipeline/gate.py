@@ -7,7 +7,7 @@ holds, so chunks of a sequence agree. Key frames and intervals are named by thei
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain, takewhile
 from typing import TYPE_CHECKING
 
@@ -191,18 +191,16 @@ def _vectors_over(frame: KeyFrame, intervals: int) -> KeyFrame:
     return replace(frame, gbuffer=over_interval(both, intervals))
 
 
+@dataclass
 class Gate:
-    """Decides for each interval whether the network may make its frames.
+    """Decides for each interval whether the network may make its frames."""
 
-    `builder` builds the intervals of trials, and of nothing else. Predictions are compared on the
-    window `display`.
-    """
-
-    def __init__(self, method: Method, builder: IntervalBuilder, display: Window) -> None:
-        self._method, self._builder, self._display = method, builder, display
-        self._received = TrialInputs()
-        self._last_key: int | None = None
-        self._last_trial = Trial()
+    method: Method
+    builder: IntervalBuilder  # of the intervals of trials, and of nothing else
+    display: Window  # on which predictions are compared
+    _received: TrialInputs = field(default_factory=TrialInputs)
+    _last_key: int | None = None
+    _last_trial: Trial = field(default_factory=Trial)
 
     def receive(self, inputs: TrialInputs) -> None:
         """Keep what an interval brings along until its trial is asked for."""
@@ -222,13 +220,13 @@ class Gate:
             return self._last_trial
         material = self._received.material
         assert self._received.key == inputs.key and material is not None
-        interval = self._builder.build(material.around)
-        lookahead, count = self._method.lookahead, len(interval.times)
+        interval = self.builder.build(material.around)
+        lookahead, count = self.method.lookahead, len(interval.times)
         slot = count // 2 + 1 if lookahead else count
         canvas = interval.key.image.data_window
-        truth = encode_display(material.truth.on(self._display).pixels)
+        truth = encode_display(material.truth.on(self.display).pixels)
         warped, by_network = (
-            measure_psnr(truth, encode_display(place_on_canvas(pixels, canvas, self._display)))
+            measure_psnr(truth, encode_display(place_on_canvas(pixels, canvas, self.display)))
             for pixels in predict_both_ways(interval, slot, lookahead)
         )
         if lookahead:
@@ -239,7 +237,7 @@ class Gate:
             values = warped.overall(), by_network.overall()
         self._last_trial = Trial.measured(material.number, *values)
         self._last_key, self._received = inputs.key, TrialInputs()
-        self._builder.forget()
+        self.builder.forget()
         return self._last_trial
 
 

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from exwarp_cli.domain.decision import Plan, Trial
-from exwarp_cli.domain.frame import (
-    SURFACE_PARTS,
-    GBuffer,
-    KeyFrame,
-    Window,
-    nonfinite_pixels,
-    require_canvas,
-)
+from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, KeyFrame, Window, require_canvas
 from exwarp_cli.domain.network_api import (
     HISTORY_FRAMES,
     Extrapolator,
@@ -26,6 +19,7 @@ from exwarp_cli.domain.network_api import (
 from exwarp_cli.domain.tiles import TilePlan
 from exwarp_cli.domain.timeline import Slot, ranges
 from exwarp_cli.io.layers import LayerKind
+from exwarp_cli.io.shot import count_nonfinite
 from exwarp_cli.pipeline.decide import Choice, make_selector, only_warps
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.gate import Gate
@@ -377,21 +371,17 @@ def has_surface(frame: KeyFrame) -> bool:
 
 def count_broken(inputs: IntervalInputs, counted: Mapping[int, int]) -> dict[int, int]:
     """Count the pixels that are NaN or infinite, by frame; `counted` are counts of some frames."""
-    frames: Iterable[KeyFrame | None] = (
-        inputs.frame,
-        inputs.following,
-        *(older.frame for older in inputs.history),
-    )
     counts = {}
-    for frame in frames:
+    for frame in (inputs.frame, inputs.following, *(older.frame for older in inputs.history)):
         if frame is not None:
             count = counted.get(frame.number, frame.broken)
-            if count is None:
-                count = int(np.count_nonzero(nonfinite_pixels(frame.image.pixels)))
-            counts[frame.number] = count
+            counts[frame.number] = (
+                count_nonfinite((frame.image.pixels,)) if count is None else count
+            )
     return counts
 
 
+@dataclass
 class MovingObjects:
     """Decides which objects of a Cryptomatte move in an interval, where no option names them.
 
@@ -400,10 +390,11 @@ class MovingObjects:
     any part of a sequence comes to the same. What two intervals compare is compared once.
     """
 
-    def __init__(self) -> None:
-        # By one or two instants with their windows (a key frame's data may fill less than its
-        # G-buffer), and the canvas.
-        self._compared: dict[tuple[tuple[tuple[Slot, Window], ...], Window], Ids] = {}
+    # By one or two instants with their windows (a key frame's data may fill less than its
+    # G-buffer), and the canvas.
+    _compared: dict[tuple[tuple[tuple[Slot, Window], ...], Window], Ids] = field(
+        default_factory=dict
+    )
 
     def find(self, inputs: IntervalInputs, canvas: Window) -> Ids | None:
         """Return the ids of what moves between any two instants of an interval.

@@ -215,19 +215,18 @@ class IntervalReader:
             recipes = self.fingerprints(key)
             number = self._source.timeline.numbers[key]
             metadata = FrameMetadata(template_of(self._contents, self._suffix, number), recipes)
+            inputs = IntervalInputs(
+                key, metadata, followed=self.store.is_followed(key),
+                rendered=self._read_rendered(key),
+            )  # fmt: skip
             if needed(key, recipes):
-                inputs = self._read_frames(key, metadata)
-            else:
-                inputs = IntervalInputs(
-                    key, metadata, followed=self.store.is_followed(key),
-                    rendered=self._read_rendered(key),
-                )  # fmt: skip
+                inputs = self._read_frames(inputs)
             self.release(key)
         return replace(inputs, read_ms=timing_ms["read"])
 
-    def _read_frames(self, key: int, metadata: FrameMetadata) -> IntervalInputs:
+    def _read_frames(self, inputs: IntervalInputs) -> IntervalInputs:
         """Read all that an interval's slots are made from."""
-        source, store = self._source, self.store
+        key, source, store = inputs.key, self._source, self.store
         lookahead = self._looks_ahead(key)
         frame = store.get_in_shot(key)
         following = store.get_in_shot(key + 1, before=True) if lookahead else None
@@ -238,31 +237,25 @@ class IntervalReader:
             HistoryFrame(store.get_in_shot(i), store.get_way_back(i), self.shots.repeats(i + 1))
             for i in self._history(key)[: WARPED_BACK if lacks_history else None]
         )
-        observed = self._observe(key)
         older_key = self._older_key(key, lookahead)
-        older = None if older_key is None else store.get_in_shot(older_key)
-        layers = None if self._layers is None else self._layers.read(key, lookahead, older_key)
-        truth = self.truth.read(key)
-        digests = self.fingerprinter.key_digests((key, key + 1) if lookahead else (key,))
-        inputs = IntervalInputs(
-            key,
-            replace(metadata, key_digests=digests),
-            frame,
-            following,
-            slots,
-            history,
-            lacks_history,
-            observed,
-            truth,
-            layers,
-            older,
+        inputs = replace(
+            inputs,
+            frame=frame,
+            following=following,
+            slots=slots,
+            history=history,
+            lacks_history=lacks_history,
+            observed=self._observe(key),
+            older=None if older_key is None else store.get_in_shot(older_key),
+            layers=None if self._layers is None else self._layers.read(key, lookahead, older_key),
+            truth=self.truth.read(key),
             times=tuple(float(source.timeline.time(s)) for s in source.timeline.between(key)),
-            followed=store.is_followed(key),
             region=store.is_steady(key) and all(map(is_opaque, images)),
             held=self._is_held(key),
             after_hold=self.shots.repeats(key),
-            rendered=self._read_rendered(key),
         )
+        digests = self.fingerprinter.key_digests((key, key + 1) if lookahead else (key,))
+        inputs = replace(inputs, metadata=replace(inputs.metadata, key_digests=digests))
         trials = self._trials_at(key)
         if trials is not None and self._contents[0].leads:
             inputs = replace(inputs, trial=trials.read(key, inputs))
@@ -440,14 +433,12 @@ class IntervalReader:
         return None if self.unreadable.has(before) else before
 
 
+@dataclass(frozen=True)
 class ViewsReader:
-    """Reads an interval of every view: the other views' are in `IntervalInputs.views`.
+    """Reads an interval of every view: the other views' are in `IntervalInputs.views`."""
 
-    The other views' readers were made with that leader.
-    """
-
-    def __init__(self, leader: IntervalReader, followers: tuple[IntervalReader, ...] = ()) -> None:
-        self.leader, self._followers = leader, followers  # the view that decides, and the others
+    leader: IntervalReader  # of the view that decides
+    followers: tuple[IntervalReader, ...] = ()  # of the others, made with that leader
 
     def read(self, key: int, needed: Needed) -> IntervalInputs | SkippedInterval:
         """Read an interval; see `IntervalReader.read`. A frame depends on all its views.
@@ -469,21 +460,21 @@ class ViewsReader:
                 for trials, last in zip(leader.trials, last_trials, strict=True):
                     trials.last_read = last
                 if len(leader.unreadable) == count:
-                    for reader in self._followers:
+                    for reader in self.followers:
                         reader.release(key)
                     return leader.skip(key, str(error))
 
     def _read_all(self, key: int, needed: Needed) -> IntervalInputs:
-        if not self._followers:
+        if not self.followers:
             return self.leader.read(key, needed)
-        by_view = [reader.fingerprints(key) for reader in (self.leader, *self._followers)]
+        by_view = [reader.fingerprints(key) for reader in (self.leader, *self.followers)]
         recipes = {
             slot: hashlib.sha256(" ".join(view[slot] for view in by_view).encode()).hexdigest()
             for slot in by_view[0]
         }
         inputs = self.leader.read(key, lambda index, _: needed(index, recipes))
         is_needed = inputs.frame is not None
-        views = tuple(reader.read(key, lambda *_: is_needed) for reader in self._followers)
+        views = tuple(reader.read(key, lambda *_: is_needed) for reader in self.followers)
         read_ms = inputs.read_ms + sum(view.read_ms for view in views)
         metadata = replace(inputs.metadata, recipes=recipes)
         return replace(inputs, metadata=metadata, views=views, read_ms=read_ms)

@@ -84,7 +84,7 @@ class KeyFrameStore:
         self._windows: dict[int, Window | None] = {}
         numbers, lossy = source.timeline.numbers, isinstance(source.keys.sequence, ClipSequence)
         shots = None if leader is None else leader.shots
-        self.shots = Shots(source.cuts, numbers, self.get, unreadable, lossy, shots)
+        self.shots: Shots = Shots(source.cuts, numbers, self.get, unreadable, lossy, shots)
         if leader is not None:
             leader.companions.append(self.get)
         self._estimates = None

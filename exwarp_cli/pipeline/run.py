@@ -20,6 +20,7 @@ from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.exr.writer import PREFIX
 from exwarp_cli.io.footage import read_sequence_picture
+from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
@@ -51,7 +52,7 @@ from exwarp_cli.pipeline.scheduling import (
     record_time,
 )
 from exwarp_cli.pipeline.scoring import IntervalScores, KeyedPulses, broken_pixels_of
-from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_attribute, rounded
+from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_attribute
 from exwarp_cli.runtime.cores import hold_cores
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.runtime.stop import check_stop
@@ -364,7 +365,8 @@ class Run:
         elif rendered.rounded:
             image = rendered.image
         else:
-            image = rounded(rendered.image, inputs.metadata.template)
+            image, template = rendered.image, inputs.metadata.template
+            image = replace(image, pixels=quantise_picture(image.pixels, template))
         if listener is not None:
             truth = inputs.truth.frames.get(record.slot)
             listener.frame(

@@ -20,12 +20,7 @@ from exwarp_cli.domain.tiles import Risk, TileMakers, TilePlan
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io.exr.writer import PREFIX, Template
-from exwarp_cli.io.generated_frames import (
-    KEY_FRAMES,
-    REQUESTED_METHOD,
-    FrameTemplate,
-    quantise_picture,
-)
+from exwarp_cli.io.generated_frames import KEY_FRAMES, REQUESTED_METHOD, quantise_picture
 from exwarp_cli.io.layers import LayerKind
 from exwarp_cli.metrics.temporal import mean_gradient
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
@@ -57,25 +52,15 @@ class RenderedSlot:
     gradient: float | None = None
 
 
+@dataclass(frozen=True)
 class SlotRenderer:
-    """Renders the frames of slots; in several threads, where only the beauty is written.
+    """Renders the frames of slots; in several threads, where only the beauty is written."""
 
-    With `gradients`, new frames without ground truth come with their mean gradient.
-    """
-
-    def __init__(
-        self,
-        source: Source,
-        method: Method,
-        writer: FrameWriter,
-        layers: ExtraLayers,
-        gradients: bool = False,
-    ) -> None:
-        self._source = source
-        self._method = method
-        self._writer = writer
-        self._layers = layers
-        self._gradients = gradients
+    source: Source
+    method: Method
+    writer: FrameWriter
+    layers: ExtraLayers
+    gradients: bool  # whether new frames without ground truth come with their mean gradient
 
     def render(
         self, prepared: PreparedInterval, inputs: IntervalInputs, slot: Slot, in_pool: bool = False
@@ -84,7 +69,7 @@ class SlotRenderer:
 
         With `in_pool`, this thread writes it, and does not return before.
         """
-        interval, plan, writer = prepared.interval, prepared.plan, self._writer
+        interval, plan, writer = prepared.interval, prepared.plan, self.writer
         assert interval is not None
         part = prepared.parts.get(slot.index)
         around, index = (interval, slot.index) if part is None else (part.interval, part.index)
@@ -94,25 +79,26 @@ class SlotRenderer:
         if part is not None:
             around.forget(index)
         timing[timing_step(predicted.made_by)] = timing.pop("render")
-        image = Image(predicted.pixels, interval.key.image.data_window, self._source.keys.display)
+        image = Image(predicted.pixels, interval.key.image.data_window, self.source.keys.display)
         template, layers = inputs.metadata.template, {}
-        if self._layers.any:
+        if self.layers.any:
             assert isinstance(template, Template)  # layers are for EXR
             with record_time(timing, "layers"):
                 predict = partial(self._predict, plan=plan, slot=slot.index)
-                layers = self._layers.make(slot.index, predicted, predict, template)
+                layers = self.layers.make(slot.index, predicted, predict, template)
         mask = self._mask(interval, slot)
         # The first repeat of a key frame that is not shown itself is no repeat.
-        is_shown = inputs.after_hold or self._source.timeline.shows(slot.key)
+        is_shown = inputs.after_hold or self.source.timeline.shows(slot.key)
         is_first = slot.index == 1 and not is_shown
         kind = FrameKind.GENERATED if is_first else predicted.kind
         measures = self._measures_gradient(kind, slot, inputs)
         shows = bool(inputs.truth.frames) or writer.output.video is not None
-        as_written = rounded(image, template) if shows or measures else None
-        gradient = None
+        as_written, gradient = None, None
+        if shows or measures:
+            as_written = replace(image, pixels=quantise_picture(image.pixels, template))
         if as_written is not None and measures:
             with record_time(timing, "pulse"):
-                gradient = mean_gradient(as_written.on(self._source.keys.display).pixels)
+                gradient = mean_gradient(as_written.on(self.source.keys.display).pixels)
         predicted = replace(predicted, kind=kind)
         record = self._new_record(slot, prepared, inputs, predicted, part, mask, timing)
         if in_pool:
@@ -129,20 +115,24 @@ class SlotRenderer:
         self, slot: Slot, interval: Interval | None, inputs: IntervalInputs, masked: bool
     ) -> RenderedSlot:
         """Return a frame that an earlier run wrote; with its holes if `masked` or scored."""
-        number, writer = self._source.timeline.number(slot), self._writer
+        number, writer = self.source.timeline.number(slot), self.writer
         try:
             header = writer.written(number)
+            sources, rendered_sources = (
+                tuple(int(source) for source in str(text).split(",") if source)
+                for text in (header["sources"], header.get(RENDERED_SOURCES, ""))
+            )
             holes, risk = header.get("holeFraction"), header.get(PREDICTED_ERROR)
             gate, tiles = header.get("gate"), header.get("tiles")
             record = FrameRecord(
                 number=number,
                 file=writer.name(number),
-                key=self._source.timeline.numbers[slot.key],
+                key=self.source.timeline.numbers[slot.key],
                 slot=slot.index,
                 kind=FrameKind(header["kind"]),
                 method=str(header["method"]),
-                sources=_parse_numbers(str(header["sources"])),
-                rendered_sources=_parse_numbers(str(header.get(RENDERED_SOURCES, ""))),
+                sources=sources,
+                rendered_sources=rendered_sources,
                 hole_fraction=None if holes is None else float(holes),
                 resumed=True,
                 made_by=infer_maker(header.get("madeBy"), str(header["method"])),
@@ -162,14 +152,14 @@ class SlotRenderer:
         image = writer.read(number) if scored or measures else None
         gradient = None
         if image is not None and measures:
-            gradient = mean_gradient(image.on(self._source.keys.display).pixels)
+            gradient = mean_gradient(image.on(self.source.keys.display).pixels)
         mask = None if interval is None or not (scored or masked) else self._mask(interval, slot)
         return RenderedSlot(record, image, mask=mask, gradient=gradient)
 
     def pass_rendered(self, slot: Slot, inputs: IntervalInputs) -> RenderedSlot:
         """Pass a frame through that was rendered in the place of a generated one."""
-        frame, writer = inputs.rendered.frames[slot.index], self._writer
-        timeline = self._source.timeline
+        frame, writer = inputs.rendered.frames[slot.index], self.writer
+        timeline = self.source.timeline
         number, key = timeline.number(slot), timeline.numbers[slot.key]
         resumed = writer.has_rendered(number, frame.path, frame.recipe)
         replaced = not resumed and writer.is_in_the_way(number)
@@ -186,7 +176,7 @@ class SlotRenderer:
             writer.pass_rendered(number, frame.path, marks)
         elif not resumed and writer.output.frames is not None:
             own = {f"{PREFIX}{name}": value for name, value in marks.items()}
-            attributes = {**rate_attribute(self._source), **own}
+            attributes = {**rate_attribute(self.source), **own}
             writer.write_decoded(number, frame.frame.image, inputs.metadata.template, attributes)
         record = FrameRecord(
             number, writer.name(number), key, slot.index, FrameKind.RENDERED,
@@ -197,22 +187,22 @@ class SlotRenderer:
     def _measures_gradient(self, kind: FrameKind, slot: Slot, inputs: IntervalInputs) -> bool:
         """Return True if a frame's gradient is compared with those of its key frames."""
         is_new = kind is FrameKind.GENERATED
-        return self._gradients and is_new and slot.index not in inputs.truth.frames
+        return self.gradients and is_new and slot.index not in inputs.truth.frames
 
     def _mask(self, interval: Interval, slot: Slot) -> Bool | None:
         """Return the hole mask of a slot on the display window."""
         mask = interval.hole_mask(slot.index)
         if mask is None:
             return None
-        return place_on_canvas(mask, interval.key.image.data_window, self._source.keys.display)
+        return place_on_canvas(mask, interval.key.image.data_window, self.source.keys.display)
 
     def _predict(self, interval: Interval, plan: Plan | TilePlan | None, slot: int) -> Predicted:
         if interval.held:
             return repeat_held(interval)
         if isinstance(plan, TilePlan):
             return predict_tiles(plan, interval, slot)
-        if self._method.predict is not None:
-            return self._method.predict(interval, slot)
+        if self.method.predict is not None:
+            return self.method.predict(interval, slot)
         assert plan is not None
         return predict_path(plan.path, interval, slot)
 
@@ -227,9 +217,9 @@ class SlotRenderer:
         timing_ms: dict[str, float],
     ) -> FrameRecord:
         """Record what a frame is and what it was made from."""
-        timeline, plan = self._source.timeline, prepared.plan
+        timeline, plan = self.source.timeline, prepared.plan
         # What a path made that was decided is of the method that decides.
-        decided = isinstance(plan, Plan) and self._method.predict is None
+        decided = isinstance(plan, Plan) and self.method.predict is None
         number = timeline.number(slot)
         rendered = () if part is None else part.rendered
         sources = predicted.sources if part is None else part.keys
@@ -237,11 +227,11 @@ class SlotRenderer:
         broken += sum(inputs.rendered.frames[index].broken for index in rendered)
         return FrameRecord(
             number=number,
-            file=self._writer.name(number),
+            file=self.writer.name(number),
             key=timeline.numbers[slot.key],
             slot=slot.index,
             kind=predicted.kind,
-            method=self._method.name if decided else predicted.method,
+            method=self.method.name if decided else predicted.method,
             sources=sources,
             rendered_sources=tuple(timeline.number(Slot(slot.key, i)) for i in rendered),
             # Rounded to float32 as the header of the frame keeps it.
@@ -253,7 +243,7 @@ class SlotRenderer:
             made_by=predicted.made_by,
             path=plan.path if isinstance(plan, Plan) else None,
             decision=plan.decision_of(slot.index) if isinstance(plan, Plan) else None,
-            replaced=self._writer.is_in_the_way(number),
+            replaced=self.writer.is_in_the_way(number),
             risk=predicted.risk if predicted.kind is FrameKind.GENERATED else None,
             trial=prepared.trial,
             tiles=plan.makers(slot.index) if isinstance(plan, TilePlan) else predicted.tiles,
@@ -263,7 +253,7 @@ class SlotRenderer:
         """Return the header attributes of a generated frame."""
         digests = inputs.metadata.key_digests.items()
         # Those of a key frame, too, lead over a key interval, which is so many output frames.
-        span = self._source.timeline.factor if LayerKind.MOTION in self._layers.kinds else None
+        span = self.source.timeline.factor if LayerKind.MOTION in self.layers.kinds else None
         decision = None if record.decision is None else decision_text(record.decision)
         facts: dict[str, Any] = {
             "version": __version__,
@@ -272,9 +262,9 @@ class SlotRenderer:
             "sources": ",".join(map(str, record.sources)),
             "key": record.key,
             "slot": record.slot,
-            "setting": self._source.setting,
+            "setting": self.source.setting,
             "recipe": inputs.metadata.recipes[record.slot],
-            REQUESTED_METHOD: self._method.name,
+            REQUESTED_METHOD: self.method.name,
             RENDERED_SOURCES: ",".join(map(str, record.rendered_sources)) or None,
             KEY_FRAMES: ",".join(f"{number}:{digest}" for number, digest in digests) or None,
             "madeBy": record.made_by,
@@ -288,21 +278,12 @@ class SlotRenderer:
             "vectorSpan": None if span is None else float(span),
         }
         own = {f"{PREFIX}{name}": value for name, value in facts.items() if value is not None}
-        return {**rate_attribute(self._source), **own}
-
-
-def _parse_numbers(text: str) -> tuple[int, ...]:
-    return tuple(int(number) for number in text.split(",") if number)
+        return {**rate_attribute(self.source), **own}
 
 
 def rate_attribute(source: Source) -> dict[str, Any]:
     """Return the header attribute for the rate of the output; none where the rate is assumed."""
     return {} if source.written_fps is None else {"framesPerSecond": source.written_fps}
-
-
-def rounded(image: Image, template: FrameTemplate) -> Image:
-    """Return a frame as its file has it."""
-    return replace(image, pixels=quantise_picture(image.pixels, template))
 
 
 def decision_text(decision: Decision) -> str:
