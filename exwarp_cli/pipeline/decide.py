@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -65,22 +65,8 @@ class Choice:
     timing_ms: Mapping[str, float] = field(default_factory=dict)  # by step of the work
 
 
-class PathSelector(Protocol):
-    """Decides the path of key intervals, one after the other."""
-
-    def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
-        """Decide the path of an interval; raises nothing that a user can cause."""
-
-
-@dataclass(frozen=True)
-class FixedPath:
-    """Takes one path for all intervals."""
-
-    path: str
-
-    def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
-        """Return the path."""
-        return Choice(Plan.fixed(self.path))
+# Decides the path of key intervals, one after the other; raises nothing that a user can cause.
+PathSelector = Callable[[IntervalInputs, Interval], Choice]
 
 
 @dataclass(frozen=True)
@@ -90,7 +76,7 @@ class PolicyPath:
     policy: LearnedPolicy
     observer: Observer
 
-    def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
+    def __call__(self, inputs: IntervalInputs, interval: Interval) -> Choice:
         """Compute the features of an interval, and decide by them."""
         timing_ms: dict[str, float] = {}
         with record_time(timing_ms, "features"):
@@ -112,7 +98,7 @@ class TilePaths:
         self._fixed_path = {0.0: "S6", 1.0: "S3"}.get(effort)
         self._policy = TilePolicy(policy.network, interpolate_price(policy.efforts, effort))
 
-    def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
+    def __call__(self, inputs: IntervalInputs, interval: Interval) -> Choice:
         """Compute the features of an interval's tiles, and decide by them."""
         tiles = interval.tiles
         if self._fixed_path is not None or not interval.has_motion:
@@ -136,7 +122,7 @@ class OraclePath:
     judge: DecisionSource  # by the mean PSNR, or by the sum of rewards
     display: Window
 
-    def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
+    def __call__(self, inputs: IntervalInputs, interval: Interval) -> Choice:
         """Make the frames of all paths of an interval, and take the best path."""
         from exwarp_cli.policy import outcomes
 
@@ -179,7 +165,8 @@ def make_selector(
     """Return what decides the path of each key interval; None outside the decision tree."""
     display = source.keys.display
     if method.path is not None:
-        return FixedPath(method.path) if source.allows_decisions else None
+        choice = Choice(Plan.fixed(method.path))
+        return (lambda inputs, interval: choice) if source.allows_decisions else None
     if method.judge is None:
         return None
     if policy is None:

@@ -130,36 +130,27 @@ class FrameWriter(ResourceOwner):
         frames = self.output.frames
         return may_replace and frames is not None and path_exists(frames.path(number))
 
-    def pass_key(self, number: int, source: Path) -> bool:
-        """Copy a key frame's file, all its layers and attributes but for another frame rate.
-
-        Return True if an earlier run had copied it.
-        """
-        if self.has_copy(number, source):
-            return True
-        if self.output.resumes and self.is_in_the_way(number):
-            # At once. The frames around a key frame name its digest, by which a later run knows a
-            # copy of an earlier render. If they are replaced first and the run is killed, none
-            # names that copy.
-            self._copy(number, source)
-        else:
-            self._writer.submit(partial(self._copy, number, source))
-        return False
-
     def has_rendered(self, number: int, source: Path, recipe: str) -> bool:
         """Return True if an earlier run wrote a rendered frame of a slot, and it is kept."""
         if self.copies(source) and not self._is_marked(source):
             return self.has_copy(number, source)
         return self.has(number, recipe, masked=False)
 
-    def pass_rendered(self, number: int, source: Path, marks: Mapping[str, str | int]) -> None:
-        """Copy the file of a rendered frame of a slot, all its layers and attributes.
+    def pass_frame(
+        self, number: int, source: Path, marks: Mapping[str, str | int] | None = None
+    ) -> None:
+        """Copy the file of a rendered frame, all its layers and attributes but for the frame rate.
 
-        Its header gets the output's frame rate and ExWarp's own attributes, `marks`, if it is EXR
-        and key frames get a rate, too.
+        If it is EXR and key frames get a rate, it gets ExWarp's own attributes, too: `marks`.
         """
-        marked_by = marks if self._is_marked(source) else None
-        self._writer.submit(partial(self._copy, number, source, marked_by))
+        copy = partial(self._copy, number, source, marks if self._is_marked(source) else None)
+        if self.output.resumes and self.is_in_the_way(number):
+            # At once. The frames around a key frame name its digest, by which a later run knows a
+            # copy of an earlier render. If they are replaced first and the run is killed, none
+            # names that copy.
+            copy()
+        else:
+            self._writer.submit(copy)
 
     def _is_marked(self, source: Path) -> bool:
         """Return True if a rendered frame's header gets ExWarp's own attributes."""
@@ -235,9 +226,7 @@ class FrameWriter(ResourceOwner):
         assert self.output.frames is not None
         return self.output.frames.path(number)
 
-    def _copy(
-        self, number: int, source: Path, marks: Mapping[str, str | int] | None = None
-    ) -> None:
+    def _copy(self, number: int, source: Path, marks: Mapping[str, str | int] | None) -> None:
         """Copy a rendered file, with `marks` in its header."""
         with record_time(self.write_ms, number), ExitStack() as stack:
             if marks is None:

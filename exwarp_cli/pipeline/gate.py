@@ -196,7 +196,7 @@ class Gate:
     """Decides for each interval whether the network may make its frames."""
 
     method: Method
-    builder: IntervalBuilder  # of the intervals of trials, and of nothing else
+    make_builder: Callable[[], IntervalBuilder]  # of one that builds the interval of a trial
     display: Window  # on which predictions are compared
     _received: TrialInputs = field(default_factory=TrialInputs)
     _last_key: int | None = None
@@ -220,7 +220,7 @@ class Gate:
             return self._last_trial
         material = self._received.material
         assert self._received.key == inputs.key and material is not None
-        interval = self.builder.build(material.around)
+        interval = self.make_builder().build(material.around)
         lookahead, count = self.method.lookahead, len(interval.times)
         slot = count // 2 + 1 if lookahead else count
         canvas = interval.key.image.data_window
@@ -237,7 +237,6 @@ class Gate:
             values = warped.overall(), by_network.overall()
         self._last_trial = Trial.measured(material.number, *values)
         self._last_key, self._received = inputs.key, TrialInputs()
-        self.builder.forget()
         return self._last_trial
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -158,10 +159,6 @@ class IntervalBuilder:
             rendered=rendered,
         )
 
-    def forget(self) -> None:
-        """Drop what was kept for later intervals."""
-        self._frames, self._past, self._instants = {}, {}, {}
-
     def _settle_frame(self, frame: KeyFrame, window: Window) -> KeyFrame:
         placed = frame.extended(window)
         if placed.gbuffer is None:
@@ -237,11 +234,11 @@ class IntervalJudge:
         self.selector = make_selector(method, source, job.policy, job.settings.spent)
         self.gate: Gate | None = None
         if job.is_gated:
-            trial_builder = IntervalBuilder(
-                source.keys.display, job.network, job.interpolator, source.estimated,
-                scratch=source.scratch,
+            make_builder = partial(
+                IntervalBuilder, source.keys.display, job.network, job.interpolator,
+                source.estimated, scratch=source.scratch,
             )  # fmt: skip
-            self.gate = Gate(method, trial_builder, source.keys.display)
+            self.gate = Gate(method, make_builder, source.keys.display)
 
 
 class IntervalPreparer:
@@ -303,7 +300,7 @@ class IntervalPreparer:
         # A policy looks at every interval: the states of later ones hold what it saw.
         looks = has_new or judge.method.judge is DecisionSource.POLICY
         if judge.selector is not None and slots and looks:
-            choice = judge.selector.select(inputs, interval)
+            choice = judge.selector(inputs, interval)
             choice = None if interval.held else choice
         if trial is not None and not trial.pays:
             interval = replace(interval, interpolator=None)

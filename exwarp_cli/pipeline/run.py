@@ -295,7 +295,9 @@ class Run:
         path = source.keys.sequence.files[number]
         replaced = writer.is_in_the_way(output)
         if writer.copies(path):
-            resumed = writer.pass_key(output, path)
+            resumed = writer.has_copy(output, path)
+            if not resumed:
+                writer.pass_frame(output, path)
         elif writer.output.frames is None:
             resumed = False
         else:

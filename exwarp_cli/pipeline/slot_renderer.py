@@ -173,7 +173,7 @@ class SlotRenderer:
             "recipe": frame.recipe,
         }
         if not resumed and writer.copies(frame.path):
-            writer.pass_rendered(number, frame.path, marks)
+            writer.pass_frame(number, frame.path, marks)
         elif not resumed and writer.output.frames is not None:
             own = {f"{PREFIX}{name}": value for name, value in marks.items()}
             attributes = {**rate_attribute(self.source), **own}
