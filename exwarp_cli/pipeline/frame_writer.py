@@ -56,7 +56,7 @@ class FrameWriter(ResourceOwner):
     output: OutputPlan
     display: Window  # that the video and the hole masks show
     fps: Fraction  # of the video
-    written_fps: Fraction | None  # what headers of key frames get; None where it is not known
+    key_rate: Fraction | None  # what headers of key frames get; None: they are copied as they are
     view: str  # which view of written frames is read again; "" for the hero
     behind: int  # frames that may wait for a thread to write them, beyond those under way
     look: VideoLook  # of the video: colour, pixels and sound
@@ -85,10 +85,6 @@ class FrameWriter(ResourceOwner):
     def remarks(self) -> tuple[str, ...]:
         """What a user has to know of the video; see `VideoWriter.remarks`."""
         return () if self._video is None else self._video.remarks
-
-    @property
-    def _key_rate(self) -> Fraction | None:
-        return None if self.output.keeps_bytes else self.written_fps
 
     def name(self, number: int) -> str:
         """Return the name of a frame's file, or of the video without files, without its folder."""
@@ -120,7 +116,7 @@ class FrameWriter(ResourceOwner):
         """Return True if an earlier run copied a key frame's file, and it is kept."""
         if not self.output.resumes:
             return False
-        return key_is_there(self._path(number), plan_key_file(source, self._key_rate))
+        return key_is_there(self._path(number), plan_key_file(source, self.key_rate))
 
     def is_in_the_way(self, number: int) -> bool:
         """Return True if a frame's file from before the run exists, which writing would replace."""
@@ -230,9 +226,9 @@ class FrameWriter(ResourceOwner):
         """Copy a rendered file, with `marks` in its header."""
         with record_time(self.write_ms, number), ExitStack() as stack:
             if marks is None:
-                file = stack.enter_context(open_key_file(source, self._key_rate))
+                file = stack.enter_context(open_key_file(source, self.key_rate))
             else:
-                file = plan_marked_file(source, self._key_rate, marks)
+                file = plan_marked_file(source, self.key_rate, marks)
             file.write(self._path(number))
             if self.wants_sums:  # of what the source gives
                 self.sums[FRAME, number] = sum_of(file.pieces())

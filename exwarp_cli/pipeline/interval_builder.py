@@ -21,7 +21,7 @@ from exwarp_cli.domain.tiles import TilePlan
 from exwarp_cli.domain.timeline import Slot, ranges
 from exwarp_cli.io.layers import LayerKind
 from exwarp_cli.io.shot import count_nonfinite
-from exwarp_cli.pipeline.decide import Choice, make_selector, only_warps
+from exwarp_cli.pipeline.decide import make_selector, only_warps
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.gate import Gate
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, ViewsReader
@@ -56,7 +56,8 @@ class PreparedInterval:
     """A key interval whose slots can be rendered."""
 
     interval: Interval | None  # on one window; None where every slot of it is written
-    choice: Choice | None  # its path; None outside the decision tree
+    # The path that was decided, or one for each tile; None outside the decision tree.
+    plan: Plan | TilePlan | None
     existing: frozenset[Slot]  # slots that nothing makes: rendered, or written by an earlier run
     timing_ms: Mapping[str, float]  # milliseconds that all this took, by step: a slot's share
     broken: Mapping[int, int]  # how many pixels of the frames around are broken, by number
@@ -68,11 +69,6 @@ class PreparedInterval:
     def extrapolates(self) -> bool:
         """True if its network makes any of the slots."""
         return self.plan is not None and self.plan.extrapolates
-
-    @property
-    def plan(self) -> Plan | TilePlan | None:
-        """The path that was decided, or one for each tile."""
-        return None if self.choice is None else self.choice.plan
 
 
 class IntervalBuilder:
@@ -290,7 +286,7 @@ class IntervalPreparer:
         )
         has_missing = len(existing) < len(slots)
         has_new = has_missing and not interval.held
-        choice, trial = None, None
+        plan, trial = None, None
         if judge is not self._judge and (inputs.rendered.frames or not interval.has_motion):
             judge = self._judge  # which warps
         ends_shot = judge.method.lookahead and inputs.following is None
@@ -301,13 +297,13 @@ class IntervalPreparer:
         looks = has_new or judge.method.judge is DecisionSource.POLICY
         if judge.selector is not None and slots and looks:
             choice = judge.selector(inputs, interval)
-            choice = None if interval.held else choice
+            if not interval.held:
+                plan = choice.plan
+                timing_ms |= {step: ms / len(slots) for step, ms in choice.timing_ms.items()}
         if trial is not None and not trial.pays:
             interval = replace(interval, interpolator=None)
-            choice = None if choice is None else replace(choice, plan=only_warps(choice.plan))
-        if choice is not None:
-            timing_ms |= {step: ms / len(slots) for step, ms in choice.timing_ms.items()}
-        extrapolates = choice is not None and choice.plan.extrapolates
+            plan = None if plan is None else only_warps(plan)
+        extrapolates = plan is not None and plan.extrapolates
         if extrapolates and inputs.lacks_history:
             # It is built again with what only extrapolation needs.
             inputs = self._reader.leader.add_history(inputs)
@@ -318,9 +314,7 @@ class IntervalPreparer:
             interval = interval.bare()  # slots are warped from the key frame
         self._broken = count_broken(inputs, self._broken) if has_missing else {}
         parts = self._split(interval, inputs) if has_missing else {}
-        prepared = PreparedInterval(
-            interval, choice, existing, timing_ms, self._broken, trial, parts
-        )
+        prepared = PreparedInterval(interval, plan, existing, timing_ms, self._broken, trial, parts)
         return prepared, inputs.without_geometry()
 
     def _split(self, interval: Interval, inputs: IntervalInputs) -> Mapping[int, SubSlot]:

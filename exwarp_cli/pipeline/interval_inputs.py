@@ -314,59 +314,45 @@ class IntervalReader:
 
     def fingerprints(self, key: int) -> dict[int, str]:
         """Digest what the frame of each slot depends on, but for those that were rendered."""
-        lookahead = self._looks_ahead(key)
+        lookahead, history = self._looks_ahead(key), self._history(key)
+        extrapolates = self._method.at(lookahead).extrapolates
         keys = [key, *((key + 1,) if lookahead else ())]
+        instants: list[Slot] = []
         if self._source.estimated:  # key frames on both sides tell the motion of theirs
             if key and not self.shots.starts_at(key):
                 keys.append(key - 1)
             if lookahead and self.store.is_followed(key + 1):
                 keys.append(key + 2)
-            cuts = [*self.shots.cut_facts(key, 0, ()), f"flow {[index - key for index in keys]}"]
-            return self._digest(key, keys, [], cuts)
-        history = self._history(key)
-        keys += history
-        older = self._older_key(key, lookahead)
-        if older is not None and older not in keys:
-            keys.append(older)
-        observed_keys = self._observed_keys(key)
-        pairs = ((Slot(index, 0), self._instant_before(index)) for index in observed_keys)
-        instants = [slot for pair in pairs for slot in pair if slot is not None]
-        if self._observes:
-            back = OLDER_KEYS
-        else:  # fingerprints hold the files of a warp's history
-            extrapolates = self._method.at(lookahead).extrapolates
+            facts = [*self.shots.cut_facts(key, 0, ()), f"flow {[index - key for index in keys]}"]
+        else:
+            keys += history
+            older = self._older_key(key, lookahead)
+            if older is not None and older not in keys:
+                keys.append(older)
+            if self._source.slots is not None:
+                instants += [slot for i in (key, *history) for slot in self.store.slots_after(i)]
+            observed_keys = self._observed_keys(key)
+            pairs = ((Slot(index, 0), self._instant_before(index)) for index in observed_keys)
+            instants += [slot for pair in pairs for slot in pair if slot is not None]
+            # Fingerprints hold the files of a warp's history.
             back = self._keys_back(lookahead) if extrapolates else 0
-        back = max(back, int(older is not None))
-        cuts = self.shots.cut_facts(key, back, (*keys, *observed_keys))
-        if self._source.slots is not None:
-            slots_after = self.store.slots_after
-            way_back = (slot for i in history for slot in slots_after(i))
-            instants = [*slots_after(key), *way_back, *instants]
-        return self._digest(key, keys, instants, cuts)
-
-    def _digest(
-        self, key: int, keys: list[int], instants: list[Slot], cuts: list[str]
-    ) -> dict[int, str]:
-        """Digest what slots are made of, and what their gate goes by."""
-        surroundings = list(cuts)
+            back = max(OLDER_KEYS if self._observes else back, int(older is not None))
+            facts = self.shots.cut_facts(key, back, (*keys, *observed_keys))
         if self.store.is_steady(key):
-            surroundings.append("steady window")
+            facts.append("steady window")
         if self._is_held(key):
-            surroundings.append("held")
-        later = {key, *(index + 1 for index in self._history(key))}
-        surroundings += [f"repeats {i - key}" for i in sorted(later) if self.shots.repeats(i)]
+            facts.append("held")
+        later = {key, *(index + 1 for index in history)}
+        facts += [f"repeats {i - key}" for i in sorted(later) if self.shots.repeats(i)]
         trials = self._trials_at(key)
         if trials is not None:
             trial_keys, trial_instants, text = trials.frames(key)
-            keys = [*keys, *(index for index in trial_keys if index not in keys)]
-            instants = [*instants, *trial_instants]
-            surroundings.append(text)
+            keys += [index for index in trial_keys if index not in keys]
+            instants += trial_instants
+            facts.append(text)
         rendered = self._read_rendered(key).frames
-        surroundings += [
-            f"rendered {i} {each.recipe}" for i, each in rendered.items() if each.leads
-        ]
-        extrapolates = self._method.at(self._looks_ahead(key)).extrapolates
-        recipes = self.fingerprinter.fingerprints(key, keys, instants, surroundings, extrapolates)
+        facts += [f"rendered {i} {each.recipe}" for i, each in rendered.items() if each.leads]
+        recipes = self.fingerprinter.fingerprints(key, keys, instants, facts, extrapolates)
         return {slot: recipe for slot, recipe in recipes.items() if slot not in rendered}
 
     def _read_rendered(self, key: int) -> IntervalRendered:

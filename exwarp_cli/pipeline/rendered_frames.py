@@ -7,7 +7,6 @@ import json
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 
 from exwarp_cli import __version__
@@ -21,7 +20,7 @@ from exwarp_cli.io.footage import digest_frame, find_frames, is_plain, read_key_
 from exwarp_cli.io.frames import read_raw
 from exwarp_cli.io.generated_frames import FileState, find_authorship
 from exwarp_cli.io.sequences import EXR, FramePattern, Sequence, find_sequence
-from exwarp_cli.io.shot import NonFinite, Shot, count_nonfinite, require_sound
+from exwarp_cli.io.shot import Shot, count_nonfinite, require_sound
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.extra_layers import Content, LayerStore
@@ -105,17 +104,12 @@ class RenderedFrame:
     path: Path
     frame: KeyFrame  # its colour; and its geometry as read, where that leads to slots around it
     recipe: str  # fingerprint of its written file
+    broken: int  # how many pixels of its colour are NaN or infinite
 
     @property
     def leads(self) -> bool:
         """True if its vectors may lead to the slots around it."""
         return self.frame.gbuffer is not None and self.frame.gbuffer.has_motion
-
-    @cached_property
-    def broken(self) -> int:
-        """How many pixels of its colour are NaN or infinite."""
-        counted = self.frame.broken
-        return count_nonfinite((self.frame.image.pixels,)) if counted is None else counted
 
 
 @dataclass(frozen=True)
@@ -145,13 +139,10 @@ class RenderedReader:
         ]
         pairs = zip(self._shots, contents, strict=True)
         self._layers = [LayerStore(shot, content.extra) for shot, content in pairs]
+        # What was found in the frames by output number, of each view.
+        self.nonfinite = {shot.view: shot.nonfinite for shot in self._shots}
         self._last_key: int | None = None
         self._last = IntervalRendered()
-
-    @property
-    def nonfinite(self) -> dict[str, NonFinite]:
-        """What was found in the frames by output number, of each view."""
-        return {shot.view: shot.nonfinite for shot in self._shots}
 
     def read(self, key: int) -> IntervalRendered:
         """Read those of an interval, by the index of its key frame; the last one is kept.
@@ -197,7 +188,10 @@ class RenderedReader:
         digest = digest_frame(self._sequence, number)
         facts = [__version__, FrameKind.RENDERED.value, digest, str(self._source.written_fps)]
         text = json.dumps([*facts, slot.key, slot.index])
-        return RenderedFrame(path, frames[0], hashlib.sha256(text.encode()).hexdigest())
+        recipe, broken = hashlib.sha256(text.encode()).hexdigest(), frames[0].broken
+        if broken is None:
+            broken = count_nonfinite((frames[0].image.pixels,))
+        return RenderedFrame(path, frames[0], recipe, broken)
 
     def _read_as_key(self, shot: Shot, number: int) -> KeyFrame:
         """Read a frame as if it were a key frame; raises InputError where that fails."""

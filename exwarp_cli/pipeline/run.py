@@ -407,7 +407,7 @@ def make_writer(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> FrameW
         job.targets,
         keys.display,
         job.source.output_fps,
-        job.source.written_fps,
+        None if job.targets.keeps_bytes else job.source.written_fps,
         keys.view,
         behind,
         video_look(job.source, job.keys, note or video_note(job.settings)),

@@ -14,7 +14,6 @@ import pytest
 from exwarp_cli.domain.decision import Plan
 from exwarp_cli.errors import InputError
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.pipeline.decide import Choice
 from exwarp_cli.pipeline.interval_builder import PreparedInterval
 from exwarp_cli.pipeline.scheduling import (
     MAX_PIXELS_AHEAD,
@@ -293,9 +292,9 @@ class TestPool:
     SMALL = 1920 * 1080
 
     def fits(self, key: Any, method: str = "causal", path: str | None = None, **more: Any) -> bool:
-        choice = None if path is None else Choice(Plan.fixed(path))
+        plan = None if path is None else Plan.fixed(path)
         slots = more.pop("slots", ())
-        prepared = PreparedInterval(Interval(key, None, slots), choice, frozenset(), {}, {})
+        prepared = PreparedInterval(Interval(key, None, slots), plan, frozenset(), {}, {})
         given = {"pixels": self.SMALL, "has_layers": False, "workers": 2} | more
         return fits_pool(prepared, METHODS[method], **given)
 
