@@ -281,8 +281,13 @@ def files_of(
     Raises OutputError when a file cannot be read.
     """
     return tuple(
-        WrittenFile(kind, number, path.name, sums.get((kind, number)) or sum_in(path))
-        for kind, number, path, _ in _list_files(targets, frames)
+        WrittenFile(
+            file.kind,
+            file.number,
+            file.path.name,
+            sums.get((file.kind, file.number)) or sum_in(file.path),
+        )
+        for file in _list_files(targets, frames)
     )
 
 
@@ -299,45 +304,33 @@ def verify(
     of frames of an earlier run, which is decoded: "" for the hero, and without views. Raises
     OutputError when some files differ; these are removed.
     """
-    sums = {(file.kind, file.frame): file.sha256 for file in files}
-    checks = [
-        _Check(kind, number, path, sums[kind, number], is_sealed, view, shown)
-        for kind, number, path, is_sealed in _list_files(targets, frames)
-    ]
-    _require_sound(checks)
-    return len(checks)
+    listed = list(_list_files(targets, frames))
+    _require_sound(listed, [file.sha256 for file in files], view, shown)
+    return len(listed)
 
 
 def verify_video(path: Path, shown: int) -> None:
     """Read a video of `shown` frames again that was written with frames. Raises OutputError."""
-    _require_sound([_Check(VIDEO, None, path, sum_in(path), False, "", shown)])
+    _require_sound([_RunFile(VIDEO, None, path)], [sum_in(path)], "", shown)
 
 
 @dataclass(frozen=True)
-class _Check:
-    """A file, and what it must be.
-
-    `is_sealed` is True for a frame of an earlier run, which has its own checksum.
-    """
-
+class _RunFile:
     kind: str
     number: int | None
     path: Path
-    sha256: str
-    is_sealed: bool
-    view: str
-    shown: int
+    is_sealed: bool = False  # True for a frame of an earlier run, which has its own checksum
 
-    def is_sound(self) -> bool:
+    def is_sound(self, digest: str, view: str, shown: int) -> bool:
         """Read the file from the disk, and compare it."""
         try:
             drop_cached(self.path)
-            if sum_in(self.path) != self.sha256:
+            if sum_in(self.path) != digest:
                 return False
             if self.kind == VIDEO:
-                return open_clip(self.path).count == self.shown
+                return open_clip(self.path).count == shown
             if self.is_sealed:
-                read_picture(self.path, self.view)
+                read_picture(self.path, view)
                 return read_fingerprint(self.path) is not None
         except (OSError, InputError, OutputError):
             return False
@@ -355,21 +348,23 @@ def drop_cached(path: Path) -> None:
         os.close(handle)
 
 
-def _require_sound(checks: list[_Check]) -> None:
+def _require_sound(files: list[_RunFile], digests: list[str], view: str, shown: int) -> None:
     with ThreadPoolExecutor(cores.count(), "exwarp-verify") as pool:
-        sound = list(pool.map(_Check.is_sound, checks))
-    bad = [check for check, is_sound in zip(checks, sound, strict=True) if not is_sound]
+        sound = list(
+            pool.map(lambda file, digest: file.is_sound(digest, view, shown), files, digests)
+        )
+    bad = [file for file, is_sound in zip(files, sound, strict=True) if not is_sound]
     if not bad:
         return
-    for check in bad:
+    for file in bad:
         with suppress(OSError):
-            check.path.unlink()
+            file.path.unlink()
     names = []
     for kind, word in ((FRAME, "frame"), (HOLES, "hole mask")):
-        numbers = [c.number for c in bad if c.kind == kind and c.number is not None]
+        numbers = [f.number for f in bad if f.kind == kind and f.number is not None]
         if numbers:
             names.append(f"{word}{'s' if len(numbers) > 1 else ''} {ranges(numbers)}")
-    names += [f"the video {check.path.name}" for check in bad if check.kind == VIDEO]
+    names += [f"the video {file.path.name}" for file in bad if file.kind == VIDEO]
     raise OutputError(
         f"{' and '.join(names)} in {bad[0].path.parent} {'is' if len(bad) == 1 else 'are'} not on "
         "the disk as written, and removed; check the disk or the network share, and run again with "
@@ -377,19 +372,14 @@ def _require_sound(checks: list[_Check]) -> None:
     )
 
 
-def _list_files(
-    targets: OutputPlan, frames: Iterable[FrameRecord]
-) -> Iterator[tuple[str, int | None, Path, bool]]:
-    """Yield kind, frame number and path of a run's files, and whether they have their own checksum.
-
-    A video with frames is not among them: it can be made from the frames at any time.
-    """
+def _list_files(targets: OutputPlan, frames: Iterable[FrameRecord]) -> Iterator[_RunFile]:
+    """Yield a run's files but for a video with frames, which can be made from these at any time."""
     for frame in frames:
         is_copy = frame.kind in (FrameKind.KEY, FrameKind.RENDERED)  # maybe byte for byte
         if targets.frames is not None:
             is_sealed = frame.resumed and not is_copy
-            yield FRAME, frame.number, targets.frames.path(frame.number), is_sealed
+            yield _RunFile(FRAME, frame.number, targets.frames.path(frame.number), is_sealed)
         if targets.holes is not None and frame.hole_fraction is not None:
-            yield HOLES, frame.number, targets.holes.path(frame.number), False
+            yield _RunFile(HOLES, frame.number, targets.holes.path(frame.number))
     if targets.frames is None and targets.video is not None:
-        yield VIDEO, None, targets.video, False
+        yield _RunFile(VIDEO, None, targets.video)

@@ -18,7 +18,6 @@ from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunOutcom
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
-from exwarp_cli.io.exr.writer import PREFIX
 from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.io.threads import use_threads
@@ -52,7 +51,7 @@ from exwarp_cli.pipeline.scheduling import (
     record_time,
 )
 from exwarp_cli.pipeline.scoring import IntervalScores, KeyedPulses, broken_pixels_of
-from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_attribute
+from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, header_attributes
 from exwarp_cli.runtime.cores import hold_cores
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.runtime.stop import check_stop
@@ -304,14 +303,13 @@ class Run:
             recipe = key_fingerprint(source.keys, number, source.written_fps)
             resumed = writer.has(output, recipe, masked=False)
             if not resumed:
-                attributes = {
-                    **rate_attribute(source),
-                    f"{PREFIX}version": __version__,
-                    f"{PREFIX}kind": FrameKind.KEY.value,
-                    f"{PREFIX}key": number,
-                    f"{PREFIX}recipe": recipe,
+                facts: dict[str, str | int] = {
+                    "version": __version__,
+                    "kind": FrameKind.KEY.value,
+                    "key": number,
+                    "recipe": recipe,
                 }
-                image = self._key_image(inputs)
+                attributes, image = header_attributes(source, facts), self._key_image(inputs)
                 writer.write_decoded(output, image, inputs.metadata.template, attributes)
         record = FrameRecord(
             output, writer.name(output), number, 0, FrameKind.KEY, "key", (number,),

@@ -6,6 +6,7 @@ A decision is text in the header of the frame that it led to, so that a later ru
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import astuple, dataclass, replace
 from functools import partial
 from typing import Any
@@ -175,8 +176,7 @@ class SlotRenderer:
         if not resumed and writer.copies(frame.path):
             writer.pass_frame(number, frame.path, marks)
         elif not resumed and writer.output.frames is not None:
-            own = {f"{PREFIX}{name}": value for name, value in marks.items()}
-            attributes = {**rate_attribute(self.source), **own}
+            attributes = header_attributes(self.source, marks)
             writer.write_decoded(number, frame.frame.image, inputs.metadata.template, attributes)
         record = FrameRecord(
             number, writer.name(number), key, slot.index, FrameKind.RENDERED,
@@ -277,13 +277,17 @@ class SlotRenderer:
             "risk": None if record.risk is None else record.risk.text,
             "vectorSpan": None if span is None else float(span),
         }
-        own = {f"{PREFIX}{name}": value for name, value in facts.items() if value is not None}
-        return {**rate_attribute(self.source), **own}
+        return header_attributes(self.source, facts)
 
 
-def rate_attribute(source: Source) -> dict[str, Any]:
-    """Return the header attribute for the rate of the output; none where the rate is assumed."""
-    return {} if source.written_fps is None else {"framesPerSecond": source.written_fps}
+def header_attributes(source: Source, facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ExWarp's own header attributes, and the output's rate, but for what is None.
+
+    The rate is none where it is assumed.
+    """
+    own = {f"{PREFIX}{name}": value for name, value in facts.items()}
+    attributes = {"framesPerSecond": source.written_fps, **own}
+    return {name: value for name, value in attributes.items() if value is not None}
 
 
 def decision_text(decision: Decision) -> str:
