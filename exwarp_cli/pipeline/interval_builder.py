@@ -168,7 +168,14 @@ class IntervalBuilder:
             return frame.extended(basis[0])
         frame_key = index, basis, has_surface(frame)
         if frame_key not in self._frames:
-            self._frames[frame_key] = self._scratch.store(self._settle_frame(frame, basis[0]))
+            settled = self._frames.get((index, basis, False))
+            if settled is None or settled.gbuffer is None:
+                settled = self._settle_frame(frame, basis[0])
+            else:  # only its surface was read since; settling takes 0.7 s of a core at 1920x1080
+                surface = frame.extended(basis[0]).gbuffer
+                parts = {part: getattr(surface, part) for part in SURFACE_PARTS}
+                settled = replace(settled, gbuffer=replace(settled.gbuffer, **parts))
+            self._frames[frame_key] = self._scratch.store(settled)
         return self._frames[frame_key]
 
     def _lead_back(
