@@ -223,7 +223,6 @@ class FrameWriter(ResourceOwner):
         return self.output.frames.path(number)
 
     def _copy(self, number: int, source: Path, marks: Mapping[str, str | int] | None) -> None:
-        """Copy a rendered file, with `marks` in its header."""
         with record_time(self.write_ms, number), ExitStack() as stack:
             if marks is None:
                 file = stack.enter_context(open_key_file(source, self.key_rate))

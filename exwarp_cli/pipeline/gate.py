@@ -112,20 +112,12 @@ class TrialReader:
         index = self.choose(key)
         if index is None:
             return (), (), "gate without a trial"
-        instants: tuple[Slot, ...] = ()
+        older = () if self._lookahead else self._history(index - 1)
+        keys = (*reversed(older), index - 1, index, *((index + 1,) if self._lookahead else ()))
+        way_back: tuple[Slot, ...] = ()
         if self._source.slots is not None:
-            older = () if self._lookahead else self._history(index - 1)
-            instants = (
-                *self._slots(index),
-                *(slot for i in older for slot in self._store.slots_after(i)),
-            )
-        return self._keys(index), instants, f"gate {index - key}"
-
-    def _keys(self, index: int) -> tuple[int, ...]:
-        """Return the key frames that a trial reads, ascending."""
-        if self._lookahead:
-            return (index - 1, index, index + 1)
-        return (*reversed(self._history(index - 1)), index - 1, index)
+            way_back = tuple(slot for i in older for slot in self._store.slots_after(i))
+        return keys, (*self._slots(index), *way_back), f"gate {index - key}"
 
     def _slots(self, index: int) -> tuple[Slot, ...]:
         """Return the instants with G-buffers between the key frames of a trial; often none."""
@@ -148,11 +140,8 @@ class TrialReader:
         history: tuple[HistoryFrame, ...] = ()
         if not self._lookahead:
             # The interval before the key frame, whose last slot is at that key frame.
+            history = store.get_history(self._history(index - 1), self._reads_late)
             get = store.get_complete if self._reads_late else store.get_in_shot
-            history = tuple(
-                HistoryFrame(get(i), store.get_way_back(i), self._shots.repeats(i + 1))
-                for i in self._history(index - 1)
-            )
             frame, times = get(index - 1), tuple((i + 1) / FACTOR for i in range(FACTOR))
         elif self._source.estimated:
             # An interval of twice the length, along motion that is estimated across it.
@@ -161,7 +150,7 @@ class TrialReader:
             times = (0.5,)
         else:
             # An interval of twice the length: the key frame that it leaves out is a slot.
-            before, middle, after = map(store.get_in_shot, self._keys(index))
+            before, middle, after = map(store.get_in_shot, (index - 1, index, index + 1))
             frame, following = _vectors_over(before, 2), _vectors_over(after, 2)
             between = _vectors_over(middle, 1).gbuffer
             if self._source.slots is None and between is not None:

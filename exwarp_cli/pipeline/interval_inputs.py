@@ -108,9 +108,10 @@ class IntervalInputs:
         def changed(frame: KeyFrame) -> KeyFrame:
             return frame if frame.gbuffer is None else replace(frame, gbuffer=change(frame.gbuffer))
 
-        def all_changed(gbuffers: tuple[GBuffer, ...]) -> tuple[GBuffer, ...]:
-            return tuple(gbuffer for gbuffer in map(change, gbuffers) if gbuffer is not None)
-
+        history = []
+        for past in self.history:
+            instants = tuple(g for g in map(change, past.instants) if g is not None)
+            history.append(HistoryFrame(changed(past.frame), instants, past.held))
         rendered = {
             slot: replace(each, frame=changed(each.frame))
             for slot, each in self.rendered.frames.items()
@@ -119,11 +120,8 @@ class IntervalInputs:
             self,
             frame=None if self.frame is None else changed(self.frame),
             following=None if self.following is None else changed(self.following),
-            slots=all_changed(self.slots),
-            history=tuple(
-                HistoryFrame(changed(past.frame), all_changed(past.instants), past.held)
-                for past in self.history
-            ),
+            slots=tuple(g for g in map(change, self.slots) if g is not None),
+            history=tuple(history),
             rendered=replace(self.rendered, frames=rendered),
         )
 
@@ -233,10 +231,7 @@ class IntervalReader:
         images = [each.image for each in (frame, following) if each is not None]
         slots = tuple(map(store.get_slot, store.slots_after(key)))
         lacks_history = self._reads_late or (self._method.tail is not None and not lookahead)
-        history = tuple(
-            HistoryFrame(store.get_in_shot(i), store.get_way_back(i), self.shots.repeats(i + 1))
-            for i in self._history(key)[: WARPED_BACK if lacks_history else None]
-        )
+        history = store.get_history(self._history(key)[: WARPED_BACK if lacks_history else None])
         older_key = self._older_key(key, lookahead)
         inputs = replace(
             inputs,
@@ -275,10 +270,7 @@ class IntervalReader:
         # Look-ahead methods read no normals either.
         known = inputs.frame if self._method.tail is None else None
         frame = self.store.get_complete(inputs.key, known)
-        history = tuple(
-            HistoryFrame(self.store.get_complete(i), (), self.shots.repeats(i + 1))
-            for i in self._history(inputs.key)
-        )
+        history = self.store.get_history(self._history(inputs.key), complete=True)
         return replace(inputs, frame=frame, history=history, lacks_history=False)
 
     def skip(self, key: int, reason: str) -> SkippedInterval:

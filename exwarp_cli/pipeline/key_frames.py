@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 
@@ -170,17 +170,22 @@ class KeyFrameStore:
             self._shapes[slot] = gbuffer.without(*SURFACE_PARTS)
         return gbuffer
 
-    def get_way_back(self, key: int) -> tuple[GBuffer, ...]:
-        """Return the slots' G-buffers, without surface, from the key frame after one back to it."""
-        if self.source.slots is None:
-            return ()
-        steps = self.source.timeline.steps
-        assert steps is not None  # slots have G-buffers where the factor is an integer
-        gbuffers = []
-        for slot in slots_back_to(key, steps):
-            kept = self._slots.get(slot)
-            gbuffers.append(without_surface(self.get_slot(slot)) if kept is None else kept)
-        return tuple(gbuffers)
+    def get_history(self, keys: Iterable[int], complete: bool = False) -> tuple[HistoryFrame, ...]:
+        """Return key frames before an interval's own; with their surface if `complete`.
+
+        Raises InputError when a file cannot be read.
+        """
+        history, get = [], self.get_complete if complete else self.get_in_shot
+        for key in keys:
+            frame, way_back = get(key), []
+            if self.source.slots is not None:
+                steps = self.source.timeline.steps
+                assert steps is not None  # slots have G-buffers where the factor is an integer
+                for slot in slots_back_to(key, steps):
+                    kept = self._slots.get(slot)
+                    way_back.append(without_surface(self.get_slot(slot)) if kept is None else kept)
+            history.append(HistoryFrame(frame, tuple(way_back), self.shots.repeats(key + 1)))
+        return tuple(history)
 
     def get_shape(self, slot: Slot) -> GBuffer:
         """Return the geometry of an instant with normals, which features are computed from."""

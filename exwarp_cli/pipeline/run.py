@@ -195,7 +195,6 @@ class Run:
         return not all(self.writer.has(number(Slot(key, i)), recipes[i]) for i in recipes)
 
     def _render_interval(self, inputs: IntervalInputs | SkippedInterval) -> None:
-        """Render an interval's frames, or skip them."""
         if isinstance(inputs, SkippedInterval):
             self._skip(inputs)
             return
@@ -332,7 +331,6 @@ class Run:
     def _record(
         self, rendered: RenderedSlot, inputs: IntervalInputs, scores: IntervalScores | None
     ) -> None:
-        """Score, record and show a slot's frame."""
         record, image = rendered.record, rendered.image
         if self._pulses is not None and rendered.gradient is not None:
             self._pulses.add(record.number, Slot(inputs.key, record.slot), rendered.gradient)

@@ -216,7 +216,6 @@ class SlotRenderer:
         mask: Bool | None,
         timing_ms: dict[str, float],
     ) -> FrameRecord:
-        """Record what a frame is and what it was made from."""
         timeline, plan = self.source.timeline, prepared.plan
         # What a path made that was decided is of the method that decides.
         decided = isinstance(plan, Plan) and self.method.predict is None
@@ -250,7 +249,6 @@ class SlotRenderer:
         )
 
     def _attributes(self, record: FrameRecord, inputs: IntervalInputs) -> dict[str, Any]:
-        """Return the header attributes of a generated frame."""
         digests = inputs.metadata.key_digests.items()
         # Those of a key frame, too, lead over a key interval, which is so many output frames.
         span = self.source.timeline.factor if LayerKind.MOTION in self.layers.kinds else None
