@@ -135,7 +135,7 @@ class OraclePath:
             truth = {
                 slot: image.on(self.display).pixels for slot, image in inputs.truth.frames.items()
             }
-            as_written = partial(quantise_picture, template=inputs.metadata.template)
+            as_written = partial(quantise_picture, template=inputs.template)
             scores = outcomes_of(interval, truth, self.display, as_written)
             best = outcomes.best_psnr(scores) if by_psnr else outcomes.best_return(scores)
             path = tuple(PATHS)[int(best)]

@@ -140,7 +140,7 @@ def _is_kept(
         rendered = inputs.rendered.frames.get(slot.index)
         if rendered is not None:
             return writer.has_rendered(number, rendered.path, rendered.recipe)
-        return writer.has(number, inputs.metadata.recipes[slot.index])
+        return writer.has(number, inputs.recipes[slot.index])
     keys, key_number = job.source.keys, job.source.timeline.numbers[slot.key]
     path = keys.sequence.files[key_number]
     if writer.copies(path):

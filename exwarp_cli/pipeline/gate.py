@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.decision import TRIAL_BLOCK, Trial
-from exwarp_cli.domain.frame import Image, KeyFrame, Window, place_on_canvas
+from exwarp_cli.domain.frame import KeyFrame, Window, place_on_canvas
 from exwarp_cli.domain.network_api import HISTORY_FRAMES
 from exwarp_cli.domain.tiles import TILE_ROWS, count_columns, tile_edges
 from exwarp_cli.domain.timeline import FACTOR, Slot
@@ -41,16 +41,10 @@ class TrialInputs:
     """A key frame to predict, and what it is predicted from; the gate takes that out."""
 
     key: int | None = None  # None where no key frame can be predicted
-    material: TrialMaterial | None = None  # None where an earlier interval brought it along
-
-
-@dataclass(frozen=True)
-class TrialMaterial:
-    """What a trial is computed from."""
-
-    around: IntervalInputs  # the key frames around the predicted one, or before it, as one interval
-    truth: Image  # the key frame as it was rendered
-    number: int  # its input number
+    number: int = 0  # its input number
+    # The key frames around it, or before it, as one interval, of whose last or middle slot it is
+    # the truth; None where an earlier interval brought these along.
+    around: IntervalInputs | None = None
 
 
 class TrialReader:
@@ -156,14 +150,15 @@ class TrialReader:
             if self._source.slots is None and between is not None:
                 slots = (between,)
             times = tuple((i + 1) / (len(slots) + 1) for i in range(len(slots)))
+        slot = len(times) // 2 + 1 if self._lookahead else len(times)
         around = replace(
             inputs, key=index - 1, frame=frame, following=following, slots=slots, history=history,
-            times=times, lacks_history=False, observed=(), layers=None, older=None, views=(),
-            trial=None, truth=IntervalTruth(), region=False, held=False, after_hold=False,
+            times=times, truth=IntervalTruth({slot: store.get(index).image}), lacks_history=False,
+            observed=(), layers=None, older=None, views=(), trial=None, region=False, held=False,
+            after_hold=False,
         )  # fmt: skip
-        truth, number = store.get(index).image, self._source.timeline.numbers[index]
         self.last_read = index
-        return TrialInputs(index, TrialMaterial(around, truth, number))
+        return TrialInputs(index, self._source.timeline.numbers[index], around)
 
 
 def _vectors_over(frame: KeyFrame, intervals: int) -> KeyFrame:
@@ -193,10 +188,10 @@ class Gate:
 
     def receive(self, inputs: TrialInputs) -> None:
         """Keep what an interval brings along until its trial is asked for."""
-        if inputs.material is not None:
+        if inputs.around is not None:
             # The interval lives on while it is rendered, and these frames are as large as it is.
-            self._received = TrialInputs(inputs.key, inputs.material)
-            inputs.material = None
+            self._received = replace(inputs)
+            inputs.around = None
 
     def decide(self, inputs: TrialInputs) -> Trial:
         """Return the trial of an interval, of which it or one before brought the material along."""
@@ -207,13 +202,12 @@ class Gate:
             return Trial()
         if inputs.key == self._last_key:
             return self._last_trial
-        material = self._received.material
-        assert self._received.key == inputs.key and material is not None
-        interval = self.make_builder().build(material.around)
-        lookahead, count = self.method.lookahead, len(interval.times)
-        slot = count // 2 + 1 if lookahead else count
+        around, lookahead = self._received.around, self.method.lookahead
+        assert self._received.key == inputs.key and around is not None
+        interval = self.make_builder().build(around)
+        ((slot, image),) = around.truth.frames.items()
         canvas = interval.key.image.data_window
-        truth = encode_display(material.truth.on(self.display).pixels)
+        truth = encode_display(image.on(self.display).pixels)
         warped, by_network = (
             measure_psnr(truth, encode_display(place_on_canvas(pixels, canvas, self.display)))
             for pixels in predict_both_ways(interval, slot, lookahead)
@@ -224,7 +218,7 @@ class Gate:
             # What extrapolation gains lies in holes: by the mean of tiles it was refused on the
             # scene town, where it gains 0.8 dB.
             values = warped.overall(), by_network.overall()
-        self._last_trial = Trial.measured(material.number, *values)
+        self._last_trial = Trial.measured(self._received.number, *values)
         self._last_key, self._received = inputs.key, TrialInputs()
         return self._last_trial
 

@@ -284,7 +284,7 @@ class IntervalPreparer:
             judge.gate.receive(inputs.trial)
         with record_time(timing_ms, "geometry", len(slots)):
             interval = replace(self._builder.build(inputs), chooser=self._job.chooser)
-        number, recipes = self._timeline.number, inputs.metadata.recipes
+        number, recipes = self._timeline.number, inputs.recipes
         existing = frozenset(
             slot
             for slot in slots

@@ -51,22 +51,11 @@ class PolicyObservation:
 
 
 @dataclass(frozen=True)
-class FrameMetadata:
-    """What the files of an interval's frames say beside their pixels."""
-
-    template: FrameTemplate  # what generated frames take over from the key frame's file
-    recipes: dict[int, str] = field(default_factory=dict)  # fingerprint of each slot that is made
-    # Digest of the key frames' files on both sides, by input number; the next one only for
-    # look-ahead methods.
-    key_digests: dict[int, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class IntervalInputs:
     """One key interval as read: all that it needs."""
 
     key: int  # index of the key frame
-    metadata: FrameMetadata
+    template: FrameTemplate  # what generated frames take over from the key frame's file
     # The key frames on both sides; `following` only for look-ahead methods, and not across a cut.
     # None where every slot of the interval is written: nothing has to be computed.
     frame: KeyFrame | None = None
@@ -95,6 +84,10 @@ class IntervalInputs:
     held: bool = False
     after_hold: bool = False  # True if the key frame shows the same picture as the one before it
     trial: TrialInputs | None = None  # what the gate decides by
+    recipes: dict[int, str] = field(default_factory=dict)  # fingerprint of each slot that is made
+    # Digest of the key frames' files on both sides, by input number; the next one only for
+    # look-ahead methods.
+    key_digests: dict[int, str] = field(default_factory=dict)
     rendered: IntervalRendered = field(default_factory=IntervalRendered)
 
     def without_geometry(self) -> IntervalInputs:
@@ -212,11 +205,13 @@ class IntervalReader:
         with record_time(timing_ms, "read"):
             recipes = self.fingerprints(key)
             number = self._source.timeline.numbers[key]
-            metadata = FrameMetadata(template_of(self._contents, self._suffix, number), recipes)
             inputs = IntervalInputs(
-                key, metadata, followed=self.store.is_followed(key),
+                key,
+                template_of(self._contents, self._suffix, number),
+                recipes=recipes,
+                followed=self.store.is_followed(key),
                 rendered=self._read_rendered(key),
-            )  # fmt: skip
+            )
             if needed(key, recipes):
                 inputs = self._read_frames(inputs)
             self.release(key)
@@ -248,9 +243,8 @@ class IntervalReader:
             region=store.is_steady(key) and all(map(is_opaque, images)),
             held=self._is_held(key),
             after_hold=self.shots.repeats(key),
+            key_digests=self.fingerprinter.key_digests((key, key + 1) if lookahead else (key,)),
         )
-        digests = self.fingerprinter.key_digests((key, key + 1) if lookahead else (key,))
-        inputs = replace(inputs, metadata=replace(inputs.metadata, key_digests=digests))
         trials = self._trials_at(key)
         if trials is not None and self._contents[0].leads:
             inputs = replace(inputs, trial=trials.read(key, inputs))
@@ -280,8 +274,8 @@ class IntervalReader:
             with record_time(timing_ms, "read"):
                 frame = replace(self.store.get(key), gbuffer=None)
                 number = self._source.timeline.numbers[key]
-                metadata = FrameMetadata(template_of(self._contents, self._suffix, number))
-            passed = IntervalInputs(key, metadata, frame, read_ms=timing_ms["read"])
+                template = template_of(self._contents, self._suffix, number)
+            passed = IntervalInputs(key, template, frame, read_ms=timing_ms["read"])
         self.release(key)
         return SkippedInterval(key, reason, passed)
 
@@ -454,5 +448,4 @@ class ViewsReader:
         is_needed = inputs.frame is not None
         views = tuple(reader.read(key, lambda *_: is_needed) for reader in self.followers)
         read_ms = inputs.read_ms + sum(view.read_ms for view in views)
-        metadata = replace(inputs.metadata, recipes=recipes)
-        return replace(inputs, metadata=metadata, views=views, read_ms=read_ms)
+        return replace(inputs, recipes=recipes, views=views, read_ms=read_ms)

@@ -309,13 +309,13 @@ class Run:
                     "recipe": recipe,
                 }
                 attributes, image = header_attributes(source, facts), self._key_image(inputs)
-                writer.write_decoded(output, image, inputs.metadata.template, attributes)
+                writer.write_decoded(output, image, inputs.template, attributes)
         record = FrameRecord(
             output, writer.name(output), number, 0, FrameKind.KEY, "key", (number,),
             resumed=resumed,
             replaced=replaced and not resumed,
             timing_ms={} if resumed else {"read": inputs.read_ms},
-            render=inputs.metadata.template.render,
+            render=inputs.template.render,
         )  # fmt: skip
         self._records.append(record)
         self._show(RenderedSlot(record), inputs)
@@ -363,7 +363,7 @@ class Run:
         elif rendered.rounded:
             image = rendered.image
         else:
-            image, template = rendered.image, inputs.metadata.template
+            image, template = rendered.image, inputs.template
             image = replace(image, pixels=quantise_picture(image.pixels, template))
         if listener is not None:
             truth = inputs.truth.frames.get(record.slot)

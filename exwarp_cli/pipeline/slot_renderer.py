@@ -81,7 +81,7 @@ class SlotRenderer:
             around.forget(index)
         timing[timing_step(predicted.made_by)] = timing.pop("render")
         image = Image(predicted.pixels, interval.key.image.data_window, self.source.keys.display)
-        template, layers = inputs.metadata.template, {}
+        template, layers = inputs.template, {}
         if self.layers.any:
             assert isinstance(template, Template)  # layers are for EXR
             with record_time(timing, "layers"):
@@ -177,7 +177,7 @@ class SlotRenderer:
             writer.pass_frame(number, frame.path, marks)
         elif not resumed and writer.output.frames is not None:
             attributes = header_attributes(self.source, marks)
-            writer.write_decoded(number, frame.frame.image, inputs.metadata.template, attributes)
+            writer.write_decoded(number, frame.frame.image, inputs.template, attributes)
         record = FrameRecord(
             number, writer.name(number), key, slot.index, FrameKind.RENDERED,
             FrameKind.RENDERED.value, (number,), resumed=resumed, replaced=replaced,
@@ -249,7 +249,7 @@ class SlotRenderer:
         )
 
     def _attributes(self, record: FrameRecord, inputs: IntervalInputs) -> dict[str, Any]:
-        digests = inputs.metadata.key_digests.items()
+        digests = inputs.key_digests.items()
         # Those of a key frame, too, lead over a key interval, which is so many output frames.
         span = self.source.timeline.factor if LayerKind.MOTION in self.layers.kinds else None
         decision = None if record.decision is None else decision_text(record.decision)
@@ -261,7 +261,7 @@ class SlotRenderer:
             "key": record.key,
             "slot": record.slot,
             "setting": self.source.setting,
-            "recipe": inputs.metadata.recipes[record.slot],
+            "recipe": inputs.recipes[record.slot],
             REQUESTED_METHOD: self.method.name,
             RENDERED_SOURCES: ",".join(map(str, record.rendered_sources)) or None,
             KEY_FRAMES: ",".join(f"{number}:{digest}" for number, digest in digests) or None,

@@ -50,8 +50,8 @@ def inputs(index: int, setting: str, **changes: Any) -> IntervalInputs:
         HistoryFrame(raw_key(j, setting), way_back(j) if setting == "slot" else ())
         for j in range(index - 1, max(index - 3, -1), -1)
     )
-    metadata: Any = None
-    read = IntervalInputs(index, metadata, raw_key(index, setting), None, slots, history)
+    template: Any = None
+    read = IntervalInputs(index, template, raw_key(index, setting), None, slots, history)
     return replace(read, **changes)
 
 

@@ -64,9 +64,9 @@ def inputs(
     of = (lambda _: BOX) if idents is None else idents
     slots = [shown(index + i / 4, 0.25, of(index)) for i in (1, 2, 3) if setting == "slot"]
     past = [older(i, setting, of(i)) for i in range(index - 1, max(index - 1 - back, -1), -1)]
-    metadata: Any = None
+    template: Any = None
     frame = key(index, setting, of(index))
-    read = IntervalInputs(index, metadata, frame, None, tuple(slots), tuple(past))
+    read = IntervalInputs(index, template, frame, None, tuple(slots), tuple(past))
     return replace(read, **changes)
 
 
