@@ -71,6 +71,43 @@ class PreparedInterval:
         return self.plan is not None and self.plan.extrapolates
 
 
+@dataclass
+class MovingObjects:
+    """Decides which objects of a Cryptomatte move in an interval, where no option names them.
+
+    Decided once per interval: an object that counted as moving in one instant and as standing still
+    in the next would be a hole to itself. It is decided by what the interval reads anyway, so that
+    any part of a sequence comes to the same. What two intervals compare is compared once.
+    """
+
+    # By one or two instants with their windows (a key frame's data may fill less than its
+    # G-buffer), and the canvas.
+    _compared: dict[tuple[tuple[tuple[Slot, Window], ...], Window], Ids] = field(
+        default_factory=dict
+    )
+
+    def find(self, inputs: IntervalInputs, canvas: Window) -> Ids | None:
+        """Return the ids of what moves between any two instants of an interval.
+
+        None where there are no ids of what is shown. `canvas` is what the interval is built on.
+        """
+        instants = list(_instants(inputs))
+        if all(gbuffer.objects is None for _, gbuffer in instants):
+            return None
+        # Each instant with the one before it; one that is alone with none.
+        pairs: list[tuple[tuple[Slot, GBuffer], ...]] = [(instants[0],)]
+        if len(instants) > 1:
+            pairs = list(zip(instants[1:], instants, strict=False))
+        compared = {}
+        for pair in pairs:
+            place = tuple((slot, gbuffer.window) for slot, gbuffer in pair), canvas
+            ids = self._compared.get(place)
+            compared[place] = _moving_ids(canvas, *(g for _, g in pair)) if ids is None else ids
+        self._compared = compared
+        return frozenset().union(*compared.values())
+
+
+@dataclass
 class IntervalBuilder:
     """Builds intervals in order; what several of them share is settled once.
 
@@ -78,29 +115,18 @@ class IntervalBuilder:
     is shared goes by these, too.
     """
 
-    def __init__(
-        self,
-        display: Window,  # of all frames
-        network: Extrapolator | None = None,
-        interpolator: Interpolator | LookAheadNetwork | None = None,
-        estimated: bool = False,  # key frames come with estimated motion, which needs no settling
-        bare: bool = False,  # only motion and depth of key frames' settled geometry are used
-        scratch: ScratchFrames = IN_MEMORY,  # for large settled frames if a network extrapolates
-        linear: bool = False,  # colour is moved in linear light, as layers add up to it
-        back: int = 0,  # how many older key frames a later interval goes by, without a network
-    ) -> None:
-        self._display = display
-        self._network = network
-        self._interpolator = interpolator
-        self._estimated = estimated
-        self._bare = bare
-        self._scratch = scratch
-        self._linear = linear
-        self._back = back if network is None else HISTORY_FRAMES - 1
-        self._moving = MovingObjects()
-        self._frames: dict[FrameKey, KeyFrame] = {}
-        self._instants: dict[tuple[Slot, Basis], GBuffer] = {}
-        self._past: dict[FrameKey, OlderKeyFrame] = {}
+    display: Window  # of all frames
+    network: Extrapolator | None = None
+    interpolator: Interpolator | LookAheadNetwork | None = None
+    estimated: bool = False  # key frames come with estimated motion, which needs no settling
+    bare: bool = False  # only motion and depth of key frames' settled geometry are used
+    scratch: ScratchFrames = IN_MEMORY  # for large settled frames if a network extrapolates
+    linear: bool = False  # colour is moved in linear light, as layers add up to it
+    back: int = 0  # how many older key frames a later interval goes by, without a network
+    _moving: MovingObjects = field(default_factory=MovingObjects)
+    _frames: dict[FrameKey, KeyFrame] = field(default_factory=dict)
+    _instants: dict[tuple[Slot, Basis], GBuffer] = field(default_factory=dict)
+    _past: dict[FrameKey, OlderKeyFrame] = field(default_factory=dict)
 
     def build(self, inputs: IntervalInputs) -> Interval:
         """Bring what was read onto one window, and settle its motion.
@@ -115,7 +141,7 @@ class IntervalBuilder:
             for frame in (inputs.following, *leading):
                 if frame is not None:
                     window = window.union(frame.image.data_window)
-            window = window.union(self._display)
+            window = window.union(self.display)
         require_canvas(f"frame {inputs.frame.number} and the next one", window)
         ids = self._moving.find(inputs, window)
         inputs, basis = with_stencils(inputs, ids), (window, ids)
@@ -125,11 +151,11 @@ class IntervalBuilder:
             following = self._frame(inputs.key + 1, inputs.following, basis)
         key = self._frame(inputs.key, inputs.frame, basis)
         slots = tuple(
-            self._scratch.store(settle_motion(gbuffer.on(window))) for gbuffer in inputs.slots
+            self.scratch.store(settle_motion(gbuffer.on(window))) for gbuffer in inputs.slots
         )
         past = self._lead_back(inputs, key, basis)
         self._release_before(inputs, slots, basis)
-        if not (self._estimated or inputs.held or slots):
+        if not (self.estimated or inputs.held or slots):
             key, following = adapt_motion_to_holds(key, following, inputs.after_hold)
         # Frames of slots that were rendered after all, as far as they have motion.
         rendered = {
@@ -142,16 +168,16 @@ class IntervalBuilder:
             following,
             slots,
             past,
-            self._network,
-            self._interpolator,
+            self.network,
+            self.interpolator,
             inputs.times,
-            estimated=self._estimated,
+            estimated=self.estimated,
             keeps=bool(inputs.truth.frames),
             held=inputs.held,
             after_hold=inputs.after_hold,
-            scratch=self._scratch,
-            linear=self._linear,
-            display=self._display,
+            scratch=self.scratch,
+            linear=self.linear,
+            display=self.display,
             rendered=rendered,
         )
 
@@ -160,11 +186,11 @@ class IntervalBuilder:
         if placed.gbuffer is None:
             return placed
         settled = settle_motion(placed.gbuffer)
-        return replace(placed, gbuffer=settled.bare() if self._bare else settled)
+        return replace(placed, gbuffer=settled.bare() if self.bare else settled)
 
     def _frame(self, index: int, frame: KeyFrame, basis: Basis) -> KeyFrame:
         """Return a settled key frame; what was settled before is kept."""
-        if self._estimated:  # the flows of an interval are its own
+        if self.estimated:  # the flows of an interval are its own
             return frame.extended(basis[0])
         frame_key = index, basis, has_surface(frame)
         if frame_key not in self._frames:
@@ -175,7 +201,7 @@ class IntervalBuilder:
                 surface = frame.extended(basis[0]).gbuffer
                 parts = {part: getattr(surface, part) for part in SURFACE_PARTS}
                 settled = replace(settled, gbuffer=replace(settled.gbuffer, **parts))
-            self._frames[frame_key] = self._scratch.store(settled)
+            self._frames[frame_key] = self.scratch.store(settled)
         return self._frames[frame_key]
 
     def _lead_back(
@@ -200,7 +226,7 @@ class IntervalBuilder:
                 else:
                     assert newer.gbuffer is not None
                     motion = displacement(newer.gbuffer, -1)
-                motion = self._scratch.store(motion)
+                motion = self.scratch.store(motion)
                 frame = self._frame(index, older.frame, basis)
                 # Guessed is motion that is made of vectors to the key frame after `newer`.
                 leads = older.held or bool(older.instants)
@@ -217,12 +243,13 @@ class IntervalBuilder:
         """Drop what no later interval needs, and keep the slots' geometry that leads back."""
         key = inputs.key
         # Of frames without their surface, of which others are read late, warps go by the last.
-        oldest = {surface: key + 1 - self._back for surface in (False, True)}
+        back = self.back if self.network is None else HISTORY_FRAMES - 1
+        oldest = {surface: key + 1 - back for surface in (False, True)}
         if inputs.lacks_history:
             oldest[False] = key
         self._frames = {k: frame for k, frame in self._frames.items() if k[0] >= oldest[k[2]]}
         self._past = {k: past for k, past in self._past.items() if k[0] >= oldest[k[2]]}
-        if self._back:
+        if back:
             self._instants = {
                 (Slot(key, i), basis): without_surface(gbuffer)
                 for i, gbuffer in enumerate(slots, start=1)
@@ -377,42 +404,6 @@ def count_broken(inputs: IntervalInputs, counted: Mapping[int, int]) -> dict[int
                 count_nonfinite((frame.image.pixels,)) if count is None else count
             )
     return counts
-
-
-@dataclass
-class MovingObjects:
-    """Decides which objects of a Cryptomatte move in an interval, where no option names them.
-
-    Decided once per interval: an object that counted as moving in one instant and as standing still
-    in the next would be a hole to itself. It is decided by what the interval reads anyway, so that
-    any part of a sequence comes to the same. What two intervals compare is compared once.
-    """
-
-    # By one or two instants with their windows (a key frame's data may fill less than its
-    # G-buffer), and the canvas.
-    _compared: dict[tuple[tuple[tuple[Slot, Window], ...], Window], Ids] = field(
-        default_factory=dict
-    )
-
-    def find(self, inputs: IntervalInputs, canvas: Window) -> Ids | None:
-        """Return the ids of what moves between any two instants of an interval.
-
-        None where there are no ids of what is shown. `canvas` is what the interval is built on.
-        """
-        instants = list(_instants(inputs))
-        if all(gbuffer.objects is None for _, gbuffer in instants):
-            return None
-        # Each instant with the one before it; one that is alone with none.
-        pairs: list[tuple[tuple[Slot, GBuffer], ...]] = [(instants[0],)]
-        if len(instants) > 1:
-            pairs = list(zip(instants[1:], instants, strict=False))
-        compared = {}
-        for pair in pairs:
-            place = tuple((slot, gbuffer.window) for slot, gbuffer in pair), canvas
-            ids = self._compared.get(place)
-            compared[place] = _moving_ids(canvas, *(g for _, g in pair)) if ids is None else ids
-        self._compared = compared
-        return frozenset().union(*compared.values())
 
 
 def with_stencils(inputs: IntervalInputs, ids: Ids | None) -> IntervalInputs:
