@@ -47,35 +47,28 @@ class TrialInputs:
     around: IntervalInputs | None = None
 
 
+@dataclass
 class TrialReader:
     """Chooses the key frame that is predicted for an interval, and reads it."""
 
-    def __init__(
-        self,
-        method: Method,
-        store: KeyFrameStore,
-        # Returns the key frames that lead back from one, the newest first.
-        history: Callable[[int], tuple[int, ...]],
-        reads_late: bool,  # True if the store keeps key frames without their surface
-    ) -> None:
-        self._source, self._store, self._shots = store.source, store, store.shots
-        self._history = history
-        self._lookahead = method.lookahead
-        self._reads_late = reads_late
-        # The key frame whose trial an interval brought along last.
-        self.last_read: int | None = None
+    store: KeyFrameStore
+    lookahead: bool  # whether key frames on both sides predict
+    # Returns the key frames that lead back from one, the newest first.
+    history: Callable[[int], tuple[int, ...]]
+    reads_late: bool  # True if the store keeps key frames without their surface
+    last_read: int | None = None  # the key frame whose trial an interval brought along last
 
     def choose(self, key: int) -> int | None:
         """Return the key frame that is predicted for an interval; None if no one can be."""
         block = key // TRIAL_BLOCK * TRIAL_BLOCK
-        begin = self._shots.begin(key, key - block + TRIAL_BLOCK)
+        begin = self.store.shots.begin(key, key - block + TRIAL_BLOCK)
         candidates: Iterable[int]
-        if self._lookahead:
+        if self.lookahead:
             # The first one of the interval's block, else the last one before the block, that has
             # a neighbour on both sides.
             first = max(block, begin) + 1
             within = takewhile(
-                lambda i: not self._shots.starts_at(i), range(first, block + TRIAL_BLOCK)
+                lambda i: not self.store.shots.starts_at(i), range(first, block + TRIAL_BLOCK)
             )
             candidates = chain(within, range(first - 1, begin, -1))
         else:
@@ -87,16 +80,16 @@ class TrialReader:
 
     def _is_predictable(self, index: int) -> bool:
         """Return True if a key frame can be predicted, and shows another picture than the last."""
-        around = (index, index + 1) if self._lookahead else (index,)
-        if around[-1] >= len(self._source.timeline.numbers):
+        around = (index, index + 1) if self.lookahead else (index,)
+        if around[-1] >= len(self.store.source.timeline.numbers):
             return False
-        if any(self._shots.starts_at(i) or self._shots.repeats(i) for i in around):
+        if any(self.store.shots.starts_at(i) or self.store.shots.repeats(i) for i in around):
             return False
-        if self._source.slots is None:
+        if self.store.source.slots is None:
             return True
-        steps, slots = self._source.timeline.steps or 0, self._slots(index)
-        complete = len(slots) == (2 * steps - 1 if self._lookahead else steps)
-        return complete and not self._store.unreadable.has(*slots)
+        steps, slots = self.store.source.timeline.steps or 0, self._slots(index)
+        complete = len(slots) == (2 * steps - 1 if self.lookahead else steps)
+        return complete and not self.store.unreadable.has(*slots)
 
     def frames(self, key: int) -> tuple[tuple[int, ...], tuple[Slot, ...], str]:
         """Return what the trial of an interval reads, for fingerprints.
@@ -106,19 +99,19 @@ class TrialReader:
         index = self.choose(key)
         if index is None:
             return (), (), "gate without a trial"
-        older = () if self._lookahead else self._history(index - 1)
-        keys = (*reversed(older), index - 1, index, *((index + 1,) if self._lookahead else ()))
+        older = () if self.lookahead else self.history(index - 1)
+        keys = (*reversed(older), index - 1, index, *((index + 1,) if self.lookahead else ()))
         way_back: tuple[Slot, ...] = ()
-        if self._source.slots is not None:
-            way_back = tuple(slot for i in older for slot in self._store.slots_after(i))
+        if self.store.source.slots is not None:
+            way_back = tuple(slot for i in older for slot in self.store.slots_after(i))
         return keys, (*self._slots(index), *way_back), f"gate {index - key}"
 
     def _slots(self, index: int) -> tuple[Slot, ...]:
         """Return the instants with G-buffers between the key frames of a trial; often none."""
-        if self._source.slots is None:
+        if self.store.source.slots is None:
             return ()
-        after = self._store.slots_after(index) if self._lookahead else ()
-        return (*self._store.slots_after(index - 1), Slot(index, 0), *after)
+        after = self.store.slots_after(index) if self.lookahead else ()
+        return (*self.store.slots_after(index - 1), Slot(index, 0), *after)
 
     def read(self, key: int, inputs: IntervalInputs) -> TrialInputs:
         """Read the trial of an interval, unless the one before brought the same along.
@@ -128,16 +121,16 @@ class TrialReader:
         index = self.choose(key)
         if index is None or index == self.last_read:
             return TrialInputs(index)
-        store = self._store
+        store = self.store
         slots = tuple(map(store.get_slot, self._slots(index)))
         following: KeyFrame | None = None
         history: tuple[HistoryFrame, ...] = ()
-        if not self._lookahead:
+        if not self.lookahead:
             # The interval before the key frame, whose last slot is at that key frame.
-            history = store.get_history(self._history(index - 1), self._reads_late)
-            get = store.get_complete if self._reads_late else store.get_in_shot
+            history = store.get_history(self.history(index - 1), self.reads_late)
+            get = store.get_complete if self.reads_late else store.get_in_shot
             frame, times = get(index - 1), tuple((i + 1) / FACTOR for i in range(FACTOR))
-        elif self._source.estimated:
+        elif self.store.source.estimated:
             # An interval of twice the length, along motion that is estimated across it.
             estimates = MotionEstimates(lambda i: store.get(index - 1 + 2 * i), 2)
             frame, following = estimates.moving(0, False, True), estimates.moving(1, True, False)
@@ -147,10 +140,10 @@ class TrialReader:
             before, middle, after = map(store.get_in_shot, (index - 1, index, index + 1))
             frame, following = _vectors_over(before, 2), _vectors_over(after, 2)
             between = _vectors_over(middle, 1).gbuffer
-            if self._source.slots is None and between is not None:
+            if self.store.source.slots is None and between is not None:
                 slots = (between,)
             times = tuple((i + 1) / (len(slots) + 1) for i in range(len(slots)))
-        slot = len(times) // 2 + 1 if self._lookahead else len(times)
+        slot = len(times) // 2 + 1 if self.lookahead else len(times)
         around = replace(
             inputs, key=index - 1, frame=frame, following=following, slots=slots, history=history,
             times=times, truth=IntervalTruth({slot: store.get(index).image}), lacks_history=False,
@@ -158,7 +151,7 @@ class TrialReader:
             after_hold=False,
         )  # fmt: skip
         self.last_read = index
-        return TrialInputs(index, self._source.timeline.numbers[index], around)
+        return TrialInputs(index, self.store.source.timeline.numbers[index], around)
 
 
 def _vectors_over(frame: KeyFrame, intervals: int) -> KeyFrame:

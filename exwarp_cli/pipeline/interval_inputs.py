@@ -179,11 +179,11 @@ class IntervalReader:
             self.trials = leader.trials
             self.fingerprinter.share_digests(leader.fingerprinter)
         elif method.gated and settings.gate:
-            first = TrialReader(method, self.store, self._history, self._reads_late)
+            first = TrialReader(self.store, method.lookahead, self._history, self._reads_late)
             self.trials = (first,)
             if method.tail is not None:
                 history = partial(self._history, ahead=False)
-                last = TrialReader(method.tail, self.store, history, reads_late=True)
+                last = TrialReader(self.store, method.tail.lookahead, history, reads_late=True)
                 self.trials = first, last
         if keep_going:
             self.fingerprinter.reading = self.store.reading
