@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -44,12 +45,7 @@ from exwarp_cli.policy.state import (
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval, TileChooser, tile_features
 from exwarp_cli.synthesis.methods import CAUSAL, FRAMEWISE, DecisionSource, Method, predict_path
-from exwarp_cli.synthesis.motion_fields import (
-    find_moving,
-    moving_ids,
-    select_ids,
-    settle_motion,
-)
+from exwarp_cli.synthesis.motion_fields import find_moving, moving_ids, select_ids, settle_motion
 
 if TYPE_CHECKING:
     from exwarp_cli.models.policy_files import PolicyFile
@@ -69,22 +65,8 @@ class Choice:
     timing_ms: Mapping[str, float] = field(default_factory=dict)  # by step of the work
 
 
-class PathSelector(Protocol):
-    """Decides the path of key intervals, one after the other."""
-
-    def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
-        """Decide the path of an interval; raises nothing that a user can cause."""
-
-
-@dataclass(frozen=True)
-class FixedPath:
-    """Takes one path for all intervals."""
-
-    path: str
-
-    def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
-        """Return the path."""
-        return Choice(Plan.fixed(self.path))
+# Decides the path of key intervals, one after the other; raises nothing that a user can cause.
+PathSelector = Callable[[IntervalInputs, Interval], Choice]
 
 
 @dataclass(frozen=True)
@@ -94,7 +76,7 @@ class PolicyPath:
     policy: LearnedPolicy
     observer: Observer
 
-    def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
+    def __call__(self, inputs: IntervalInputs, interval: Interval) -> Choice:
         """Compute the features of an interval, and decide by them."""
         timing_ms: dict[str, float] = {}
         with record_time(timing_ms, "features"):
@@ -116,7 +98,7 @@ class TilePaths:
         self._fixed_path = {0.0: "S6", 1.0: "S3"}.get(effort)
         self._policy = TilePolicy(policy.network, interpolate_price(policy.efforts, effort))
 
-    def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
+    def __call__(self, inputs: IntervalInputs, interval: Interval) -> Choice:
         """Compute the features of an interval's tiles, and decide by them."""
         tiles = interval.tiles
         if self._fixed_path is not None or not interval.has_motion:
@@ -140,15 +122,12 @@ class OraclePath:
     judge: DecisionSource  # by the mean PSNR, or by the sum of rewards
     display: Window
 
-    def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
+    def __call__(self, inputs: IntervalInputs, interval: Interval) -> Choice:
         """Make the frames of all paths of an interval, and take the best path."""
         from exwarp_cli.policy import outcomes
 
         if set(inputs.truth.frames) != set(range(1, FACTOR)):
             return Choice(Plan.fixed("S6"))
-
-        def as_written(pixels: Float32) -> Float32:
-            return quantise_picture(pixels, inputs.metadata.template)
 
         by_psnr = self.judge is DecisionSource.PSNR
         timing_ms: dict[str, float] = {}
@@ -156,6 +135,7 @@ class OraclePath:
             truth = {
                 slot: image.on(self.display).pixels for slot, image in inputs.truth.frames.items()
             }
+            as_written = partial(quantise_picture, template=inputs.template)
             scores = outcomes_of(interval, truth, self.display, as_written)
             best = outcomes.best_psnr(scores) if by_psnr else outcomes.best_return(scores)
             path = tuple(PATHS)[int(best)]
@@ -185,7 +165,8 @@ def make_selector(
     """Return what decides the path of each key interval; None outside the decision tree."""
     display = source.keys.display
     if method.path is not None:
-        return FixedPath(method.path) if source.allows_decisions else None
+        choice = Choice(Plan.fixed(method.path))
+        return (lambda inputs, interval: choice) if source.allows_decisions else None
     if method.judge is None:
         return None
     if policy is None:
@@ -208,23 +189,12 @@ def outcomes_of(
     display: Window | None = None,
     as_written: Callable[[Float32], Float32] | None = None,
 ) -> npt.NDArray[np.float64]:
-    """Make the frames of all choices of a key interval and measure them.
+    """Make the frames of all choices of a key interval, with its network, and measure them.
 
-    Parameters
-    ----------
-    interval
-        With its network.
-    truth
-        Ground truth of slots 1 to 3, float32 [H, W, 3] or more, scene-linear.
-    display
-        The window of the truth; None for the interval's own.
-    as_written
-        Rounds pixels to what a file keeps of them; None to measure them as they are made.
-
-    Returns
-    -------
-    float64 [5, 2, 2]
-        As `exwarp_cli.policy.outcomes` has it.
+    `truth` is of slots 1 to 3, float32 [H, W, 3] or more, scene-linear, on the window `display`;
+    None for the interval's own. `as_written` rounds pixels to what a file keeps of them; None to
+    measure them as they are made. Returns float64 [5, 2, 2], as `exwarp_cli.policy.outcomes` has
+    it.
     """
     from exwarp_cli.metrics.display import (
         encode_display,  # numba: only an oracle measures while it decides
@@ -250,18 +220,15 @@ def outcomes_of(
     return np.array([[scores[node, choice] for choice in CHOICES] for node in NODES])
 
 
+@dataclass
 class Observer:
-    """Computes features interval by interval, all on the display window.
+    """Computes features interval by interval, all on the display window."""
 
-    `setting` is "key" or "slot".
-    """
-
-    def __init__(self, display: Window, setting: str) -> None:
-        self._display = display
-        self._span = FACTOR if setting == "key" else 1
-        self._at_keys: dict[int, Features] = {}
-        self._shot_begin = 0
-        self._last: FrameStatistics | None = None
+    display: Window
+    setting: str  # "key" or "slot"
+    _at_keys: dict[int, Features] = field(default_factory=dict)
+    _shot_begin: int = 0
+    _last: FrameStatistics | None = None
 
     def of(self, inputs: IntervalInputs, interval: Interval) -> StateHistory:
         """Return what the states of an interval are made of that was read and built."""
@@ -271,15 +238,15 @@ class Observer:
         # seen in.
         frame = None if inputs.frame is None else inputs.frame.gbuffer
         has_objects = any(g is not None and g.objects is not None for g in (frame, *inputs.slots))
-        is_same = interval.key.image.data_window == self._display and not has_objects
-        covers = inputs.frame is not None and inputs.frame.image.data_window == self._display
-        settled = interval.key.gbuffer if self._span == FACTOR and covers and is_same else None
+        is_same = interval.key.image.data_window == self.display and not has_objects
+        covers = inputs.frame is not None and inputs.frame.image.data_window == self.display
+        settled = interval.key.gbuffer if self.setting == "key" and covers and is_same else None
         slots = interval.slots if is_same else self.settled(inputs.slots)
         return self.surroundings(inputs.key, inputs.observed, slots, settled, inputs.slots)
 
     def settled(self, slots: Sequence[GBuffer]) -> tuple[GBuffer, ...]:
         """Return G-buffers of slots as `surroundings` takes them."""
-        return tuple(settle_motion(slot.on(self._display)) for slot in slots)
+        return tuple(settle_motion(slot.on(self.display)) for slot in slots)
 
     def surroundings(
         self,
@@ -289,37 +256,29 @@ class Observer:
         settled: GBuffer | None = None,
         read: Sequence[GBuffer] = (),
     ) -> StateHistory:
-        """Return what the states of an interval are made of.
+        """Return what the states of an interval are made of, by the index of its key frame.
 
-        Parameters
-        ----------
-        key
-            Index of the key frame.
-        observed
-            Its instant, and those that were not seen before, ascending; one that nothing comes
-            before begins a shot, and what was seen of older ones is of no use.
-        slots
-            G-buffers of slots 1 to 3 on the display window with settled motion; empty where there
-            are none.
-        settled
-            The key frame's on the display window with settled motion, where it is in memory.
-        read
-            Those of the slots as read; empty where they are not in memory.
+        `observed` are its instant, and those that were not seen before, ascending; one that nothing
+        comes before begins a shot, and what was seen of older ones is of no use. `slots` are the
+        G-buffers of slots 1 to 3 on the display window with settled motion; empty where there are
+        none. `settled` is the same of the key frame, where it is in memory. `read` are those of the
+        slots as read; empty where they are not in memory.
         """
         for instant in observed:
-            before = None if instant.before is None else instant.before.on(self._display)
+            before = None if instant.before is None else instant.before.on(self.display)
             if before is None:
                 self._shot_begin = instant.key
-            now, raw = settled if instant.key == key else None, instant.now.on(self._display)
+            now, raw = settled if instant.key == key else None, instant.now.on(self.display)
             if now is None:
                 now = settle_motion(raw)
             now = with_ids(now, before, raw)
-            self._at_keys[instant.key] = self._features(now, before, self._span)
+            span = FACTOR if self.setting == "key" else 1
+            self._at_keys[instant.key] = self._features(now, before, span)
         at_key = self._at_keys[key]
         now_on = (at_key, at_key, at_key)
         if slots:
-            instants = [observed[-1].now.on(self._display), *slots[:2]]
-            raw_slots = [slot.on(self._display) for slot in read[:2]]
+            instants = [observed[-1].now.on(self.display), *slots[:2]]
+            raw_slots = [slot.on(self.display) for slot in read[:2]]
             first, second = (
                 with_ids(instants[i + 1], instants[i], raw_slots[i] if raw_slots else None)
                 for i in (0, 1)
@@ -350,12 +309,8 @@ def with_ids(
 ) -> GBuffer:
     """Return a G-buffer with ids of what moves: its own, else of what keeps no place in the world.
 
-    Parameters
-    ----------
-    gbuffer
-        With settled motion. Without ids, positions or depth it stays as it is.
-    before, raw
-        As :func:`exwarp_cli.synthesis.motion_fields.find_moving` takes them.
+    Its motion is settled. Without ids, positions or depth it stays as it is. `before` and `raw` are
+    as :func:`exwarp_cli.synthesis.motion_fields.find_moving` takes them.
     """
     if gbuffer.stencil is not None:
         return gbuffer
@@ -384,21 +339,9 @@ def features(
 ) -> Iterator[NodeFeatures]:
     """Yield the features at every node of every key interval.
 
-    Parameters
-    ----------
-    settings
-        The input.
-    frames
-        Range of key frames by input number; None for all.
-    progress
-        Receives every key frame.
-
-    Raises
-    ------
-    InputError
-        When the sequence cannot be used.
-    MotionError
-        When the convention of its motion vectors cannot be settled.
+    `frames` is a range of key frames by input number; None for all. `progress` receives every key
+    frame. Raises InputError when the sequence cannot be used, MotionError when the convention of
+    its motion vectors cannot be settled.
     """
     source = open_source(settings)
     progress = progress or Progress()

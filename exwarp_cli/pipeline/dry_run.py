@@ -113,8 +113,9 @@ def require_writable(folders: Iterable[Path]) -> None:
 def _compare_existing(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, ...] | None]:
     """Foresee frames where good ones are kept; also return the cuts that were detected."""
     reader = make_reader(job)
+    leader = reader.leader
     if job.targets.frames is None:
-        note = video_fingerprint(reader.leading_recipes, job.settings, job.keys, job.rendered)
+        note = video_fingerprint(leader.fingerprinter, job.settings, job.keys, job.rendered)
         kept = is_video_kept(job.targets, job.settings, note)
         return tuple(_foreseen(job, slot, kept) for slot in job.slots), None
     writer = make_writer(job)
@@ -126,7 +127,7 @@ def _compare_existing(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, .
             slots = tuple(slot for slot in slots if inputs.passed is not None and not slot.index)
         for slot in slots:
             frames.append(_foreseen(job, slot, _is_kept(job, writer, slot, inputs)))
-    return tuple(frames), reader.cuts
+    return tuple(frames), leader.shots.cuts
 
 
 def _is_kept(
@@ -139,7 +140,7 @@ def _is_kept(
         rendered = inputs.rendered.frames.get(slot.index)
         if rendered is not None:
             return writer.has_rendered(number, rendered.path, rendered.recipe)
-        return writer.has(number, inputs.metadata.recipes[slot.index])
+        return writer.has(number, inputs.recipes[slot.index])
     keys, key_number = job.source.keys, job.source.timeline.numbers[slot.key]
     path = keys.sequence.files[key_number]
     if writer.copies(path):
@@ -155,6 +156,6 @@ def _foreseen(job: Job, slot: Slot, kept: bool) -> ForeseenFrame:
     exists = path is not None and path_exists(path)
     fate = Fate.KEEP if kept else Fate.REPLACE if exists else Fate.WRITE
     kind = FrameKind.GENERATED if slot.index else FrameKind.KEY
-    if slot.index and job.rendered is not None and job.rendered.has(number):
+    if slot.index and job.rendered is not None and number in job.rendered.sequence.files:
         kind = FrameKind.RENDERED
     return ForeseenFrame(number, kind, fate)

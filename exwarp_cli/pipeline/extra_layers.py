@@ -237,7 +237,7 @@ class LayerReader:
         self._slots.keep(())
         return LayerFrames(before, after, back, planes)
 
-    def require(self, key: int) -> None:
+    def read_key(self, key: int) -> None:
         """Read a key frame's layers ahead; raises InputError where that fails."""
         self._keys.frame(self._content.source.timeline.numbers[key])
 
@@ -284,8 +284,8 @@ class ExtraLayers:
     ) -> dict[PlaneKey, Plane]:
         """Make the planes of a slot, 1 or more, that `template` has.
 
-        `shown` is the beauty of the view that leads; its method is a path's name where a path made
-        it. `predict` makes that of another view.
+        `shown` is the beauty of the view that leads, `predict` makes that of another view; a path
+        that made them is their method's name.
         """
         needed = {plane.key for plane in template.planes}
         leader, *further = self._views
@@ -330,15 +330,19 @@ class ViewInterval:
         frames = self.inputs.layers
         if frames is None:
             return {}
-        retimer = _LayerRetimer(self, frames, make_retimer(self.interval, slot, shown), slot)
+        retimer = make_retimer(self.interval, slot, shown)
+        own = frames.slots[slot - 1] if frames.slots else {}
         planes: dict[PlaneKey, Plane] = {}
         for layer in self.content.extra:
             if not any((view, ref) in needed for ref in layer.refs):
                 continue
-            values = retimer.retime(layer)
+            if all(ref in own for ref in layer.refs):
+                values = {ref: np.array(self._placed(own[ref])) for ref in layer.refs}
+            else:
+                values = self._retimed(layer, frames, retimer)
             if layer.kind is not LayerKind.COLOUR:  # which is mended where it is mixed
                 background = np.inf if layer.kind is LayerKind.DEPTH else 0.0
-                retimer.retiming.sources.mend(list(values.values()), background)
+                retimer.sources.mend(list(values.values()), background)
             planes |= {
                 (view, ref): Plane(plane, self.window)
                 for ref, plane in values.items()
@@ -346,95 +350,68 @@ class ViewInterval:
             }
         return planes
 
-
-@dataclass(frozen=True)
-class _LayerRetimer:
-    """Makes the layers of one slot of a view, each in the type that its file has."""
-
-    view: ViewInterval
-    frames: LayerFrames
-    retiming: LayerRetimer
-    slot: int
-
-    def retime(self, layer: Layer) -> dict[ChannelRef, np.ndarray]:
-        """Make a layer's channels, [H, W] each."""
-        frames, refs = self.frames, layer.refs
-        rendered = frames.slots[self.slot - 1] if frames.slots else {}
-        if all(ref in rendered for ref in refs):
-            return {ref: np.array(self._placed(rendered[ref])) for ref in refs}
-        motion = self.view.content.motion
-        if layer.kind is LayerKind.MOTION and motion:
-            return {
-                ref: self._vectors[..., motion.index(ref)] if ref in motion else self._copied(ref)
-                for ref in refs
-            }
+    def _retimed(
+        self, layer: Layer, frames: LayerFrames, retimer: LayerRetimer
+    ) -> dict[ChannelRef, np.ndarray]:
+        """Make a layer's channels for a slot, [H, W] each, in the type that its file has."""
+        refs, motion, window = layer.refs, self.content.motion, self.window
         if layer.kind is LayerKind.COLOUR:
             before = self._light(frames.before, refs)
             after = None if frames.after is None else self._light(frames.after, refs)
-            values = self.retiming.colour(before, after)
+            values = retimer.colour(before, after)
         elif layer.kind in POINTS:
-            values = self._points(refs, is_fixed=layer.kind is LayerKind.POSITION)
+            # What a key frame does not tell of a point is no change: not that it went to 0.
+            known = tuple(
+                None if planes is None else self._stack(planes, refs, np.nan)
+                for planes in (frames.before, frames.after, frames.older)
+            )
+            values = retimer.moved(self.course, known, layer.kind is LayerKind.POSITION)
+            for i, ref in enumerate(refs):
+                ends = [frame[ref].window for frame in (frames.before, frames.after) if frame]
+                if any(not end.covers(window) for end in ends):
+                    outside = (outside_mask(window, end) for end in ends)
+                    values[retimer.sources.take(*outside), i] = 0
+        elif layer.kind is LayerKind.MOTION and any(ref in motion for ref in refs):
+            before = self._stack(frames.before, motion)
+            after = None if frames.after is None else self._stack(frames.after, motion)
+            assert self.content.convention is not None
+            vectors = retimer.vectors(self.content.convention, before, after)
+            return {
+                ref: vectors[..., motion.index(ref)]
+                if ref in motion
+                else self._copied(ref, frames, retimer)
+                for ref in refs
+            }
         else:
-            return {ref: self._copied(ref) for ref in refs}
+            return {ref: self._copied(ref, frames, retimer) for ref in refs}
         # Copied, so that half takes its own memory.
         return {ref: np.ascontiguousarray(values[..., i]) for i, ref in enumerate(refs)}
 
-    def _points(self, refs: tuple[ChannelRef, ...], is_fixed: bool) -> Float32:
-        """Make a layer [H, W, C] whose values change as a point moves."""
-        frames, window = self.frames, self.view.window
-        # What a key frame does not tell of a point is no change: not that it went to 0.
-        before, after, older = (
-            None if planes is None else self._stack(planes, refs, np.nan)
-            for planes in (frames.before, frames.after, frames.older)
-        )
-        values = self.retiming.moved(self.view.course, (before, after, older), is_fixed)
-        for i, ref in enumerate(refs):
-            ends = [frame[ref].window for frame in (frames.before, frames.after) if frame]
-            if any(not end.covers(window) for end in ends):
-                outside = (outside_mask(window, end) for end in ends)
-                values[self.retiming.sources.take(*outside), i] = 0
-        return values
-
-    @cached_property
-    def _vectors(self) -> Float32:
-        """All motion channels [H, W, C]."""
-        refs, convention = self.view.content.motion, self.view.content.convention
-        assert convention is not None
-        before = self._stack(self.frames.before, refs)
-        after = None if self.frames.after is None else self._stack(self.frames.after, refs)
-        return self.retiming.vectors(convention, before, after)
-
-    def _copied(self, ref: ChannelRef) -> np.ndarray:
+    def _copied(self, ref: ChannelRef, frames: LayerFrames, retimer: LayerRetimer) -> np.ndarray:
         """Copy the sources' values, bit for bit."""
-        before, after = self.frames.before[ref], None
-        if self.frames.after is not None:
-            plane = self._placed(self.frames.after[ref])
+        before, after = frames.before[ref], None
+        if frames.after is not None:
+            plane = self._placed(frames.after[ref])
             with np.errstate(invalid="ignore", over="ignore"):  # where the type changed on the way
                 after = plane.astype(before.values.dtype, copy=False)
-        return self.retiming.sources.take(self._placed(before), after)
+        return retimer.sources.take(self._placed(before), after)
 
     def _placed(self, plane: Plane) -> np.ndarray:
-        return place_on_canvas(plane.values, plane.window, self.view.window, 0.0)
+        return place_on_canvas(plane.values, plane.window, self.window)
 
     def _stack(self, planes: Planes, refs: tuple[ChannelRef, ...], fill: float = 0.0) -> Float32:
         values = {ref: planes[ref].values.astype(np.float32, copy=False) for ref in refs}
-        window = self.view.window
         return np.stack(
-            [place_on_canvas(values[ref], planes[ref].window, window, fill) for ref in refs],
+            [place_on_canvas(values[ref], planes[ref].window, self.window, fill) for ref in refs],
             axis=-1,
         )
 
     def _light(self, planes: Planes, refs: tuple[ChannelRef, ...]) -> Float32:
         """Return a layer [H, W, C] for warping: what no data tells is unknown, as in the beauty."""
         stack = self._stack(planes, refs)
-        window, display = self.view.window, self.view.interval.key.image.display_window
+        window, display = self.window, self.interval.key.image.display_window
         for i, ref in enumerate(refs):
             if planes[ref].window != window:
                 unknown = outside_mask(window, planes[ref].window) & outside_mask(window, display)
                 stack[unknown, i] = np.nan
         return stack
-
-
-def named_by_path(shown: Predicted, path: str | None) -> Predicted:
-    """Return what is shown with the name of the path that made it, which layers go by."""
-    return shown if path is None else replace(shown, method=path.lower())

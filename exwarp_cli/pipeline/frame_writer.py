@@ -45,7 +45,8 @@ FRAMES_BEHIND = 4
 
 FRAME, HOLES, VIDEO = "frame", "holes", "video"  # kinds of written files
 
-Sums = dict[tuple[str, int], str]  # SHA-256 of written files, by kind and number of the frame
+# SHA-256 of written files, by kind and number of the frame; of a video there is none.
+Sums = dict[tuple[str, int | None], str]
 
 
 @dataclass
@@ -55,7 +56,7 @@ class FrameWriter(ResourceOwner):
     output: OutputPlan
     display: Window  # that the video and the hole masks show
     fps: Fraction  # of the video
-    written_fps: Fraction | None  # what headers of key frames get; None where it is not known
+    key_rate: Fraction | None  # what headers of key frames get; None: they are copied as they are
     view: str  # which view of written frames is read again; "" for the hero
     behind: int  # frames that may wait for a thread to write them, beyond those under way
     look: VideoLook  # of the video: colour, pixels and sound
@@ -67,7 +68,6 @@ class FrameWriter(ResourceOwner):
     sums: Sums = field(default_factory=dict)
     _video: VideoWriter | None = None
     _last_shown: np.ndarray | None = None  # by the video
-    _replaced_early: set[int] = field(default_factory=set)
 
     def _open(self, stack: ExitStack) -> None:
         threads = cores.count()
@@ -85,20 +85,6 @@ class FrameWriter(ResourceOwner):
     def remarks(self) -> tuple[str, ...]:
         """What a user has to know of the video; see `VideoWriter.remarks`."""
         return () if self._video is None else self._video.remarks
-
-    @property
-    def shows(self) -> bool:
-        """True if every frame has to be shown, for a video."""
-        return self._video is not None
-
-    @property
-    def keeps_frames(self) -> bool:
-        """True if frames become files, and not a video alone."""
-        return self.output.frames is not None
-
-    @property
-    def _key_rate(self) -> Fraction | None:
-        return None if self.output.keeps_bytes else self.written_fps
 
     def name(self, number: int) -> str:
         """Return the name of a frame's file, or of the video without files, without its folder."""
@@ -130,36 +116,15 @@ class FrameWriter(ResourceOwner):
         """Return True if an earlier run copied a key frame's file, and it is kept."""
         if not self.output.resumes:
             return False
-        return key_is_there(self._path(number), plan_key_file(source, self._key_rate))
+        return key_is_there(self._path(number), plan_key_file(source, self.key_rate))
 
     def is_in_the_way(self, number: int) -> bool:
         """Return True if a frame's file from before the run exists, which writing would replace."""
         # A run that may replace none began without any: what exists now is its own, as after the
         # loss of a worker.
         may_replace = self.output.overwrites or self.output.resumes
-        return may_replace and self.keeps_frames and path_exists(self._path(number))
-
-    def replace_key(self, number: int, source: Path) -> None:
-        """Replace an earlier copy of a key frame at once, if it is another than the source."""
-        # The frames around a key frame name its digest, by which a later run knows a copy of an
-        # earlier render. If they are replaced first and the run is killed, none names that copy.
-        if not self.output.resumes or not self.is_in_the_way(number):
-            return
-        if number not in self._replaced_early and not self.has_copy(number, source):
-            self._copy(number, source)
-            self._replaced_early.add(number)
-
-    def pass_key(self, number: int, source: Path) -> bool:
-        """Copy a key frame's file, all its layers and attributes but for another frame rate.
-
-        Return True if an earlier run had copied it.
-        """
-        if number in self._replaced_early:
-            return False
-        resumed = self.has_copy(number, source)
-        if not resumed:
-            self._writer.submit(partial(self._copy, number, source))
-        return resumed
+        frames = self.output.frames
+        return may_replace and frames is not None and path_exists(frames.path(number))
 
     def has_rendered(self, number: int, source: Path, recipe: str) -> bool:
         """Return True if an earlier run wrote a rendered frame of a slot, and it is kept."""
@@ -167,14 +132,21 @@ class FrameWriter(ResourceOwner):
             return self.has_copy(number, source)
         return self.has(number, recipe, masked=False)
 
-    def pass_rendered(self, number: int, source: Path, marks: Mapping[str, str | int]) -> None:
-        """Copy the file of a rendered frame of a slot, all its layers and attributes.
+    def pass_frame(
+        self, number: int, source: Path, marks: Mapping[str, str | int] | None = None
+    ) -> None:
+        """Copy the file of a rendered frame, all its layers and attributes but for the frame rate.
 
-        Its header gets the output's frame rate and ExWarp's own attributes, `marks`, if it is EXR
-        and key frames get a rate, too.
+        If it is EXR and key frames get a rate, it gets ExWarp's own attributes, too: `marks`.
         """
-        marked_by = marks if self._is_marked(source) else None
-        self._writer.submit(partial(self._copy, number, source, marked_by))
+        copy = partial(self._copy, number, source, marks if self._is_marked(source) else None)
+        if self.output.resumes and self.is_in_the_way(number):
+            # At once. The frames around a key frame name its digest, by which a later run knows a
+            # copy of an earlier render. If they are replaced first and the run is killed, none
+            # names that copy.
+            copy()
+        else:
+            self._writer.submit(copy)
 
     def _is_marked(self, source: Path) -> bool:
         """Return True if a rendered frame's header gets ExWarp's own attributes."""
@@ -250,15 +222,12 @@ class FrameWriter(ResourceOwner):
         assert self.output.frames is not None
         return self.output.frames.path(number)
 
-    def _copy(
-        self, number: int, source: Path, marks: Mapping[str, str | int] | None = None
-    ) -> None:
-        """Copy a rendered file, with `marks` in its header."""
+    def _copy(self, number: int, source: Path, marks: Mapping[str, str | int] | None) -> None:
         with record_time(self.write_ms, number), ExitStack() as stack:
             if marks is None:
-                file = stack.enter_context(open_key_file(source, self._key_rate))
+                file = stack.enter_context(open_key_file(source, self.key_rate))
             else:
-                file = plan_marked_file(source, self._key_rate, marks)
+                file = plan_marked_file(source, self.key_rate, marks)
             file.write(self._path(number))
             if self.wants_sums:  # of what the source gives
                 self.sums[FRAME, number] = sum_of(file.pieces())
@@ -294,10 +263,13 @@ def sum_of(pieces: Iterable[Buffer]) -> str:
 
 
 def sum_in(path: Path) -> str:
-    """Return the SHA-256 of a file, hexadecimal; raises OSError."""
+    """Return the SHA-256 of a file, hexadecimal; raises OutputError when it cannot be read."""
     check_stop()
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise output_error(path, error) from error
 
 
 def files_of(
@@ -307,14 +279,15 @@ def files_of(
 
     Raises OutputError when a file cannot be read.
     """
-    files = []
-    for kind, number, path, _ in _list_files(targets, frames):
-        digest = None if number is None else sums.get((kind, number))
-        try:
-            files.append(WrittenFile(kind, number, path.name, digest or sum_in(path)))
-        except OSError as error:
-            raise output_error(path, error) from error
-    return tuple(files)
+    return tuple(
+        WrittenFile(
+            file.kind,
+            file.number,
+            file.path.name,
+            sums.get((file.kind, file.number)) or sum_in(file.path),
+        )
+        for file in _list_files(targets, frames)
+    )
 
 
 def verify(
@@ -330,51 +303,35 @@ def verify(
     of frames of an earlier run, which is decoded: "" for the hero, and without views. Raises
     OutputError when some files differ; these are removed.
     """
-    sums = {(file.kind, file.frame): file.sha256 for file in files}
-    checks = [
-        _Check(kind, number, path, sums[kind, number], is_sealed, view, shown)
-        for kind, number, path, is_sealed in _list_files(targets, frames)
-    ]
-    _require_sound(checks)
-    return len(checks)
+    listed = list(_list_files(targets, frames))
+    _require_sound(listed, [file.sha256 for file in files], view, shown)
+    return len(listed)
 
 
 def verify_video(path: Path, shown: int) -> None:
     """Read a video of `shown` frames again that was written with frames. Raises OutputError."""
-    try:
-        digest = sum_in(path)
-    except OSError as error:
-        raise output_error(path, error) from error
-    _require_sound([_Check(VIDEO, None, path, digest, False, "", shown)])
+    _require_sound([_RunFile(VIDEO, None, path)], [sum_in(path)], "", shown)
 
 
 @dataclass(frozen=True)
-class _Check:
-    """A file, and what it must be.
-
-    `is_sealed` is True for a frame of an earlier run, which has its own checksum.
-    """
-
+class _RunFile:
     kind: str
     number: int | None
     path: Path
-    sha256: str
-    is_sealed: bool
-    view: str
-    shown: int
+    is_sealed: bool = False  # True for a frame of an earlier run, which has its own checksum
 
-    def is_sound(self) -> bool:
+    def is_sound(self, digest: str, view: str, shown: int) -> bool:
         """Read the file from the disk, and compare it."""
         try:
             drop_cached(self.path)
-            if sum_in(self.path) != self.sha256:
+            if sum_in(self.path) != digest:
                 return False
             if self.kind == VIDEO:
-                return open_clip(self.path).count == self.shown
+                return open_clip(self.path).count == shown
             if self.is_sealed:
-                read_picture(self.path, self.view)
+                read_picture(self.path, view)
                 return read_fingerprint(self.path) is not None
-        except (OSError, InputError):
+        except (OSError, InputError, OutputError):
             return False
         return True
 
@@ -390,21 +347,23 @@ def drop_cached(path: Path) -> None:
         os.close(handle)
 
 
-def _require_sound(checks: list[_Check]) -> None:
+def _require_sound(files: list[_RunFile], digests: list[str], view: str, shown: int) -> None:
     with ThreadPoolExecutor(cores.count(), "exwarp-verify") as pool:
-        sound = list(pool.map(_Check.is_sound, checks))
-    bad = [check for check, is_sound in zip(checks, sound, strict=True) if not is_sound]
+        sound = list(
+            pool.map(lambda file, digest: file.is_sound(digest, view, shown), files, digests)
+        )
+    bad = [file for file, is_sound in zip(files, sound, strict=True) if not is_sound]
     if not bad:
         return
-    for check in bad:
+    for file in bad:
         with suppress(OSError):
-            check.path.unlink()
+            file.path.unlink()
     names = []
     for kind, word in ((FRAME, "frame"), (HOLES, "hole mask")):
-        numbers = [c.number for c in bad if c.kind == kind and c.number is not None]
+        numbers = [f.number for f in bad if f.kind == kind and f.number is not None]
         if numbers:
             names.append(f"{word}{'s' if len(numbers) > 1 else ''} {ranges(numbers)}")
-    names += [f"the video {check.path.name}" for check in bad if check.kind == VIDEO]
+    names += [f"the video {file.path.name}" for file in bad if file.kind == VIDEO]
     raise OutputError(
         f"{' and '.join(names)} in {bad[0].path.parent} {'is' if len(bad) == 1 else 'are'} not on "
         "the disk as written, and removed; check the disk or the network share, and run again with "
@@ -412,19 +371,14 @@ def _require_sound(checks: list[_Check]) -> None:
     )
 
 
-def _list_files(
-    targets: OutputPlan, frames: Iterable[FrameRecord]
-) -> Iterator[tuple[str, int | None, Path, bool]]:
-    """Yield kind, frame number and path of a run's files, and whether they have their own checksum.
-
-    A video with frames is not among them: it can be made from the frames at any time.
-    """
+def _list_files(targets: OutputPlan, frames: Iterable[FrameRecord]) -> Iterator[_RunFile]:
+    """Yield a run's files but for a video with frames, which can be made from these at any time."""
     for frame in frames:
         is_copy = frame.kind in (FrameKind.KEY, FrameKind.RENDERED)  # maybe byte for byte
         if targets.frames is not None:
             is_sealed = frame.resumed and not is_copy
-            yield FRAME, frame.number, targets.frames.path(frame.number), is_sealed
+            yield _RunFile(FRAME, frame.number, targets.frames.path(frame.number), is_sealed)
         if targets.holes is not None and frame.hole_fraction is not None:
-            yield HOLES, frame.number, targets.holes.path(frame.number), False
+            yield _RunFile(HOLES, frame.number, targets.holes.path(frame.number))
     if targets.frames is None and targets.video is not None:
-        yield VIDEO, None, targets.video, False
+        yield _RunFile(VIDEO, None, targets.video)

@@ -142,30 +142,27 @@ def truth_rate(
         shown = to_display(of_truth(truth_place))
         return float(np.abs(output(place).astype(np.int16) - shown).mean())
 
-    def error_share(rate: Fraction) -> float:
-        """Return the error at a rate as a share of that at one frame per frame."""
-        # Frames, far apart, that have a truth at one frame per frame and at this rate.
-        usable = [
-            p
-            for p in outputs
-            if p and p < truth and p * rate < truth and (p * rate).denominator == 1
-        ]
-        count = len(usable) - 1
-        places = sorted(
-            {usable[round(i * count / (ANCHORS - 1))] for i in range(ANCHORS) if usable}
-        )
-        usual = sum(error(place, place) for place in places)
-        if not usual:
-            return math.inf
-        return sum(error(place, int(place * rate)) for place in places) / usual
-
     rates = {Fraction(a, b) for a in range(1, MOST + 1) for b in range(1, MOST + 1)} - {1}
     # Those at which a true sequence of this length ends where the output does.
     fitting = [r for r in sorted(rates) if last * r + 1 <= truth <= math.ceil(count * r)]
+    shares = []  # errors at other rates, as shares of that at one frame per frame
     try:
-        share, rate = min((error_share(r), r) for r in fitting or USUAL)
+        for rate in fitting or USUAL:
+            # Frames, far apart, that have a truth at one frame per frame and at this rate.
+            usable = [
+                p
+                for p in outputs
+                if p and p < truth and p * rate < truth and (p * rate).denominator == 1
+            ]
+            steps = (len(usable) - 1) / (ANCHORS - 1)
+            places = sorted({usable[round(i * steps)] for i in range(ANCHORS) if usable})
+            usual = sum(error(place, place) for place in places)
+            if usual:
+                other = sum(error(place, int(place * rate)) for place in places)
+                shares.append((other / usual, rate))
     except (InputError, ValueError):  # it is said when the frame's turn comes
         return Fraction(1)
+    share, rate = min(shares, default=(math.inf, Fraction(1)))
     return rate if share < CLEAR else Fraction(1)
 
 

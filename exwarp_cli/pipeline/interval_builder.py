@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from exwarp_cli.domain.decision import Plan, Trial
-from exwarp_cli.domain.frame import (
-    SURFACE_PARTS,
-    Float32,
-    GBuffer,
-    KeyFrame,
-    Window,
-    nonfinite_pixels,
-    require_canvas,
-)
+from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, KeyFrame, Window, require_canvas
 from exwarp_cli.domain.network_api import (
     HISTORY_FRAMES,
     Extrapolator,
@@ -27,11 +20,12 @@ from exwarp_cli.domain.network_api import (
 from exwarp_cli.domain.tiles import TilePlan
 from exwarp_cli.domain.timeline import Slot, ranges
 from exwarp_cli.io.layers import LayerKind
-from exwarp_cli.pipeline.decide import Choice, make_selector, only_warps
+from exwarp_cli.io.shot import count_nonfinite
+from exwarp_cli.pipeline.decide import make_selector, only_warps
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.gate import Gate
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, ViewsReader
-from exwarp_cli.pipeline.key_frames import HistoryFrame, slots_back_to, without_surface
+from exwarp_cli.pipeline.key_frames import slots_back_to, without_surface
 from exwarp_cli.pipeline.rendered_frames import leads_on
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
@@ -62,7 +56,8 @@ class PreparedInterval:
     """A key interval whose slots can be rendered."""
 
     interval: Interval | None  # on one window; None where every slot of it is written
-    choice: Choice | None  # its path; None outside the decision tree
+    # The path that was decided, or one for each tile; None outside the decision tree.
+    plan: Plan | TilePlan | None
     existing: frozenset[Slot]  # slots that nothing makes: rendered, or written by an earlier run
     timing_ms: Mapping[str, float]  # milliseconds that all this took, by step: a slot's share
     broken: Mapping[int, int]  # how many pixels of the frames around are broken, by number
@@ -75,12 +70,44 @@ class PreparedInterval:
         """True if its network makes any of the slots."""
         return self.plan is not None and self.plan.extrapolates
 
-    @property
-    def plan(self) -> Plan | TilePlan | None:
-        """The path that was decided, or one for each tile."""
-        return None if self.choice is None else self.choice.plan
+
+@dataclass
+class MovingObjects:
+    """Decides which objects of a Cryptomatte move in an interval, where no option names them.
+
+    Decided once per interval: an object that counted as moving in one instant and as standing still
+    in the next would be a hole to itself. It is decided by what the interval reads anyway, so that
+    any part of a sequence comes to the same. What two intervals compare is compared once.
+    """
+
+    # By one or two instants with their windows (a key frame's data may fill less than its
+    # G-buffer), and the canvas.
+    _compared: dict[tuple[tuple[tuple[Slot, Window], ...], Window], Ids] = field(
+        default_factory=dict
+    )
+
+    def find(self, inputs: IntervalInputs, canvas: Window) -> Ids | None:
+        """Return the ids of what moves between any two instants of an interval.
+
+        None where there are no ids of what is shown. `canvas` is what the interval is built on.
+        """
+        instants = list(_instants(inputs))
+        if all(gbuffer.objects is None for _, gbuffer in instants):
+            return None
+        # Each instant with the one before it; one that is alone with none.
+        pairs: list[tuple[tuple[Slot, GBuffer], ...]] = [(instants[0],)]
+        if len(instants) > 1:
+            pairs = list(zip(instants[1:], instants, strict=False))
+        compared = {}
+        for pair in pairs:
+            place = tuple((slot, gbuffer.window) for slot, gbuffer in pair), canvas
+            ids = self._compared.get(place)
+            compared[place] = _moving_ids(canvas, *(g for _, g in pair)) if ids is None else ids
+        self._compared = compared
+        return frozenset().union(*compared.values())
 
 
+@dataclass
 class IntervalBuilder:
     """Builds intervals in order; what several of them share is settled once.
 
@@ -88,92 +115,47 @@ class IntervalBuilder:
     is shared goes by these, too.
     """
 
-    def __init__(
-        self,
-        display: Window,  # of all frames
-        network: Extrapolator | None = None,
-        interpolator: Interpolator | LookAheadNetwork | None = None,
-        estimated: bool = False,  # key frames come with estimated motion, which needs no settling
-        bare: bool = False,  # only motion and depth of key frames' settled geometry are used
-        scratch: ScratchFrames = IN_MEMORY,  # for large settled frames if a network extrapolates
-        linear: bool = False,  # colour is moved in linear light, as layers add up to it
-        back: int = 0,  # how many older key frames a later interval goes by, without a network
-    ) -> None:
-        self._display = display
-        self._network = network
-        self._interpolator = interpolator
-        self._estimated = estimated
-        self._bare = bare
-        self._scratch = scratch
-        self._linear = linear
-        self._back = back if network is None else HISTORY_FRAMES - 1
-        self._moving = MovingObjects()
-        self._frames: dict[FrameKey, KeyFrame] = {}
-        self._instants: dict[tuple[Slot, Basis], GBuffer] = {}
-        self._past: dict[FrameKey, OlderKeyFrame] = {}
-        self._without_surface: KeyFrame | None = None
+    display: Window  # of all frames
+    network: Extrapolator | None = None
+    interpolator: Interpolator | LookAheadNetwork | None = None
+    estimated: bool = False  # key frames come with estimated motion, which needs no settling
+    bare: bool = False  # only motion and depth of key frames' settled geometry are used
+    scratch: ScratchFrames = IN_MEMORY  # for large settled frames if a network extrapolates
+    linear: bool = False  # colour is moved in linear light, as layers add up to it
+    back: int = 0  # how many older key frames a later interval goes by, without a network
+    _moving: MovingObjects = field(default_factory=MovingObjects)
+    _frames: dict[FrameKey, KeyFrame] = field(default_factory=dict)
+    _instants: dict[tuple[Slot, Basis], GBuffer] = field(default_factory=dict)
+    _past: dict[FrameKey, OlderKeyFrame] = field(default_factory=dict)
 
     def build(self, inputs: IntervalInputs) -> Interval:
-        """Bring what was read onto one window: the display's and the data of the frames around.
+        """Bring what was read onto one window, and settle its motion.
 
-        Of a region of a picture, its own.
+        The window is the display's and the data of the frames around; of a region, its own. What
+        was built without history may be built again with it, before the next interval.
         """
         assert inputs.frame is not None
         window = inputs.frame.image.data_window
-        canvas = window
         if not inputs.region:
-            canvas = self._display.union(window)
-            if inputs.following is not None:
-                canvas = canvas.union(inputs.following.image.data_window)
-            for rendered in inputs.rendered.frames.values():
-                if rendered.leads:
-                    canvas = canvas.union(rendered.frame.image.data_window)
-        require_canvas(f"frame {inputs.frame.number} and the next one", canvas)
-        ids = self._moving.find(inputs, canvas)
-        return self._settle(with_stencils(inputs, ids), (canvas, ids))
-
-    def forget(self) -> None:
-        """Drop what was kept for later intervals."""
-        self._frames, self._past, self._instants = {}, {}, {}
-        self._without_surface = None
-
-    def add_history(self, interval: Interval, inputs: IntervalInputs) -> Interval:
-        """Return an interval with the history and surface that it was built without.
-
-        It is of the key setting, and no slot is rendered yet.
-        """
-        frame, settled = inputs.frame, interval.key.gbuffer
-        if frame is None or frame.gbuffer is None or settled is None:
-            return interval
-        window = interval.key.image.data_window
-        parts = {part: getattr(frame.gbuffer, part) for part in SURFACE_PARTS}
-        placed = GBuffer(frame.gbuffer.window, **parts).on(window)
-        surface = {part: getattr(placed, part) for part in SURFACE_PARTS}
-        key = replace(interval.key, gbuffer=replace(settled, **surface))
-        basis = window, None
-        # What leads back goes by all vectors of the key frame: those of the interval may lack some.
-        complete = self._without_surface
-        assert complete is not None and complete.gbuffer is not None
-        complete = replace(complete, gbuffer=replace(complete.gbuffer, **surface))
-        self._frames[inputs.key, basis, has_surface(complete)] = complete
-        return replace(interval, key=key, past=self._lead_back(inputs, complete, basis))
-
-    def _settle(self, inputs: IntervalInputs, basis: Basis) -> Interval:
-        """Settle what was read, on one window and with what moves as its stencil."""
+            leading = [each.frame for each in inputs.rendered.frames.values() if each.leads]
+            for frame in (inputs.following, *leading):
+                if frame is not None:
+                    window = window.union(frame.image.data_window)
+            window = window.union(self.display)
+        require_canvas(f"frame {inputs.frame.number} and the next one", window)
+        ids = self._moving.find(inputs, window)
+        inputs, basis = with_stencils(inputs, ids), (window, ids)
         assert inputs.frame is not None
-        window, _ = basis
         following = None
         if inputs.following is not None:
             following = self._frame(inputs.key + 1, inputs.following, basis)
         key = self._frame(inputs.key, inputs.frame, basis)
-        if inputs.lacks_history:
-            self._without_surface = key
         slots = tuple(
-            self._scratch.store(settle_motion(gbuffer.on(window))) for gbuffer in inputs.slots
+            self.scratch.store(settle_motion(gbuffer.on(window))) for gbuffer in inputs.slots
         )
         past = self._lead_back(inputs, key, basis)
         self._release_before(inputs, slots, basis)
-        if not (self._estimated or inputs.held or slots):
+        if not (self.estimated or inputs.held or slots):
             key, following = adapt_motion_to_holds(key, following, inputs.after_hold)
         # Frames of slots that were rendered after all, as far as they have motion.
         rendered = {
@@ -186,16 +168,16 @@ class IntervalBuilder:
             following,
             slots,
             past,
-            self._network,
-            self._interpolator,
+            self.network,
+            self.interpolator,
             inputs.times,
-            estimated=self._estimated,
+            estimated=self.estimated,
             keeps=bool(inputs.truth.frames),
             held=inputs.held,
             after_hold=inputs.after_hold,
-            scratch=self._scratch,
-            linear=self._linear,
-            display=self._display,
+            scratch=self.scratch,
+            linear=self.linear,
+            display=self.display,
             rendered=rendered,
         )
 
@@ -204,15 +186,22 @@ class IntervalBuilder:
         if placed.gbuffer is None:
             return placed
         settled = settle_motion(placed.gbuffer)
-        return replace(placed, gbuffer=settled.bare() if self._bare else settled)
+        return replace(placed, gbuffer=settled.bare() if self.bare else settled)
 
     def _frame(self, index: int, frame: KeyFrame, basis: Basis) -> KeyFrame:
         """Return a settled key frame; what was settled before is kept."""
-        if self._estimated:  # the flows of an interval are its own
+        if self.estimated:  # the flows of an interval are its own
             return frame.extended(basis[0])
         frame_key = index, basis, has_surface(frame)
         if frame_key not in self._frames:
-            self._frames[frame_key] = self._scratch.store(self._settle_frame(frame, basis[0]))
+            settled = self._frames.get((index, basis, False))
+            if settled is None or settled.gbuffer is None:
+                settled = self._settle_frame(frame, basis[0])
+            else:  # only its surface was read since; settling takes 0.7 s of a core at 1920x1080
+                surface = frame.extended(basis[0]).gbuffer
+                parts = {part: getattr(surface, part) for part in SURFACE_PARTS}
+                settled = replace(settled, gbuffer=replace(settled.gbuffer, **parts))
+            self._frames[frame_key] = self.scratch.store(settled)
         return self._frames[frame_key]
 
     def _lead_back(
@@ -220,11 +209,24 @@ class IntervalBuilder:
     ) -> tuple[OlderKeyFrame, ...]:
         """Return the key frames before, each with the motion that leads back to it."""
         steps: list[OlderKeyFrame] = []
-        newer = key
+        newer, window = key, basis[0]
         for index, older in zip(range(inputs.key - 1, -1, -1), inputs.history, strict=False):
             frame_key = index, basis, has_surface(older.frame)
             if frame_key not in self._past:
-                motion = self._scratch.store(self._motion_back(index, older, newer, basis))
+                if older.held:
+                    motion = np.zeros((*window.shape, 2), np.float32)
+                elif older.instants:
+                    slots = slots_back_to(index, len(older.instants) - 1)
+                    *way, (_, last) = zip(slots, older.instants, strict=True)
+                    settled = []
+                    for slot, gbuffer in way:
+                        kept = self._instants.get((slot, basis))
+                        settled.append(settle_motion(gbuffer.on(window)) if kept is None else kept)
+                    motion = span_motion([*settled, last.on(window)], -1)
+                else:
+                    assert newer.gbuffer is not None
+                    motion = displacement(newer.gbuffer, -1)
+                motion = self.scratch.store(motion)
                 frame = self._frame(index, older.frame, basis)
                 # Guessed is motion that is made of vectors to the key frame after `newer`.
                 leads = older.held or bool(older.instants)
@@ -235,36 +237,19 @@ class IntervalBuilder:
             newer = steps[-1].frame
         return tuple(steps)
 
-    def _motion_back(
-        self, index: int, older: HistoryFrame, newer: KeyFrame, basis: Basis
-    ) -> Float32:
-        """Return the motion, float32 [H, W, 2], from a key frame to the one before it."""
-        window, _ = basis
-        if older.held:
-            return np.zeros((*window.shape, 2), np.float32)
-        if not older.instants:
-            assert newer.gbuffer is not None
-            return displacement(newer.gbuffer, -1)
-        slots = slots_back_to(index, len(older.instants) - 1)
-        *way, (_, last) = zip(slots, older.instants, strict=True)
-        settled = []
-        for slot, gbuffer in way:
-            kept = self._instants.get((slot, basis))
-            settled.append(settle_motion(gbuffer.on(window)) if kept is None else kept)
-        return span_motion([*settled, last.on(window)], -1)
-
     def _release_before(
         self, inputs: IntervalInputs, slots: tuple[GBuffer, ...], basis: Basis
     ) -> None:
         """Drop what no later interval needs, and keep the slots' geometry that leads back."""
         key = inputs.key
         # Of frames without their surface, of which others are read late, warps go by the last.
-        oldest = {surface: key + 1 - self._back for surface in (False, True)}
+        back = self.back if self.network is None else HISTORY_FRAMES - 1
+        oldest = {surface: key + 1 - back for surface in (False, True)}
         if inputs.lacks_history:
             oldest[False] = key
         self._frames = {k: frame for k, frame in self._frames.items() if k[0] >= oldest[k[2]]}
         self._past = {k: past for k, past in self._past.items() if k[0] >= oldest[k[2]]}
-        if self._back:
+        if back:
             self._instants = {
                 (Slot(key, i), basis): without_surface(gbuffer)
                 for i, gbuffer in enumerate(slots, start=1)
@@ -272,30 +257,18 @@ class IntervalBuilder:
 
 
 class IntervalJudge:
-    """Decides how intervals of one method are made: by its gate, and by what selects their path."""
+    """What decides how intervals of a method are made: its gate, and what selects their path."""
 
     def __init__(self, job: Job, method: Method) -> None:
         source, self.method = job.source, method
-        self._selector = make_selector(method, source, job.policy, job.settings.spent)
+        self.selector = make_selector(method, source, job.policy, job.settings.spent)
         self.gate: Gate | None = None
         if job.is_gated:
-            trial_builder = IntervalBuilder(
-                source.keys.display, job.network, job.interpolator, source.estimated,
-                scratch=source.scratch,
+            make_builder = partial(
+                IntervalBuilder, source.keys.display, job.network, job.interpolator,
+                source.estimated, scratch=source.scratch,
             )  # fmt: skip
-            self.gate = Gate(method, trial_builder, source.keys.display)
-
-    def select_path(self, inputs: IntervalInputs, interval: Interval) -> Choice | None:
-        """Decide an interval's path; None where it is held, and nothing is to be decided.
-
-        A policy looks at it all the same.
-        """
-        if self._selector is None:
-            return None
-        if interval.held and self.method.judge is not DecisionSource.POLICY:
-            return None
-        choice = self._selector.select(inputs, interval)
-        return None if interval.held else choice
+            self.gate = Gate(method, make_builder, source.keys.display)
 
 
 class IntervalPreparer:
@@ -325,10 +298,7 @@ class IntervalPreparer:
     def prepare(self, inputs: IntervalInputs) -> tuple[PreparedInterval, IntervalInputs]:
         """Build an interval, and decide its path; return it with what is left of its inputs.
 
-        Raises
-        ------
-        InputError
-            When a file cannot be read that only extrapolation needs.
+        Raises InputError when a file cannot be read that only extrapolation needs.
         """
         slots = self._timeline.made_of(inputs.key)
         if inputs.frame is None:  # every slot of it is written
@@ -341,7 +311,7 @@ class IntervalPreparer:
             judge.gate.receive(inputs.trial)
         with record_time(timing_ms, "geometry", len(slots)):
             interval = replace(self._builder.build(inputs), chooser=self._job.chooser)
-        number, recipes = self._timeline.number, inputs.metadata.recipes
+        number, recipes = self._timeline.number, inputs.recipes
         existing = frozenset(
             slot
             for slot in slots
@@ -349,49 +319,37 @@ class IntervalPreparer:
             or self._writer.has(number(slot), recipes[slot.index])
         )
         has_missing = len(existing) < len(slots)
-        choice, trial = None, None
+        has_new = has_missing and not interval.held
+        plan, trial = None, None
         if judge is not self._judge and (inputs.rendered.frames or not interval.has_motion):
             judge = self._judge  # which warps
-        if has_missing and not interval.held:
-            trial = self._try_network(judge, inputs, timing_ms)
+        ends_shot = judge.method.lookahead and inputs.following is None
+        if has_new and not ends_shot and judge.gate is not None and inputs.trial is not None:
+            with record_time(timing_ms, "gate", len(slots)):
+                trial = judge.gate.decide(inputs.trial)
         # A policy looks at every interval: the states of later ones hold what it saw.
-        if slots and (has_missing or judge.method.judge is DecisionSource.POLICY):
-            choice = judge.select_path(inputs, interval)
+        looks = has_new or judge.method.judge is DecisionSource.POLICY
+        if judge.selector is not None and slots and looks:
+            choice = judge.selector(inputs, interval)
+            if not interval.held:
+                plan = choice.plan
+                timing_ms |= {step: ms / len(slots) for step, ms in choice.timing_ms.items()}
         if trial is not None and not trial.pays:
             interval = replace(interval, interpolator=None)
-            choice = None if choice is None else replace(choice, plan=only_warps(choice.plan))
-        if choice is not None:
-            timing_ms |= {step: ms / len(slots) for step, ms in choice.timing_ms.items()}
-        extrapolates = choice is not None and choice.plan.extrapolates
+            plan = None if plan is None else only_warps(plan)
+        extrapolates = plan is not None and plan.extrapolates
         if extrapolates and inputs.lacks_history:
-            interval, inputs = self._add_history(judge, interval, inputs)
+            # It is built again with what only extrapolation needs.
+            inputs = self._reader.leader.add_history(inputs)
+            builder = self._builder if judge is self._judge else self._last_builder
+            with record_time(timing_ms, "geometry", len(slots)):
+                interval = builder.build(inputs)
         elif not (extrapolates or inputs.slots or inputs.truth.frames or self._has_layers):
             interval = interval.bare()  # slots are warped from the key frame
         self._broken = count_broken(inputs, self._broken) if has_missing else {}
         parts = self._split(interval, inputs) if has_missing else {}
-        prepared = PreparedInterval(
-            interval, choice, existing, timing_ms, self._broken, trial, parts
-        )
+        prepared = PreparedInterval(interval, plan, existing, timing_ms, self._broken, trial, parts)
         return prepared, inputs.without_geometry()
-
-    def _add_history(
-        self, judge: IntervalJudge, interval: Interval, inputs: IntervalInputs
-    ) -> tuple[Interval, IntervalInputs]:
-        """Read what only extrapolation needs; return the interval with it, and its inputs."""
-        inputs = self._reader.add_history(inputs)
-        if judge is self._judge:
-            return self._builder.add_history(interval, inputs), inputs
-        return self._last_builder.build(inputs), inputs
-
-    def _try_network(
-        self, judge: IntervalJudge, inputs: IntervalInputs, timing_ms: dict[str, float]
-    ) -> Trial | None:
-        """Return what the gate decides by; None where no network would make the frames."""
-        ends_shot = judge.method.lookahead and inputs.following is None
-        if judge.gate is None or inputs.trial is None or ends_shot:
-            return None
-        with record_time(timing_ms, "gate", len(self._timeline.made_of(inputs.key))):
-            return judge.gate.decide(inputs.trial)
 
     def _split(self, interval: Interval, inputs: IntervalInputs) -> Mapping[int, SubSlot]:
         """Return how slots beside rendered frames are made, and say where these are of no use."""
@@ -438,53 +396,14 @@ def has_surface(frame: KeyFrame) -> bool:
 
 def count_broken(inputs: IntervalInputs, counted: Mapping[int, int]) -> dict[int, int]:
     """Count the pixels that are NaN or infinite, by frame; `counted` are counts of some frames."""
-    frames: Iterable[KeyFrame | None] = (
-        inputs.frame,
-        inputs.following,
-        *(older.frame for older in inputs.history),
-    )
     counts = {}
-    for frame in frames:
+    for frame in (inputs.frame, inputs.following, *(older.frame for older in inputs.history)):
         if frame is not None:
             count = counted.get(frame.number, frame.broken)
-            if count is None:
-                count = int(np.count_nonzero(nonfinite_pixels(frame.image.pixels)))
-            counts[frame.number] = count
+            counts[frame.number] = (
+                count_nonfinite((frame.image.pixels,)) if count is None else count
+            )
     return counts
-
-
-class MovingObjects:
-    """Decides which objects of a Cryptomatte move in an interval, where no option names them.
-
-    Decided once per interval: an object that counted as moving in one instant and as standing still
-    in the next would be a hole to itself. It is decided by what the interval reads anyway, so that
-    any part of a sequence comes to the same. What two intervals compare is compared once.
-    """
-
-    def __init__(self) -> None:
-        # By one or two instants with their windows (a key frame's data may fill less than its
-        # G-buffer), and the canvas.
-        self._compared: dict[tuple[tuple[tuple[Slot, Window], ...], Window], Ids] = {}
-
-    def find(self, inputs: IntervalInputs, canvas: Window) -> Ids | None:
-        """Return the ids of what moves between any two instants of an interval.
-
-        None where there are no ids of what is shown. `canvas` is what the interval is built on.
-        """
-        instants = list(_instants(inputs))
-        if all(gbuffer.objects is None for _, gbuffer in instants):
-            return None
-        # Each instant with the one before it; one that is alone with none.
-        pairs: list[tuple[tuple[Slot, GBuffer], ...]] = [(instants[0],)]
-        if len(instants) > 1:
-            pairs = list(zip(instants[1:], instants, strict=False))
-        compared = {}
-        for pair in pairs:
-            place = tuple((slot, gbuffer.window) for slot, gbuffer in pair), canvas
-            ids = self._compared.get(place)
-            compared[place] = _moving_ids(canvas, *(g for _, g in pair)) if ids is None else ids
-        self._compared = compared
-        return frozenset().union(*compared.values())
 
 
 def with_stencils(inputs: IntervalInputs, ids: Ids | None) -> IntervalInputs:
@@ -500,20 +419,7 @@ def with_stencils(inputs: IntervalInputs, ids: Ids | None) -> IntervalInputs:
             return gbuffer
         return replace(gbuffer, stencil=select_ids(gbuffer.objects, ids), objects=None)
 
-    def with_stencil(frame: KeyFrame) -> KeyFrame:
-        return frame if frame.gbuffer is None else replace(frame, gbuffer=marked(frame.gbuffer))
-
-    return replace(
-        inputs,
-        frame=None if inputs.frame is None else with_stencil(inputs.frame),
-        following=None if inputs.following is None else with_stencil(inputs.following),
-        slots=tuple(map(marked, inputs.slots)),
-        history=tuple(
-            HistoryFrame(with_stencil(older.frame), tuple(map(marked, older.instants)))
-            for older in inputs.history
-        ),
-        rendered=inputs.rendered.map_frames(with_stencil),
-    )
+    return inputs.map_geometry(marked)
 
 
 def _moving_ids(canvas: Window, now: GBuffer, before: GBuffer | None = None) -> Ids:

@@ -7,12 +7,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import takewhile
 
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import FACTOR, Cut, Slot
+from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.generated_frames import FrameTemplate
 from exwarp_cli.io.sequences import Sequence
@@ -20,14 +19,9 @@ from exwarp_cli.pipeline.extra_layers import Content, LayerFrames, LayerReader, 
 from exwarp_cli.pipeline.fingerprint import Fingerprinter
 from exwarp_cli.pipeline.gate import TrialInputs, TrialReader
 from exwarp_cli.pipeline.ground_truth import IntervalTruth, TruthReader
-from exwarp_cli.pipeline.key_frames import HistoryFrame, KeyFrameStore, Regions, reads_late
+from exwarp_cli.pipeline.key_frames import HistoryFrame, KeyFrameStore, is_opaque, reads_late
 from exwarp_cli.pipeline.output_plan import frame_suffix
-from exwarp_cli.pipeline.rendered_frames import (
-    IntervalRendered,
-    RenderedFrames,
-    RenderedReader,
-    leads_on,
-)
+from exwarp_cli.pipeline.rendered_frames import IntervalRendered, RenderedFrames, RenderedReader
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.shots import UnreadableFrames
 from exwarp_cli.pipeline.source import FrameOf, Source
@@ -57,22 +51,11 @@ class PolicyObservation:
 
 
 @dataclass(frozen=True)
-class FrameMetadata:
-    """What the files of an interval's frames say beside their pixels."""
-
-    template: FrameTemplate  # what generated frames take over from the key frame's file
-    recipes: dict[int, str] = field(default_factory=dict)  # fingerprint of each slot that is made
-    # Digest of the key frames' files on both sides, by input number; the next one only for
-    # look-ahead methods.
-    key_digests: dict[int, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class IntervalInputs:
     """One key interval as read: all that it needs."""
 
     key: int  # index of the key frame
-    metadata: FrameMetadata
+    template: FrameTemplate  # what generated frames take over from the key frame's file
     # The key frames on both sides; `following` only for look-ahead methods, and not across a cut.
     # None where every slot of the interval is written: nothing has to be computed.
     frame: KeyFrame | None = None
@@ -101,24 +84,38 @@ class IntervalInputs:
     held: bool = False
     after_hold: bool = False  # True if the key frame shows the same picture as the one before it
     trial: TrialInputs | None = None  # what the gate decides by
+    recipes: dict[int, str] = field(default_factory=dict)  # fingerprint of each slot that is made
+    # Digest of the key frames' files on both sides, by input number; the next one only for
+    # look-ahead methods.
+    key_digests: dict[int, str] = field(default_factory=dict)
     rendered: IntervalRendered = field(default_factory=IntervalRendered)
 
     def without_geometry(self) -> IntervalInputs:
         """Return the interval with the colour of its key frames alone, once it is built."""
-
         # With raw vectors and positions, a key frame takes three times the memory of its colour.
-        def colour(frame: KeyFrame) -> KeyFrame:
-            return replace(frame, gbuffer=None)
+        return replace(self.map_geometry(lambda _: None), observed=(), trial=None)
 
+    def map_geometry(self, change: Callable[[GBuffer], GBuffer | None]) -> IntervalInputs:
+        """Return the interval with other G-buffers; None leaves one out."""
+
+        def changed(frame: KeyFrame) -> KeyFrame:
+            return frame if frame.gbuffer is None else replace(frame, gbuffer=change(frame.gbuffer))
+
+        history = []
+        for past in self.history:
+            instants = tuple(g for g in map(change, past.instants) if g is not None)
+            history.append(HistoryFrame(changed(past.frame), instants, past.held))
+        rendered = {
+            slot: replace(each, frame=changed(each.frame))
+            for slot, each in self.rendered.frames.items()
+        }
         return replace(
             self,
-            frame=None if self.frame is None else colour(self.frame),
-            following=None if self.following is None else colour(self.following),
-            slots=(),
-            history=tuple(HistoryFrame(colour(past.frame), (), past.held) for past in self.history),
-            observed=(),
-            trial=None,
-            rendered=self.rendered.map_frames(colour),
+            frame=None if self.frame is None else changed(self.frame),
+            following=None if self.following is None else changed(self.following),
+            slots=tuple(g for g in map(change, self.slots) if g is not None),
+            history=tuple(history),
+            rendered=replace(self.rendered, frames=rendered),
         )
 
 
@@ -182,91 +179,71 @@ class IntervalReader:
             self.trials = leader.trials
             self.fingerprinter.share_digests(leader.fingerprinter)
         elif method.gated and settings.gate:
-            first = TrialReader(source, method, self.store, self._history, self._reads_late)
+            first = TrialReader(self.store, method.lookahead, self._history, self._reads_late)
             self.trials = (first,)
             if method.tail is not None:
                 history = partial(self._history, ahead=False)
-                last = TrialReader(source, method.tail, self.store, history, reads_late=True)
+                last = TrialReader(self.store, method.tail.lookahead, history, reads_late=True)
                 self.trials = first, last
         if keep_going:
             self.fingerprinter.reading = self.store.reading
-        self._regions = Regions(source.keys.display, self.store.get_window)
         self._layers = LayerReader(content) if content.extra else None
         if self._layers is not None:
-            self.store.read_with(self._layers.require)
+            self.store.companions.append(self._layers.read_key)
         self.rendered: RenderedReader | None = None
         if rendered is not None:
-            self.rendered = RenderedReader(
-                rendered, self._contents, source.written_fps, keep_going,
-                leads_on(source, method, self._contents),
-            )  # fmt: skip
+            self.rendered = RenderedReader(rendered, self._contents, method)
         # The key frames whose instants intervals brought along.
         self.observed_keys: frozenset[int] = frozenset()
 
     def read(self, key: int, needed: Needed = lambda key, recipes: True) -> IntervalInputs:
-        """Read an interval.
+        """Read an interval; raises InputError when a file cannot be used.
 
         `needed` is called before more is decoded than cuts are found by.
-
-        Raises
-        ------
-        InputError
-            When a file cannot be used.
         """
         timing_ms: dict[str, float] = {}
         with record_time(timing_ms, "read"):
             recipes = self.fingerprints(key)
             number = self._source.timeline.numbers[key]
-            metadata = FrameMetadata(template_of(self._contents, self._suffix, number), recipes)
+            inputs = IntervalInputs(
+                key,
+                template_of(self._contents, self._suffix, number),
+                recipes=recipes,
+                followed=self.store.is_followed(key),
+                rendered=self._read_rendered(key),
+            )
             if needed(key, recipes):
-                inputs = self._read_frames(key, metadata)
-            else:
-                inputs = IntervalInputs(
-                    key, metadata, followed=self.store.is_followed(key),
-                    rendered=self._read_rendered(key),
-                )  # fmt: skip
+                inputs = self._read_frames(inputs)
             self.release(key)
         return replace(inputs, read_ms=timing_ms["read"])
 
-    def _read_frames(self, key: int, metadata: FrameMetadata) -> IntervalInputs:
+    def _read_frames(self, inputs: IntervalInputs) -> IntervalInputs:
         """Read all that an interval's slots are made from."""
-        source, store = self._source, self.store
+        key, source, store = inputs.key, self._source, self.store
         lookahead = self._looks_ahead(key)
         frame = store.get_in_shot(key)
         following = store.get_in_shot(key + 1, before=True) if lookahead else None
-        region = self._regions.is_region(
-            key, frame.image, None if following is None else following.image
-        )
+        images = [each.image for each in (frame, following) if each is not None]
         slots = tuple(map(store.get_slot, store.slots_after(key)))
         lacks_history = self._reads_late or (self._method.tail is not None and not lookahead)
-        history = tuple(
-            HistoryFrame(store.get_in_shot(i), store.get_way_back(i), self.shots.repeats(i + 1))
-            for i in self._history(key)[: WARPED_BACK if lacks_history else None]
-        )
-        observed = self._observe(key)
+        history = store.get_history(self._history(key)[: WARPED_BACK if lacks_history else None])
         older_key = self._older_key(key, lookahead)
-        older = None if older_key is None else store.get_in_shot(older_key)
-        layers = None if self._layers is None else self._layers.read(key, lookahead, older_key)
-        truth = self.truth.read(key)
-        digests = self.fingerprinter.key_digests((key, key + 1) if lookahead else (key,))
-        inputs = IntervalInputs(
-            key,
-            replace(metadata, key_digests=digests),
-            frame,
-            following,
-            slots,
-            history,
-            lacks_history,
-            observed,
-            truth,
-            layers,
-            older,
+        inputs = replace(
+            inputs,
+            frame=frame,
+            following=following,
+            slots=slots,
+            history=history,
+            lacks_history=lacks_history,
+            observed=self._observe(key),
+            older=None if older_key is None else store.get_in_shot(older_key),
+            layers=None if self._layers is None else self._layers.read(key, lookahead, older_key),
+            truth=self.truth.read(key),
             times=tuple(float(source.timeline.time(s)) for s in source.timeline.between(key)),
-            followed=store.is_followed(key),
-            region=region,
+            region=store.is_steady(key) and all(map(is_opaque, images)),
             held=self._is_held(key),
             after_hold=self.shots.repeats(key),
-            rendered=self._read_rendered(key),
+            key_digests=self.fingerprinter.key_digests((key, key + 1) if lookahead else (key,)),
         )
         trials = self._trials_at(key)
         if trials is not None and self._contents[0].leads:
@@ -280,31 +257,27 @@ class IntervalReader:
     def add_history(self, inputs: IntervalInputs) -> IntervalInputs:
         """Return an interval with its older key frames, and the surface of its key frame.
 
-        Another thread may read the next interval meanwhile.
-
-        Raises
-        ------
-        InputError
-            When a file cannot be read.
+        Another thread may read the next interval meanwhile. Raises InputError when a file cannot be
+        read.
         """
         assert inputs.frame is not None
         # Look-ahead methods read no normals either.
         known = inputs.frame if self._method.tail is None else None
         frame = self.store.get_complete(inputs.key, known)
-        history = tuple(
-            HistoryFrame(self.store.get_complete(i), (), self.shots.repeats(i + 1))
-            for i in self._history(inputs.key)
-        )
+        history = self.store.get_history(self._history(inputs.key), complete=True)
         return replace(inputs, frame=frame, history=history, lacks_history=False)
 
-    def read_key(self, key: int) -> IntervalInputs:
-        """Read what a key frame is passed through by, and no more of its interval."""
-        timing_ms: dict[str, float] = {}
-        with record_time(timing_ms, "read"):
-            frame = replace(self.store.get(key), gbuffer=None)
-            number = self._source.timeline.numbers[key]
-            metadata = FrameMetadata(template_of(self._contents, self._suffix, number))
-        return IntervalInputs(key, metadata, frame, read_ms=timing_ms["read"])
+    def skip(self, key: int, reason: str) -> SkippedInterval:
+        """Skip an interval, but for its key frame if that can be read."""
+        passed, timing_ms = None, dict[str, float]()
+        with suppress(InputError):
+            with record_time(timing_ms, "read"):
+                frame = replace(self.store.get(key), gbuffer=None)
+                number = self._source.timeline.numbers[key]
+                template = template_of(self._contents, self._suffix, number)
+            passed = IntervalInputs(key, template, frame, read_ms=timing_ms["read"])
+        self.release(key)
+        return SkippedInterval(key, reason, passed)
 
     def read_observed(self, key: int) -> tuple[tuple[PolicyObservation, ...], tuple[GBuffer, ...]]:
         """Read what features of an interval come from: its instants, and its slots' G-buffers."""
@@ -315,8 +288,6 @@ class IntervalReader:
 
     def release(self, key: int) -> None:
         """Drop what no interval after this one needs, or not yet, as it was read to find cuts."""
-        if self._reads_late and key in self.observed_keys:
-            self.store.keep_shape(key)
         # A look-ahead method reads one again at a cut.
         is_last = key + 2 >= len(self._source.timeline.numbers)
         back = self._keys_back(self._method.lookahead and not is_last)
@@ -325,63 +296,49 @@ class IntervalReader:
         if self._layers is not None:
             self._layers.release_before(key)
             oldest = min(oldest, key) if self._contents[0].looks_back else oldest
-        self.store.release_before(oldest, key)
+        self.store.release_before(oldest, key, self._reads_late and key in self.observed_keys)
 
     def fingerprints(self, key: int) -> dict[int, str]:
         """Digest what the frame of each slot depends on, but for those that were rendered."""
-        lookahead = self._looks_ahead(key)
+        lookahead, history = self._looks_ahead(key), self._history(key)
+        extrapolates = self._method.at(lookahead).extrapolates
         keys = [key, *((key + 1,) if lookahead else ())]
+        instants: list[Slot] = []
         if self._source.estimated:  # key frames on both sides tell the motion of theirs
             if key and not self.shots.starts_at(key):
                 keys.append(key - 1)
             if lookahead and self.store.is_followed(key + 1):
                 keys.append(key + 2)
-            cuts = [*self.shots.cut_facts(key, 0, ()), f"flow {[index - key for index in keys]}"]
-            return self._digest(key, keys, [], cuts)
-        history = self._history(key)
-        keys += history
-        older = self._older_key(key, lookahead)
-        if older is not None and older not in keys:
-            keys.append(older)
-        observed_keys = self._observed_keys(key)
-        pairs = ((Slot(index, 0), self._instant_before(index)) for index in observed_keys)
-        instants = [slot for pair in pairs for slot in pair if slot is not None]
-        if self._observes:
-            back = OLDER_KEYS
-        else:  # fingerprints hold the files of a warp's history
-            extrapolates = self._method.at(lookahead).extrapolates
+            facts = [*self.shots.cut_facts(key, 0, ()), f"flow {[index - key for index in keys]}"]
+        else:
+            keys += history
+            older = self._older_key(key, lookahead)
+            if older is not None and older not in keys:
+                keys.append(older)
+            if self._source.slots is not None:
+                instants += [slot for i in (key, *history) for slot in self.store.slots_after(i)]
+            observed_keys = self._observed_keys(key)
+            pairs = ((Slot(index, 0), self._instant_before(index)) for index in observed_keys)
+            instants += [slot for pair in pairs for slot in pair if slot is not None]
+            # Fingerprints hold the files of a warp's history.
             back = self._keys_back(lookahead) if extrapolates else 0
-        back = max(back, int(older is not None))
-        cuts = self.shots.cut_facts(key, back, (*keys, *observed_keys))
-        if self._source.slots is not None:
-            slots_after = self.store.slots_after
-            way_back = (slot for i in history for slot in slots_after(i))
-            instants = [*slots_after(key), *way_back, *instants]
-        return self._digest(key, keys, instants, cuts)
-
-    def _digest(
-        self, key: int, keys: list[int], instants: list[Slot], cuts: list[str]
-    ) -> dict[int, str]:
-        """Digest what slots are made of, and what their gate goes by."""
-        surroundings = list(cuts)
-        if self._regions.is_steady(key):
-            surroundings.append("steady window")
+            back = max(OLDER_KEYS if self._observes else back, int(older is not None))
+            facts = self.shots.cut_facts(key, back, (*keys, *observed_keys))
+        if self.store.is_steady(key):
+            facts.append("steady window")
         if self._is_held(key):
-            surroundings.append("held")
-        later = {key, *(index + 1 for index in self._history(key))}
-        surroundings += [f"repeats {i - key}" for i in sorted(later) if self.shots.repeats(i)]
+            facts.append("held")
+        later = {key, *(index + 1 for index in history)}
+        facts += [f"repeats {i - key}" for i in sorted(later) if self.shots.repeats(i)]
         trials = self._trials_at(key)
         if trials is not None:
-            trial = trials.frames(key)
-            keys = [*keys, *(index for index in trial.keys if index not in keys)]
-            instants = [*instants, *trial.instants]
-            surroundings.append(trial.text)
+            trial_keys, trial_instants, text = trials.frames(key)
+            keys += [index for index in trial_keys if index not in keys]
+            instants += trial_instants
+            facts.append(text)
         rendered = self._read_rendered(key).frames
-        surroundings += [
-            f"rendered {i} {each.recipe}" for i, each in rendered.items() if each.leads
-        ]
-        extrapolates = self._method.at(self._looks_ahead(key)).extrapolates
-        recipes = self.fingerprinter.fingerprints(key, keys, instants, surroundings, extrapolates)
+        facts += [f"rendered {i} {each.recipe}" for i, each in rendered.items() if each.leads]
+        recipes = self.fingerprinter.fingerprints(key, keys, instants, facts, extrapolates)
         return {slot: recipe for slot, recipe in recipes.items() if slot not in rendered}
 
     def _read_rendered(self, key: int) -> IntervalRendered:
@@ -413,12 +370,11 @@ class IntervalReader:
         older = tuple(range(key - 1, self.shots.begin(key, back) - 1, -1))
         if self._source.slots is None:
             return older
-
-        def leads_back(index: int) -> bool:
+        for count, index in enumerate(older):
             slots = self.store.slots_after(index)
-            return bool(slots) and self.unreadable.all_readable(slots)
-
-        return tuple(takewhile(leads_back, older))
+            if not slots or self.unreadable.has(*slots):
+                return older[:count]
+        return older
 
     def _keys_back(self, looks_ahead: bool) -> int:
         """Return how many older key frames slots may depend on, along rendered motion."""
@@ -446,46 +402,22 @@ class IntervalReader:
         if key == 0 or self.shots.starts_at(key):
             return None
         before = Slot(key - 1, 0 if self._source.slots is None else FACTOR - 1)
-        return before if self.unreadable.all_readable((before,)) else None
+        return None if self.unreadable.has(before) else before
 
 
+@dataclass(frozen=True)
 class ViewsReader:
-    """Reads an interval of every view: the other views' are in `IntervalInputs.views`.
+    """Reads an interval of every view: the other views' are in `IntervalInputs.views`."""
 
-    The other views' readers were made with that leader.
-    """
-
-    def __init__(self, leader: IntervalReader, followers: tuple[IntervalReader, ...] = ()) -> None:
-        self._leader, self._followers = leader, followers
-
-    @property
-    def leading_recipes(self) -> Fingerprinter:
-        """What digests the frames of the view that decides."""
-        return self._leader.fingerprinter
-
-    @property
-    def cuts(self) -> tuple[Cut, ...] | None:
-        """The cuts that were met so far; None where none are looked for or given."""
-        return self._leader.shots.cuts
-
-    @property
-    def truth(self) -> TruthReader:
-        """What reads ground truth."""
-        return self._leader.truth
-
-    @property
-    def rendered(self) -> RenderedReader | None:
-        """What reads rendered frames; None without."""
-        return self._leader.rendered
+    leader: IntervalReader  # of the view that decides
+    followers: tuple[IntervalReader, ...] = ()  # of the others, made with that leader
 
     def read(self, key: int, needed: Needed) -> IntervalInputs | SkippedInterval:
         """Read an interval; see `IntervalReader.read`. A frame depends on all its views.
 
         Where frames may be unreadable it is read again when it meets one, without what lies behind.
         """
-        leader = self._leader
-        if not leader.unreadable.tolerant:
-            return self._read_all(key, needed)
+        leader = self.leader
         observed_keys = leader.observed_keys
         last_trials = [trials.last_read for trials in leader.trials]
         while True:
@@ -493,37 +425,27 @@ class ViewsReader:
             try:
                 return self._read_all(key, needed)
             except InputError as error:
+                if not leader.unreadable.tolerant:
+                    raise
                 # No interval brought along what this one did.
                 leader.observed_keys = observed_keys
                 for trials, last in zip(leader.trials, last_trials, strict=True):
                     trials.last_read = last
                 if len(leader.unreadable) == count:
-                    return self._skip(key, str(error))
-
-    def add_history(self, inputs: IntervalInputs) -> IntervalInputs:
-        """Return an interval with what extrapolation needs; see `IntervalReader.add_history`."""
-        return self._leader.add_history(inputs)
-
-    def _skip(self, key: int, reason: str) -> SkippedInterval:
-        """Skip an interval, but for its key frame if that can be read."""
-        passed = None
-        with suppress(InputError):
-            passed = self._leader.read_key(key)
-        for reader in (self._leader, *self._followers):
-            reader.release(key)
-        return SkippedInterval(key, reason, passed)
+                    for reader in self.followers:
+                        reader.release(key)
+                    return leader.skip(key, str(error))
 
     def _read_all(self, key: int, needed: Needed) -> IntervalInputs:
-        if not self._followers:
-            return self._leader.read(key, needed)
-        by_view = [reader.fingerprints(key) for reader in (self._leader, *self._followers)]
+        if not self.followers:
+            return self.leader.read(key, needed)
+        by_view = [reader.fingerprints(key) for reader in (self.leader, *self.followers)]
         recipes = {
             slot: hashlib.sha256(" ".join(view[slot] for view in by_view).encode()).hexdigest()
             for slot in by_view[0]
         }
-        inputs = self._leader.read(key, lambda index, _: needed(index, recipes))
+        inputs = self.leader.read(key, lambda index, _: needed(index, recipes))
         is_needed = inputs.frame is not None
-        views = tuple(reader.read(key, lambda *_: is_needed) for reader in self._followers)
+        views = tuple(reader.read(key, lambda *_: is_needed) for reader in self.followers)
         read_ms = inputs.read_ms + sum(view.read_ms for view in views)
-        metadata = replace(inputs.metadata, recipes=recipes)
-        return replace(inputs, metadata=metadata, views=views, read_ms=read_ms)
+        return replace(inputs, recipes=recipes, views=views, read_ms=read_ms)

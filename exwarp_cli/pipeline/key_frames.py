@@ -1,14 +1,10 @@
-"""Key frames of one view: read on demand by role, remembered, and dropped once per interval.
-
-Also what a data window smaller than the picture means, see `Regions`.
-"""
+"""Key frames of one view: read on demand by role, remembered, and dropped once per interval."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import cache
 
 from exwarp_cli.domain.frame import (
     SURFACE_PARTS,
@@ -76,27 +72,33 @@ class KeyFrameStore:
         self._keeps_slots = method.older_keys(method.lookahead) > 0
         self._keeps_shapes = keeps_shapes
         self._lookahead = method.lookahead
-        self._companions: list[Callable[[int], object]] = []
+        # What reads more with each key frame, where frames may be unreadable: a key frame counts
+        # as unreadable if its layers or its other views are.
+        self.companions: list[Callable[[int], object]] = []
         # The raw geometry is kept, too: without it a key frame had to be decoded again where the
         # window of the next interval differs.
         self._frames: dict[int, KeyFrame] = {}
         self._complete: dict[int, KeyFrame] = {}
         self._slots: dict[Slot, GBuffer] = {}
         self._shapes: dict[Slot, GBuffer] = {}
+        self._windows: dict[int, Window | None] = {}
         numbers, lossy = source.timeline.numbers, isinstance(source.keys.sequence, ClipSequence)
-        self.shots = Shots(source.cuts, numbers, self.get, unreadable, lossy)
+        shots = None if leader is None else leader.shots
+        self.shots: Shots = Shots(source.cuts, numbers, self.get, unreadable, lossy, shots)
         if leader is not None:
-            self.shots.follow(leader.shots)
-            leader.read_with(self.get)
+            leader.companions.append(self.get)
         self._estimates = None
         if source.estimated:
-            self._estimates = MotionEstimates(self._read_colour, len(numbers), unreadable.has)
+            self._estimates = MotionEstimates(
+                self._read_colour, len(numbers), lambda key: unreadable.has(Slot(key, 0))
+            )
         keys = source.keys
         # Cuts are found by the same channels whatever the method.
         self._normals_tell = bool(keys.aovs) or (
             source.cuts.detect and Role.POSITION not in keys.layout
         )
-        self._needs_normals = frames_need_normals(keys, method.extrapolates)
+        # Warps use them for Unreal's background alone, in sets of one file per AOV.
+        self._needs_normals = method.extrapolates or bool(keys.aovs)
         # What is read of key frames without slots' G-buffers. Methods without motion report holes
         # by the geometry. Networks need the surface, too.
         self._roles: tuple[Role, ...] = (Role.COLOUR,)
@@ -104,13 +106,6 @@ class KeyFrameStore:
             reads_normals = self._needs_normals or self._normals_tell
             self._roles += GEOMETRY if reads_normals else GEOMETRY_WITHOUT_NORMAL
             self._roles += SURFACE if method.extrapolates and not reads_late else ()
-
-    def read_with(self, read: Callable[[int], object]) -> None:
-        """Read more with each key frame, where frames may be unreadable.
-
-        A key frame counts as unreadable if its layers or its other views are.
-        """
-        self._companions.append(read)
 
     def get(self, key: int) -> KeyFrame:
         """Return a key frame as it was read; it is shown to the search for cuts.
@@ -121,7 +116,7 @@ class KeyFrameStore:
             with self.reading(Slot(key, 0)):
                 frame = self._read(key)
                 if self.unreadable.tolerant:
-                    for read in self._companions:
+                    for read in self.companions:
                         read(key)
             self._frames[key] = self.source.scratch.store(frame)
         return self._frames[key]
@@ -175,17 +170,22 @@ class KeyFrameStore:
             self._shapes[slot] = gbuffer.without(*SURFACE_PARTS)
         return gbuffer
 
-    def get_way_back(self, key: int) -> tuple[GBuffer, ...]:
-        """Return the slots' G-buffers, without surface, from the key frame after one back to it."""
-        if self.source.slots is None:
-            return ()
-        steps = self.source.timeline.steps
-        assert steps is not None  # slots have G-buffers where the factor is an integer
-        gbuffers = []
-        for slot in slots_back_to(key, steps):
-            kept = self._slots.get(slot)
-            gbuffers.append(without_surface(self.get_slot(slot)) if kept is None else kept)
-        return tuple(gbuffers)
+    def get_history(self, keys: Iterable[int], complete: bool = False) -> tuple[HistoryFrame, ...]:
+        """Return key frames before an interval's own; with their surface if `complete`.
+
+        Raises InputError when a file cannot be read.
+        """
+        history, get = [], self.get_complete if complete else self.get_in_shot
+        for key in keys:
+            frame, way_back = get(key), []
+            if self.source.slots is not None:
+                steps = self.source.timeline.steps
+                assert steps is not None  # slots have G-buffers where the factor is an integer
+                for slot in slots_back_to(key, steps):
+                    kept = self._slots.get(slot)
+                    way_back.append(without_surface(self.get_slot(slot)) if kept is None else kept)
+            history.append(HistoryFrame(frame, tuple(way_back), self.shots.repeats(key + 1)))
+        return tuple(history)
 
     def get_shape(self, slot: Slot) -> GBuffer:
         """Return the geometry of an instant with normals, which features are computed from."""
@@ -204,16 +204,42 @@ class KeyFrameStore:
             self._shapes[slot] = raw.settle(source.convention)
         return self._shapes[slot]
 
-    def get_window(self, key: int) -> Window | None:
+    def is_steady(self, key: int) -> bool:
+        """Return True if a key frame may show a region of a picture, by its data window.
+
+        A data window smaller than the display window means one of two things. Of an object that was
+        cropped to what it covers, nothing is around: it may move out of the window, and new frames
+        cover more. Of a picture of which only a region was rendered, something is around that no
+        file holds: what moves in over the edge is unknown, and new frames have the window of their
+        key frame.
+
+        A window is a region if its picture is opaque everywhere and a neighbouring key frame has
+        the same window; a single key frame has no neighbours that could contradict. Objects have
+        transparent pixels around them, or windows that go with them. So an opaque window that moves
+        with every key frame counts as an object's: a crop that follows something looks the same as
+        a card that fills its window. Only key frames next to the interval's own decide, so any part
+        of a sequence decides alike.
+        """
+        window = self._window(key)
+        if window is None or window.covers(self.source.keys.display):
+            return False
+        neighbours = [self._window(key - 1), self._window(key + 1)]
+        readable = [neighbour for neighbour in neighbours if neighbour is not None]
+        return window in readable or not readable
+
+    def _window(self, key: int) -> Window | None:
         """Return the data window of a key frame's colour; None where none can be read."""
         numbers, keys = self.source.timeline.numbers, self.source.keys
         if is_plain(keys.sequence) or not 0 <= key < len(numbers):
             return None
-        if key in self._frames:
-            return self._frames[key].image.data_window
-        with suppress(InputError):
-            return colour_window(keys, numbers[key])
-        return None
+        if key not in self._windows:
+            self._windows[key] = None
+            if key in self._frames:
+                self._windows[key] = self._frames[key].image.data_window
+            else:
+                with suppress(InputError):
+                    self._windows[key] = colour_window(keys, numbers[key])
+        return self._windows[key]
 
     def is_followed(self, key: int) -> bool:
         """Return True if a key frame of the same shot comes after one."""
@@ -225,19 +251,16 @@ class KeyFrameStore:
         slots = self.source.timeline.between(key)
         return slots if all(self.source.slot_number(slot) is not None for slot in slots) else ()
 
-    def keep_shape(self, key: int) -> None:
-        """Remember of a key frame what the features of the next one are found by."""
-        frame = self._frames.get(key)
-        if frame is not None and frame.gbuffer is not None:
-            g = frame.gbuffer
-            self._shapes[Slot(key, 0)] = GBuffer(g.window, g.depth, g.normal, g.position)
-
-    def release_before(self, oldest: int, key: int) -> None:
+    def release_before(self, oldest: int, key: int, keeps_shape: bool) -> None:
         """Drop what no interval after one needs, or not yet, as it was read to find cuts.
 
         `oldest` is the first key frame that the next interval needs, `key` the interval that was
-        read last.
+        read last. With `keeps_shape`, what the features of the next one are found by stays.
         """
+        frame = self._frames.get(key)
+        if keeps_shape and frame is not None and frame.gbuffer is not None:
+            g = frame.gbuffer
+            self._shapes[Slot(key, 0)] = GBuffer(g.window, g.depth, g.normal, g.position)
         self._frames = {i: f for i, f in self._frames.items() if oldest <= i <= key + 1}
         self._slots = {slot: g for slot, g in self._slots.items() if slot.key >= oldest}
         self._shapes = {slot: shape for slot, shape in self._shapes.items() if slot.key >= key}
@@ -292,12 +315,6 @@ class KeyFrameStore:
         if frame.gbuffer is None:
             return frame
         return replace(frame, gbuffer=self.shots.within(key, frame.gbuffer))
-
-
-def frames_need_normals(shot: Shot, extrapolates: bool) -> bool:
-    """Return True if frames are made by key frames' normals."""
-    # Warps use them for Unreal's background alone, in sets of one file per AOV.
-    return extrapolates or bool(shot.aovs)
 
 
 def reads_late(shot: Shot, method: Method) -> bool:
@@ -407,50 +424,6 @@ class MotionEstimates:
             )
             self._flows[first] = to_next, to_previous
         return self._flows[first][0 if first == key else 1]
-
-
-class Regions:
-    """Which key frames, by index, show a region of a picture.
-
-    A data window smaller than the display window means one of two things. Of an object that was
-    cropped to what it covers, nothing is around: it may move out of the window, and new frames
-    cover more. Of a picture of which only a region was rendered, something is around that no
-    file holds: what moves in over the edge is unknown, and new frames have the window of their
-    key frame.
-
-    A window is a region if its picture is opaque everywhere and a neighbouring key frame has
-    the same window. Objects have transparent pixels around them, or windows that go with them.
-    So an opaque window that moves with every key frame counts as an object's: a crop that
-    follows something looks the same as a card that fills its window. Only key frames next to
-    the interval's own decide, so any part of a sequence decides alike.
-
-    `window_of` returns the data window of a key frame's colour; None where there is no such frame,
-    or it cannot be read.
-    """
-
-    def __init__(self, display: Window, window_of: Callable[[int], Window | None]) -> None:
-        self._display = display
-        self._window_of = cache(window_of)
-
-    def is_steady(self, key: int) -> bool:
-        """Return True if a window does not cover the display, and a neighbour's is the same.
-
-        A single key frame has no neighbours that could contradict.
-        """
-        window = self._window_of(key)
-        if window is None or window.covers(self._display):
-            return False
-        neighbours = [self._window_of(key - 1), self._window_of(key + 1)]
-        readable = [neighbour for neighbour in neighbours if neighbour is not None]
-        return window in readable or not readable
-
-    def is_region(self, key: int, image: Image, following: Image | None) -> bool:
-        """Return True if the slots after a key frame show a region.
-
-        `image` is its colour, `following` that of the next key frame where slots are made of it.
-        """
-        images = [image] if following is None else [image, following]
-        return self.is_steady(key) and all(map(is_opaque, images))
 
 
 def is_opaque(image: Image) -> bool:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from fractions import Fraction
-from functools import cached_property
 from pathlib import Path
 
 from exwarp_cli import __version__
@@ -22,7 +20,7 @@ from exwarp_cli.io.footage import digest_frame, find_frames, is_plain, read_key_
 from exwarp_cli.io.frames import read_raw
 from exwarp_cli.io.generated_frames import FileState, find_authorship
 from exwarp_cli.io.sequences import EXR, FramePattern, Sequence, find_sequence
-from exwarp_cli.io.shot import NonFinite, Shot, count_nonfinite, require_sound
+from exwarp_cli.io.shot import Shot, count_nonfinite, require_sound
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.extra_layers import Content, LayerStore
@@ -40,10 +38,6 @@ class RenderedFrames:
 
     sequence: Sequence  # their files by output number; no others
     note: str  # says which frames are used, and which are not
-
-    def has(self, number: int) -> bool:
-        """Return True if an output frame was rendered."""
-        return number in self.sequence.files
 
     def require_apart(self, frames: FramePattern | None) -> None:
         """Refuse to write over the rendered frames themselves; raises OutputError."""
@@ -110,17 +104,12 @@ class RenderedFrame:
     path: Path
     frame: KeyFrame  # its colour; and its geometry as read, where that leads to slots around it
     recipe: str  # fingerprint of its written file
+    broken: int  # how many pixels of its colour are NaN or infinite
 
     @property
     def leads(self) -> bool:
         """True if its vectors may lead to the slots around it."""
         return self.frame.gbuffer is not None and self.frame.gbuffer.has_motion
-
-    @cached_property
-    def broken(self) -> int:
-        """How many pixels of its colour are NaN or infinite."""
-        counted = self.frame.broken
-        return count_nonfinite((self.frame.image.pixels,)) if counted is None else counted
 
 
 @dataclass(frozen=True)
@@ -131,11 +120,6 @@ class IntervalRendered:
     # Why further ones cannot be used; these slots are generated.
     unusable: Mapping[int, str] = field(default_factory=dict)
 
-    def map_frames(self, change: Callable[[KeyFrame], KeyFrame]) -> IntervalRendered:
-        """Return the same with changed frames."""
-        frames = {i: replace(each, frame=change(each.frame)) for i, each in self.frames.items()}
-        return replace(self, frames=frames)
-
 
 class RenderedReader:
     """Reads rendered frames, interval by interval."""
@@ -144,50 +128,40 @@ class RenderedReader:
         self,
         rendered: RenderedFrames,
         contents: tuple[Content, ...],  # of every view: a rendered frame must have all of it
-        rate: Fraction | None,  # that headers get; None where it is not known
-        tolerant: bool = False,  # whether to generate frames whose rendered ones cannot be used
-        leads: bool = False,  # whether slots around are made from them, too; see `leads_on`
+        method: Method,  # says whether slots around are made from them, too
     ) -> None:
-        source = contents[0].source
-        self._convention = source.convention
-        self._timeline = source.timeline
-        self._plain = is_plain(source.keys.sequence)
-        self._leads = leads
+        self._source = source = contents[0].source
+        self._leads = leads_on(source, method, contents)
         self._sequence = rendered.sequence
-        self._rate = rate
-        self._tolerant = tolerant
         self._shots = [
             replace(content.source.keys, sequence=rendered.sequence, aovs={})
             for content in contents
         ]
         pairs = zip(self._shots, contents, strict=True)
         self._layers = [LayerStore(shot, content.extra) for shot, content in pairs]
+        # What was found in the frames by output number, of each view.
+        self.nonfinite = {shot.view: shot.nonfinite for shot in self._shots}
         self._last_key: int | None = None
         self._last = IntervalRendered()
-
-    @property
-    def nonfinite(self) -> dict[str, NonFinite]:
-        """What was found in the frames by output number, of each view."""
-        return {shot.view: shot.nonfinite for shot in self._shots}
 
     def read(self, key: int) -> IntervalRendered:
         """Read those of an interval, by the index of its key frame; the last one is kept.
 
-        Raises InputError when a frame cannot be used, unless tolerant.
+        Raises InputError when a frame cannot be used, unless such frames are to be generated.
         """
         if self._last_key == key:
             return self._last
         frames: dict[int, RenderedFrame] = {}
         unusable: dict[int, str] = {}
-        for slot in self._timeline.made_of(key):
-            number = self._timeline.number(slot)
+        for slot in self._source.timeline.made_of(key):
+            number = self._source.timeline.number(slot)
             if number not in self._sequence.files:
                 continue
             try:
                 frames[slot.index] = self._read_frame(slot, number)
             except InputError as error:
                 problem = f"frame {number} of --rendered cannot be used: {error}"
-                if not self._tolerant:
+                if not self._source.keys.keep_going:
                     raise type(error)(problem) from error
                 unusable[slot.index] = problem
         self._last_key, self._last = key, IntervalRendered(frames, unusable)
@@ -212,18 +186,21 @@ class RenderedReader:
             layers.frame(number)
             layers.keep(())
         digest = digest_frame(self._sequence, number)
-        facts = [__version__, FrameKind.RENDERED.value, digest, str(self._rate)]
+        facts = [__version__, FrameKind.RENDERED.value, digest, str(self._source.written_fps)]
         text = json.dumps([*facts, slot.key, slot.index])
-        return RenderedFrame(path, frames[0], hashlib.sha256(text.encode()).hexdigest())
+        recipe, broken = hashlib.sha256(text.encode()).hexdigest(), frames[0].broken
+        if broken is None:
+            broken = count_nonfinite((frames[0].image.pixels,))
+        return RenderedFrame(path, frames[0], recipe, broken)
 
     def _read_as_key(self, shot: Shot, number: int) -> KeyFrame:
         """Read a frame as if it were a key frame; raises InputError where that fails."""
-        if self._plain:
+        if is_plain(self._source.keys.sequence):
             return KeyFrame(number, read_key_picture(shot, number), None)
         if self._leads:
             with suppress(LayoutError):  # a frame without geometry takes its place all the same
                 raw = read_raw(shot, number, (Role.COLOUR, *GEOMETRY_WITHOUT_NORMAL), objects=True)
-                return raw.key(self._convention)
+                return raw.key(self._source.convention)
         return replace(read_raw(shot, number, (Role.COLOUR,)).key(None), gbuffer=None)
 
 

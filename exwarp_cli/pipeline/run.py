@@ -18,15 +18,14 @@ from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunOutcom
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
-from exwarp_cli.io.exr.writer import PREFIX
 from exwarp_cli.io.footage import read_sequence_picture
+from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.fingerprint import key_fingerprint
 from exwarp_cli.pipeline.frame_writer import (
     FRAMES_BEHIND,
     FrameWriter,
-    Sums,
     files_of,
     verify,
     verify_video,
@@ -44,16 +43,15 @@ from exwarp_cli.pipeline.messages import announce_skipped, skipped_interval, ski
 from exwarp_cli.pipeline.output_plan import is_video_kept, video_fingerprint, video_look, video_note
 from exwarp_cli.pipeline.progress import FrameListener, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.scheduling import (
-    Mode,
     ParallelSlots,
-    mode,
+    fits_pool,
     prefetch,
     read_depth,
     record_time,
     use_threads,
 )
 from exwarp_cli.pipeline.scoring import IntervalScores, KeyedPulses, broken_pixels_of
-from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_attribute, rounded
+from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, header_attributes
 from exwarp_cli.runtime.cores import hold_cores
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.runtime.stop import check_stop
@@ -72,10 +70,7 @@ def upsample(
 ) -> RunSummary:
     """Write the slots of the selected key frames; return what was written and how good it is.
 
-    Raises
-    ------
-    ExwarpError
-        For anything that a user can cause; frames written until then are complete.
+    Raises ExwarpError for anything that a user can cause; frames written until then are complete.
     """
     return run_job(open_job(settings), progress or Progress(), listener)
 
@@ -102,47 +97,34 @@ def write_intervals(
     """Do the work of a job whose folders exist, in this thread.
 
     The caller starts and finishes `progress`, and has planned `listener`. The outcome has no frames
-    for a video alone that existed as this run would make it.
-
-    Raises
-    ------
-    OutputError
-        When files are not on the disk as they were written, where that is verified.
+    for a video alone that existed as this run would make it. Raises OutputError when files are not
+    on the disk as they were written, where that is verified.
     """
-    settings = job.settings
+    settings, targets = job.settings, job.targets
     use_threads(settings.threads)
     reader = make_reader(job)
+    leader = reader.leader
     try:
         note = ""
-        if job.targets.frames is None:
-            note = video_fingerprint(reader.leading_recipes, settings, job.keys, job.rendered)
-        if listener is None and is_video_kept(job.targets, settings, note):
-            return RunOutcome(cuts=reader.cuts)
+        if targets.frames is None:
+            note = video_fingerprint(leader.fingerprinter, settings, job.keys, job.rendered)
+        if listener is None and is_video_kept(targets, settings, note):
+            return RunOutcome(cuts=leader.shots.cuts)
         run = Run(job, reader, note, progress, listener)
         with hold_cores():
             frames = run.render_all()
-        outcome = RunOutcome(
-            frames,
-            reader.cuts,
-            tuple(run.left_out),
-            nonfinite=broken_pixels_of(job, reader.truth.nonfinite, reader.rendered),
-        )
-        if job.sums and frames:
-            outcome = _with_checksums(outcome, job, run.writer.sums)
-        return outcome
+        broken = broken_pixels_of(job, leader.truth.nonfinite, leader.rendered)
+        outcome = RunOutcome(frames, leader.shots.cuts, tuple(run.left_out), nonfinite=broken)
+        if not (job.sums and frames):
+            return outcome
+        files, verified = files_of(targets, frames, run.writer.sums), None
+        if settings.verify:
+            verified = verify(targets, frames, files, job.source.keys.view, outcome.shown)
+            if targets.frames is not None and targets.video is not None:
+                verify_video(targets.video, outcome.shown)
+        return replace(outcome, files=files, verified=verified)
     finally:
         job.close()
-
-
-def _with_checksums(outcome: RunOutcome, job: Job, sums: Sums) -> RunOutcome:
-    """Add checksums of the files to an outcome, and read these back, where that is asked."""
-    files = files_of(job.targets, outcome.frames, sums)
-    count = None
-    if job.settings.verify:
-        count = verify(job.targets, outcome.frames, files, job.source.keys.view, outcome.shown)
-        if job.targets.frames is not None and job.targets.video is not None:
-            verify_video(job.targets.video, outcome.shown)
-    return replace(outcome, files=files, verified=count)
 
 
 class Run:
@@ -213,11 +195,15 @@ class Run:
         return not all(self.writer.has(number(Slot(key, i)), recipes[i]) for i in recipes)
 
     def _render_interval(self, inputs: IntervalInputs | SkippedInterval) -> None:
-        """Render an interval's frames, or skip them."""
         if isinstance(inputs, SkippedInterval):
             self._skip(inputs)
             return
-        self._note_window(inputs)
+        if inputs.frame is not None and inputs.region not in self._noted_windows:
+            # How windows smaller than the display window are read is said once each way.
+            note = window_note(inputs.frame.image, inputs.region)
+            if note is not None:
+                self._noted_windows.add(inputs.region)
+                self._progress.message(note)
         try:
             prepared, inputs = self._preparer.prepare(inputs)
         except InputError as error:  # of what only extrapolation needs
@@ -230,7 +216,10 @@ class Run:
         ):
             self.left_out.append(problem)
             announce_skipped(self._progress, problem)
-        self._pass_key(inputs)
+        if self._pulses is not None:
+            self._pulses.add_key(inputs.key, self._key_image(inputs), inputs.followed)
+        if self._timeline.shows(inputs.key):
+            self._write_key(inputs)
         self._render_slots(prepared, inputs)
 
     def _render_slots(self, prepared: PreparedInterval, inputs: IntervalInputs) -> None:
@@ -242,11 +231,11 @@ class Run:
         if interval is not None and inputs.truth.frames:
             measured = self._job.settings.measured
             scores = IntervalScores(interval, self._display, measured, inputs.followed)
-        how = mode(
+        in_pool = fits_pool(
             prepared, self._job.method, self._display.pixels, self._layers.any, self._slots.workers
         )
-        render = partial(self._renderer.render, prepared, inputs, in_pool=how is Mode.IN_POOL)
-        in_order = self._slots.render(render, missing, how)
+        render = partial(self._renderer.render, prepared, inputs, in_pool=in_pool)
+        in_order = self._slots.render(render, missing, in_pool)
         first_record = len(self._records)
         for slot in slots:
             # Handed on at once: a variable would hold a frame while the next is rendered.
@@ -262,17 +251,24 @@ class Run:
                 interval.forget(slot.index - 1 if prepared.extrapolates else slot.index)
             check_stop()
         if scores is not None:
-            self._complete_scores(first_record, inputs, scores)
+            # What takes all frames of the interval is added to their scores.
+            timing_ms: dict[str, float] = {}
+            with record_time(timing_ms, "score", len(inputs.truth.frames)):
+                ends = {
+                    slot: i.on(i.display_window).pixels for slot, i in inputs.truth.ends.items()
+                }
+                complete = scores.complete(ends)
+            for index, record in enumerate(self._records[first_record:], start=first_record):
+                if record.slot in complete:
+                    overall, holes = complete[record.slot]
+                    elapsed = {"score": record.timing_ms["score"] + timing_ms["score"]}
+                    self._records[index] = replace(
+                        record,
+                        score=overall,
+                        hole_score=holes,
+                        timing_ms=record.timing_ms | elapsed,
+                    )
         self._layers.begin(inputs, None)
-
-    def _note_window(self, inputs: IntervalInputs) -> None:
-        """Say how windows smaller than the display window are read, once each way."""
-        if inputs.frame is None or inputs.region in self._noted_windows:
-            return
-        note = window_note(inputs.frame.image, inputs.region)
-        if note is not None:
-            self._noted_windows.add(inputs.region)
-            self._progress.message(note)
 
     def _skip(self, skipped: SkippedInterval) -> None:
         """Pass the key frame through if it can be read, and record what is missing."""
@@ -289,18 +285,6 @@ class Run:
             number = self._timeline.number(slot)
             self._progress.advance(number, "left out", kind_of(slot.index), made=False)
 
-    def _pass_key(self, inputs: IntervalInputs) -> None:
-        """Pass the key frame through, if it is shown, and keep how sharp it is."""
-        is_shown = self._timeline.shows(inputs.key)
-        path = self._source.keys.sequence.files[self._timeline.numbers[inputs.key]]
-        if is_shown and self.writer.copies(path):
-            # Before any frame that is made of a new render, the copy of an earlier one is replaced.
-            self.writer.replace_key(self._timeline.number(Slot(inputs.key, 0)), path)
-        if self._pulses is not None:
-            self._pulses.add_key(inputs.key, self._key_image(inputs), inputs.followed)
-        if is_shown:
-            self._write_key(inputs)
-
     def _write_key(self, inputs: IntervalInputs) -> None:
         """Copy the key frame's file, or write what it decodes to, and record it."""
         source, writer = self._source, self.writer
@@ -309,28 +293,29 @@ class Run:
         path = source.keys.sequence.files[number]
         replaced = writer.is_in_the_way(output)
         if writer.copies(path):
-            resumed = writer.pass_key(output, path)
-        elif not writer.keeps_frames:
+            resumed = writer.has_copy(output, path)
+            if not resumed:
+                writer.pass_frame(output, path)
+        elif writer.output.frames is None:
             resumed = False
         else:
             recipe = key_fingerprint(source.keys, number, source.written_fps)
             resumed = writer.has(output, recipe, masked=False)
             if not resumed:
-                attributes = {
-                    **rate_attribute(source),
-                    f"{PREFIX}version": __version__,
-                    f"{PREFIX}kind": FrameKind.KEY.value,
-                    f"{PREFIX}key": number,
-                    f"{PREFIX}recipe": recipe,
+                facts: dict[str, str | int] = {
+                    "version": __version__,
+                    "kind": FrameKind.KEY.value,
+                    "key": number,
+                    "recipe": recipe,
                 }
-                image = self._key_image(inputs)
-                writer.write_decoded(output, image, inputs.metadata.template, attributes)
+                attributes, image = header_attributes(source, facts), self._key_image(inputs)
+                writer.write_decoded(output, image, inputs.template, attributes)
         record = FrameRecord(
             output, writer.name(output), number, 0, FrameKind.KEY, "key", (number,),
             resumed=resumed,
             replaced=replaced and not resumed,
             timing_ms={} if resumed else {"read": inputs.read_ms},
-            render=inputs.metadata.template.render,
+            render=inputs.template.render,
         )  # fmt: skip
         self._records.append(record)
         self._show(RenderedSlot(record), inputs)
@@ -346,7 +331,6 @@ class Run:
     def _record(
         self, rendered: RenderedSlot, inputs: IntervalInputs, scores: IntervalScores | None
     ) -> None:
-        """Score, record and show a slot's frame."""
         record, image = rendered.record, rendered.image
         if self._pulses is not None and rendered.gradient is not None:
             self._pulses.add(record.number, Slot(inputs.key, record.slot), rendered.gradient)
@@ -369,7 +353,7 @@ class Run:
         record, writer, listener = rendered.record, self.writer, self._listener
         if listener is not None and not listener.wants(record.number, record.score, record.risk):
             listener = None
-        if listener is None and not writer.shows:
+        if listener is None and writer.output.video is None:
             return
         is_key = record.kind is FrameKind.KEY
         if is_key:
@@ -379,7 +363,8 @@ class Run:
         elif rendered.rounded:
             image = rendered.image
         else:
-            image = rounded(rendered.image, inputs.metadata.template)
+            image, template = rendered.image, inputs.template
+            image = replace(image, pixels=quantise_picture(image.pixels, template))
         if listener is not None:
             truth = inputs.truth.frames.get(record.slot)
             listener.frame(
@@ -390,23 +375,6 @@ class Run:
                 is_key=is_key,
             )
         writer.show(image)
-
-    def _complete_scores(self, first: int, inputs: IntervalInputs, scores: IntervalScores) -> None:
-        """Add what takes all frames of an interval to its scores; `first` is its first record."""
-        timing_ms: dict[str, float] = {}
-        with record_time(timing_ms, "score", len(inputs.truth.frames)):
-            ends = {slot: i.on(i.display_window).pixels for slot, i in inputs.truth.ends.items()}
-            complete = scores.complete(ends)
-        for index, record in enumerate(self._records[first:], start=first):
-            if record.slot in complete:
-                overall, holes = complete[record.slot]
-                elapsed = record.timing_ms["score"] + timing_ms["score"]
-                self._records[index] = replace(
-                    record,
-                    score=overall,
-                    hole_score=holes,
-                    timing_ms=record.timing_ms | {"score": elapsed},
-                )
 
 
 def make_reader(job: Job) -> ViewsReader:
@@ -435,7 +403,7 @@ def make_writer(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> FrameW
         job.targets,
         keys.display,
         job.source.output_fps,
-        job.source.written_fps,
+        None if job.targets.keeps_bytes else job.source.written_fps,
         keys.view,
         behind,
         video_look(job.source, job.keys, note or video_note(job.settings)),

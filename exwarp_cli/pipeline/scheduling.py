@@ -15,7 +15,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
-from enum import Enum
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
@@ -55,20 +54,13 @@ def _limit_kernel_threads() -> None:
     _row_bands.set_threads(cores.spare_count)
 
 
-class Mode(Enum):
-    """How the slots of an interval are rendered."""
-
-    # One after the other, by all threads together; files are written behind.
-    IN_LINE = "in line"
-
-    # Several at a time, each by a share of the threads, which write the file as well.
-    IN_POOL = "in a pool"
-
-
-def mode(
+def fits_pool(
     prepared: PreparedInterval, method: Method, pixels: int, has_layers: bool, workers: int
-) -> Mode:
-    """Decide how the slots of an interval are rendered.
+) -> bool:
+    """Return True if the slots of an interval are rendered several at a time, in a pool.
+
+    Each is rendered by a share of the threads then, which write the file as well. Otherwise all
+    threads together render one after the other, and files are written behind.
 
     `pixels` is of a frame: in a pool several slots are in memory at a time. `has_layers` says
     whether more than the beauty is written: layers of a slot are made in order. `workers` are the
@@ -82,7 +74,7 @@ def mode(
     only_warps = not (prepared.extrapolates or method.interpolates or method.finds_flow)
     # Slots with G-buffers are led along those before.
     independent = interval is not None and not interval.slots
-    return Mode.IN_POOL if fits and only_warps and independent else Mode.IN_LINE
+    return fits and only_warps and independent
 
 
 def read_depth(pixels: int) -> int:
@@ -146,12 +138,12 @@ class ParallelSlots(AbstractContextManager["ParallelSlots"]):
             with release_cores():
                 self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def render(self, render: Callable[[S], T], slots: Iterable[S], how: Mode) -> Iterator[T]:
+    def render(self, render: Callable[[S], T], slots: Iterable[S], in_pool: bool) -> Iterator[T]:
         """Yield what `render` returns for each slot, in their order.
 
         An error of a slot is raised where its result is due.
         """
-        if how is Mode.IN_LINE:
+        if not in_pool:
             yield from map(render, slots)
             return
         if self._pool is None:

@@ -62,13 +62,9 @@ class UnreadableFrames:
             self._reasons[slot] = str(error)  # without what its traceback holds
             raise InputError(self._reasons[slot]) from _RecordedError()
 
-    def has(self, key: int) -> bool:
-        """Return True if a key frame, by its index, is recorded."""
-        return Slot(key, 0) in self._reasons
-
-    def all_readable(self, slots: Iterable[Slot]) -> bool:
-        """Return True if no frame of these slots is recorded."""
-        return not any(slot in self._reasons for slot in slots)
+    def has(self, *slots: Slot) -> bool:
+        """Return True if the frame of any of these slots is recorded."""
+        return any(slot in self._reasons for slot in slots)
 
 
 class Shots:
@@ -88,6 +84,8 @@ class Shots:
         # Key frames that cannot be read: shots end before them, and begin after them.
         unreadable: UnreadableFrames | None = None,
         lossy: bool = False,  # True if a lossy codec may have changed pictures that are repeated
+        # Of the view that tells where shots begin: all views are cut and held alike.
+        leader: Shots | None = None,
     ) -> None:
         self._wish = wish
         self._numbers = numbers
@@ -101,13 +99,10 @@ class Shots:
         self._repeats: dict[int, bool] = {}
         self._changes: dict[int, PictureChange] = {}
         self._leaps: dict[int, _Leap | None] = {}
-        self._leader: Shots | None = None
-        self._followers: list[Shots] = []
-
-    def follow(self, leader: Shots) -> None:
-        """Let another view tell where shots begin: all views are cut and held alike."""
         self._leader = leader
-        leader._followers.append(self)
+        self._followers: list[Shots] = []
+        if leader is not None:
+            leader._followers.append(self)
 
     @property
     def cuts(self) -> tuple[Cut, ...] | None:
@@ -130,8 +125,8 @@ class Shots:
         if self._leader is not None:
             return self._leader.starts_at(key)
         inside = 0 < key < len(self._numbers)
-        beside_unreadable = self._unreadable.has(key) or self._unreadable.has(key - 1)
-        if beside_unreadable and key not in self._given:
+        is_beside_hole = self._unreadable.has(Slot(key - 1, 0), Slot(key, 0))
+        if is_beside_hole and key not in self._given:
             return inside
         if key not in self._starts:
             is_start = inside and key in self._given

@@ -50,8 +50,8 @@ def inputs(index: int, setting: str, **changes: Any) -> IntervalInputs:
         HistoryFrame(raw_key(j, setting), way_back(j) if setting == "slot" else ())
         for j in range(index - 1, max(index - 3, -1), -1)
     )
-    metadata: Any = None
-    read = IntervalInputs(index, metadata, raw_key(index, setting), None, slots, history)
+    template: Any = None
+    read = IntervalInputs(index, template, raw_key(index, setting), None, slots, history)
     return replace(read, **changes)
 
 
@@ -151,7 +151,7 @@ def test_a_following_frame_is_kept_for_its_own_interval(settled):
 
 
 @pytest.mark.parametrize("extrapolated", spread([(), (0,), (1,), (0, 1, 2)], 3))
-def test_an_interval_that_is_completed_is_one_that_was_read_whole(extrapolated):
+def test_an_interval_that_is_completed_is_one_that_was_read_whole(extrapolated, settled):
     """Whichever before it were completed; what no interval has a use for is not kept."""
 
     def surfaced(frame: KeyFrame | None) -> KeyFrame:
@@ -171,13 +171,16 @@ def test_an_interval_that_is_completed_is_one_that_was_read_whole(extrapolated):
 
     builder = IntervalBuilder(DISPLAY, Filled())
     for index in range(3):
-        made = builder.build(bare(index))
+        builder.build(bare(index))
         if index in extrapolated:
-            builder.add_history(made, whole(index))
+            builder.build(whole(index))
     made = builder.build(bare(3))
     assert len(made.past) == 1 and made.past[0].frame.gbuffer.albedo is None
     assert {index for index, *_ in builder._frames} <= {3, *extrapolated}
-    found = builder.add_history(made, whole(3))
+    before = len(settled)
+    found = builder.build(whole(3))
+    # The key frame's own motion is settled already.
+    assert len(settled) - before == 2 - (2 in extrapolated)
     expected = IntervalBuilder(DISPLAY, Filled()).build(whole(3))
     assert len(found.past) == 2
     for one, other in zip(

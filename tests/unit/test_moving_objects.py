@@ -64,9 +64,9 @@ def inputs(
     of = (lambda _: BOX) if idents is None else idents
     slots = [shown(index + i / 4, 0.25, of(index)) for i in (1, 2, 3) if setting == "slot"]
     past = [older(i, setting, of(i)) for i in range(index - 1, max(index - 1 - back, -1), -1)]
-    metadata: Any = None
+    template: Any = None
     frame = key(index, setting, of(index))
-    read = IntervalInputs(index, metadata, frame, None, tuple(slots), tuple(past))
+    read = IntervalInputs(index, template, frame, None, tuple(slots), tuple(past))
     return replace(read, **changes)
 
 
@@ -158,6 +158,13 @@ class TestBuilt:
             np.testing.assert_array_equal(frame.gbuffer.stencil, view(time).gbuffer().stencil)
         for i, slot in enumerate(found.slots, start=1):
             np.testing.assert_array_equal(slot.stencil, view(2 + i / 4).gbuffer().stencil)
+
+    def test_nothing_moved_between_equal_pictures(self):
+        read = inputs(2, "key")
+        newer, oldest = read.history
+        history = (replace(newer, held=True), oldest)
+        past = IntervalBuilder(DISPLAY, Filled()).build(replace(read, history=history)).past
+        assert not past[0].motion.any() and np.abs(past[1].motion).max() > 1
 
     @SETTINGS
     def test_what_moved_before_does_not_count_later(self, setting):

@@ -14,14 +14,12 @@ import pytest
 from exwarp_cli.domain.decision import Plan
 from exwarp_cli.errors import InputError
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.pipeline.decide import Choice
 from exwarp_cli.pipeline.interval_builder import PreparedInterval
 from exwarp_cli.pipeline.scheduling import (
     MAX_PIXELS_AHEAD,
     AsyncWriter,
-    Mode,
     ParallelSlots,
-    mode,
+    fits_pool,
     prefetch,
     read_depth,
 )
@@ -210,9 +208,9 @@ class TestParallelSlots:
         yield
         _row_bands.set_threads(None)
 
-    @pytest.mark.parametrize("how", Mode)
+    @pytest.mark.parametrize("in_pool", [False, True])
     @pytest.mark.parametrize("name", ["s6", "softsplat"])
-    def test_frames_are_those_made_in_order(self, key, how, name):
+    def test_frames_are_those_made_in_order(self, key, in_pool, name):
         interval = Interval(key, key_frame(2, size=(40, 60)))
         predict = METHODS[name].predict
         expected = [predict(interval, slot).pixels for slot in (1, 2, 3)]
@@ -222,7 +220,7 @@ class TestParallelSlots:
             return predict(interval, slot).pixels
 
         with ParallelSlots(2, 3) as slots:
-            rendered = list(slots.render(render, (1, 2, 3), how))
+            rendered = list(slots.render(render, (1, 2, 3), in_pool))
         for pixels, other in zip(rendered, expected, strict=True):
             np.testing.assert_array_equal(pixels, other)
 
@@ -235,7 +233,7 @@ class TestParallelSlots:
             return 10 * slot
 
         with ParallelSlots(2, 3) as slots:
-            stream = slots.render(render, (1, 2, 3), Mode.IN_POOL)
+            stream = slots.render(render, (1, 2, 3), in_pool=True)
             taking = threading.Thread(target=lambda: order.extend(stream))
             taking.start()
             assert arrived.acquire(timeout=SOON) and arrived.acquire(timeout=SOON)
@@ -249,7 +247,7 @@ class TestParallelSlots:
         shares: list[int] = []
         monkeypatch.setattr(_row_bands, "set_threads", shares.append)
         with ParallelSlots(threads, slots) as pool:
-            rendered = pool.render(lambda slot: slot, range(slots), Mode.IN_POOL)
+            rendered = pool.render(lambda slot: slot, range(slots), in_pool=True)
             assert list(rendered) == list(range(slots))
         assert shares and set(shares) == {share}
 
@@ -264,7 +262,7 @@ class TestParallelSlots:
             return slot
 
         with ParallelSlots(2, 3) as slots:
-            stream = slots.render(render, (1, 2), Mode.IN_POOL)
+            stream = slots.render(render, (1, 2), in_pool=True)
             taking = threading.Thread(target=lambda: order.extend(stream))
             taking.start()
             assert arrived.acquire(timeout=SOON) and arrived.acquire(timeout=SOON)
@@ -274,45 +272,45 @@ class TestParallelSlots:
         assert order == [1, 2] and cores.spare_count() == 3
         assert _row_bands.threads() == min(3, numba.config.NUMBA_NUM_THREADS)
 
-    @pytest.mark.parametrize("how", Mode)
-    def test_an_error_comes_where_its_slot_is_due(self, how):
+    @pytest.mark.parametrize("in_pool", [False, True])
+    def test_an_error_comes_where_its_slot_is_due(self, in_pool):
         def render(slot: int) -> int:
             if slot == 2:
                 raise ValueError(f"slot {slot}")
             return slot
 
         with ParallelSlots(2, 2) as slots:
-            rendered = slots.render(render, (1, 2), how)
+            rendered = slots.render(render, (1, 2), in_pool)
             assert next(rendered) == 1
             with pytest.raises(ValueError, match="slot 2"):
                 next(rendered)
 
 
-class TestMode:
+class TestPool:
     """Slots are rendered in a pool where each is warped by itself, and memory permits."""
 
     SMALL = 1920 * 1080
 
-    def mode(self, key: Any, method: str = "causal", path: str | None = None, **more: Any) -> Mode:
-        choice = None if path is None else Choice(Plan.fixed(path))
+    def fits(self, key: Any, method: str = "causal", path: str | None = None, **more: Any) -> bool:
+        plan = None if path is None else Plan.fixed(path)
         slots = more.pop("slots", ())
-        prepared = PreparedInterval(Interval(key, None, slots), choice, frozenset(), {}, {})
+        prepared = PreparedInterval(Interval(key, None, slots), plan, frozenset(), {}, {})
         given = {"pixels": self.SMALL, "has_layers": False, "workers": 2} | more
-        return mode(prepared, METHODS[method], **given)
+        return fits_pool(prepared, METHODS[method], **given)
 
     @pytest.mark.parametrize(
         ("method", "path"),
         [("s6", "S6"), ("blend", None), ("causal", "S6"), ("causal", None)],
     )
     def test_warps_go_to_the_pool(self, key, method, path):
-        assert self.mode(key, method, path) is Mode.IN_POOL
+        assert self.fits(key, method, path)
 
     @pytest.mark.parametrize(
         ("method", "path"),
         [("causal", "S1"), ("s3", "S3"), ("s5", "S5"), ("onnx", None), ("softsplat", None)],
     )
     def test_networks_optical_flow_and_other_paths_do_not(self, key, method, path):
-        assert self.mode(key, method, path) is Mode.IN_LINE
+        assert not self.fits(key, method, path)
 
     def test_nor_do_layers_g_buffers_of_slots_large_frames_or_a_single_thread(self, key):
         buffers = (key.gbuffer,) * 3
@@ -320,7 +318,7 @@ class TestMode:
             {"has_layers": True}, {"slots": buffers}, {"workers": 1},
             {"pixels": MAX_PIXELS_AHEAD + 1},
         ):  # fmt: skip
-            assert self.mode(key, "s6", "S6", **more) is Mode.IN_LINE
+            assert not self.fits(key, "s6", "S6", **more)
 
     def test_large_frames_are_not_read_ahead(self):
         assert read_depth(self.SMALL) == 1 and read_depth(3840 * 2160) == 0

@@ -38,10 +38,15 @@ def frame(key: int, cut: int | None = CUT, **vectors: np.ndarray) -> KeyFrame:
 class Footage:
     """Key frames, and which of them were read."""
 
-    def __init__(self, wish: CutOption, made: Callable[[int], KeyFrame] = frame) -> None:
+    def __init__(
+        self,
+        wish: CutOption,
+        made: Callable[[int], KeyFrame] = frame,
+        leader: Shots | None = None,
+    ) -> None:
         self.seen: list[int] = []
         self._made = made
-        self.shots = Shots(wish, NUMBERS, self.read)
+        self.shots = Shots(wish, NUMBERS, self.read, leader=leader)
 
     def read(self, key: int) -> None:
         self.seen.append(key)
@@ -95,8 +100,8 @@ class TestStarts:
         assert footage.seen == [CUT - 1, CUT, CUT, CUT + 1]
 
     def test_other_views_follow(self):
-        leader, other = Footage(AUTO), Footage(AUTO, lambda key: frame(key, None))
-        other.shots.follow(leader.shots)
+        leader = Footage(AUTO)
+        other = Footage(AUTO, lambda key: frame(key, None), leader.shots)
         assert other.shots.starts_at(CUT)
         assert other.seen == []
 

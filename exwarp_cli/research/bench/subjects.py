@@ -334,7 +334,7 @@ class OpenedSubject:
 
     def frames(self, inputs: IntervalInputs, interval: Interval) -> SystemFrames:
         """Return what systems show, as files would hold it."""
-        canvas, template = interval.key.image.data_window, inputs.metadata.template
+        canvas, template = interval.key.image.data_window, inputs.template
 
         def finish(pixels: Float32) -> Float32:
             return place_on_canvas(quantise_picture(pixels, template), canvas, self.display)
