@@ -9,7 +9,7 @@ again, with a flipped axis 68 %, with anything else under 18 %), else depth and 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -136,21 +136,31 @@ def _without_vanishing(guess: MotionConvention, pairs: Pairs) -> MotionConventio
     moving = np.concatenate(
         [frame.motion[frame.moving & frame.usable] for pair in pairs for frame in pair]
     )
-
-    def usable(axes: AxisMap | None) -> AxisMap | None:
-        if axes is None or not len(moving):
-            return axes
+    kept = {}
+    for way, axes in (("to_previous", guess.to_previous), ("to_next", guess.to_next)):
+        if axes is None or not len(moving) or np.nan_to_num(axes.apply(moving)).any():
+            continue
         plain = replace(axes, length=None, alpha=None)
-        vanishes = not np.nan_to_num(axes.apply(moving)).any()
-        return plain if vanishes and np.nan_to_num(plain.apply(moving)).any() else axes
+        if np.nan_to_num(plain.apply(moving)).any():
+            kept[way] = plain
+    return replace(guess, **kept)
 
-    return replace(guess, to_previous=usable(guess.to_previous), to_next=usable(guess.to_next))
+
+def _maps(convention: MotionConvention | None) -> dict[Key, AxisMap]:
+    """Return the maps of a convention, by the channels that they read and their direction."""
+    maps: dict[Key, AxisMap] = {}
+    if convention is not None:
+        for axes, later in ((convention.to_previous, False), (convention.to_next, True)):
+            if axes is not None:
+                x, y = sorted((axes.x_channel, axes.y_channel))
+                maps[(x, y), later] = axes
+    return maps
 
 
 def _convention_error(convention: MotionConvention, measured: dict[Key, Evidence]) -> float:
     """Return the mean error of a convention, by those directions that can be measured."""
-    named = {key: _named(key, convention) for key in measured}
-    errors = [measured[key].error(axes) for key, axes in named.items() if axes is not None]
+    maps = _maps(convention)
+    errors = [measured[key].error(maps[key]) for key in measured if key in maps]
     return float(np.mean(errors)) if errors else math.inf
 
 
@@ -162,12 +172,12 @@ def _measure(
     presets: Mapping[str, MotionConvention],
 ) -> MotionFinding:
     """Find the convention of those channels that hold vectors; see `calibrate`."""
-    kept = set(channel_pairs(names))
     written = {key[0] for key, evidence in measured.items() if not evidence.empty}
-    if written and written != kept:
-        kept = written
-        measured = {key: evidence for key, evidence in measured.items() if key[0] in kept}
-        guess = _restrict(guess, kept)
+    lost = [pair for pair in channel_pairs(names) if written and pair not in written]
+    if lost:
+        measured = {key: evidence for key, evidence in measured.items() if key[0] in written}
+        maps = {key[1]: axes for key, axes in _maps(guess).items() if key[0] in written}
+        guess = MotionConvention(maps.get(False), maps.get(True)) if maps else None
     with ThreadPoolExecutor(min(threads(), len(measured)), "exwarp-measure") as executor:
         each = executor.map(Evidence.ranked, measured.values())
         ranked = dict(zip(measured, each, strict=True))
@@ -183,41 +193,34 @@ def _measure(
         for each in (verdict.convention, guess)
     )
     finding = verdict.finding(names, frames, (fits[0], fits[1]))
-    lost = [f"{names[x]},{names[y]}" for x, y in channel_pairs(names) if (x, y) not in kept]
     if not lost:
         return finding
-    evidence = f"{finding.evidence}; {' and '.join(lost)} hold no vectors and are left out"
+    listed = " and ".join(f"{names[x]},{names[y]}" for x, y in lost)
+    evidence = f"{finding.evidence}; {listed} hold no vectors and are left out"
     return replace(finding, evidence=evidence, clear=False)
-
-
-def _restrict(
-    guess: MotionConvention | None, kept: Collection[tuple[int, int]]
-) -> MotionConvention | None:
-    """Return what the names say of some pairs of channels alone; None where that is nothing."""
-    if guess is None:
-        return None
-    before, after = (
-        axes if axes is not None and _key(axes, False)[0] in kept else None
-        for axes in (guess.to_previous, guess.to_next)
-    )
-    if before is None and after is None:
-        return None
-    return replace(guess, to_previous=before, to_next=after)
 
 
 def _judge(
     ranked: Ranked, measured: dict[Key, Evidence], guess: MotionConvention | None
 ) -> _Verdict:
     """Choose among ranked candidates of every key."""
-    option = _assign_directions(ranked, measured, guess)
+    named = _maps(guess)
+    # The ways to have channels lead to the previous and to the next frame. Where a frame has no
+    # vectors, there is nothing to assign.
+    pairs = sorted({channels for channels, _ in ranked})
+    both = [
+        [(channels, later != bool(i)) for i, channels in enumerate(pairs)]
+        for later in (False, True)
+    ]
+    options = list(filter(None, (tuple(key for key in keys if key in ranked) for keys in both)))
+    option = _assign_directions(options, ranked, measured, named)
     chosen = {key: ranked[key][0] for key in option}
     for key, (least, _) in chosen.items():
-        named = _named(key, guess)
-        if named is not None:
-            error = measured[key].error(named)
+        if key in named:
+            error = measured[key].error(named[key])
             if error <= least * TIE_RATIO + TIE_FLOOR:  # no other is clearly better
-                chosen[key] = error, named
-    turned = [[ranked[key][0][0] for key in o] for o in _options(ranked) if o != option]
+                chosen[key] = error, named[key]
+    turned = [[ranked[key][0][0] for key in o] for o in options if o != option]
     joint = rank_jointly(ranked, measured, chosen)
     if joint:
         chosen, rival = joint
@@ -228,11 +231,9 @@ def _judge(
             for key, best in maps.items()
         )
     untried: dict[Key, AxisMap] = {}
-    if guess is not None and all(_named(key, guess) == axes for key, axes in maps.items()):
+    if all(named.get(key) == axes for key, axes in maps.items()):
         # Some programs write no vectors in the first frame, or in the last.
-        for axes, later in ((guess.to_previous, False), (guess.to_next, True)):
-            if axes is not None and _key(axes, later) not in measured:
-                untried[_key(axes, later)] = axes
+        untried = {key: axes for key, axes in named.items() if key not in measured}
     return _Verdict(
         measured,
         guess,
@@ -253,20 +254,14 @@ def _fitting_preset(
 ) -> str:
     """Return the preset that reads vectors as a convention does; "" without."""
 
-    def same(a: AxisMap | None, b: AxisMap | None, later: bool) -> bool:
-        if a is None or b is None or a == b:
-            return a == b
-        key = _key(a, later)
-        return key == _key(b, later) and key in measured and not measured[key].differ(a, b)
-
-    channels = len(next(iter(measured.values())).raw[0])
-    fits = [
-        name
-        for name, preset in presets.items()
-        if preset.count <= channels
-        and same(preset.to_previous, convention.to_previous, False)
-        and same(preset.to_next, convention.to_next, True)
-    ]
+    channels, maps = len(next(iter(measured.values())).raw[0]), _maps(convention)
+    fits = []
+    for name, preset in presets.items():
+        own = _maps(preset)
+        if preset.count <= channels and own.keys() == maps.keys():
+            apart = [key for key, axes in own.items() if axes != maps[key]]
+            if all(k in measured and not measured[k].differ(own[k], maps[k]) for k in apart):
+                fits.append(name)
     # Many programs write alike: the shortest of their names is as good as any.
     return min(fits, key=len, default="")
 
@@ -406,62 +401,30 @@ def _untested(guess: MotionConvention | None, reason: str) -> MotionFinding:
 
 
 def _assign_directions(
-    ranked: Ranked, measured: dict[Key, Evidence], guess: MotionConvention | None
+    options: Sequence[tuple[Key, ...]],
+    ranked: Ranked,
+    measured: dict[Key, Evidence],
+    named: dict[Key, AxisMap],
 ) -> tuple[Key, ...]:
     """Decide which channels lead to the previous and which to the next frame."""
     # Of each option the mean error, each pair of channels by its best reading.
-    least = {
-        option: float(np.mean([ranked[key][0][0] for key in option])) for option in _options(ranked)
-    }
+    least = {option: float(np.mean([ranked[key][0][0] for key in option])) for option in options}
     directions = len({channels for channels, _ in ranked})
     most = min(least.values()) * TIE_RATIO + TIE_FLOOR / directions
+    as_named = set()
+    for key in ranked.keys() & named.keys():
+        (error, best), axes = ranked[key][0], named[key]
+        # At an even speed, vectors to one frame are those to the other reversed. So a direction is
+        # no better for being named when the signs are not as named.
+        if _signs(axes) == _signs(best) or measured[key].error(axes) <= (
+            error * TIE_RATIO + TIE_FLOOR
+        ):
+            as_named.add(key)
     for option, error in least.items():
-        is_named = all(_is_as_named(ranked[key], measured[key], guess) for key in option)
-        if is_named and error <= most:
+        if error <= most and as_named.issuperset(option):
             return option
     return min(least, key=least.__getitem__)
 
 
-def _options(ranked: Ranked) -> list[tuple[Key, ...]]:
-    """Return the ways to have channels lead to the previous and to the next frame."""
-    pairs = sorted({channels for channels, _ in ranked})
-    both = [
-        [(channels, later != bool(i)) for i, channels in enumerate(pairs)]
-        for later in (False, True)
-    ]
-    # Where a frame has no vectors, there is nothing to assign.
-    return list(filter(None, (tuple(key for key in keys if key in ranked) for keys in both)))
-
-
-def _is_as_named(
-    ranked: list[tuple[float, AxisMap]], evidence: Evidence, guess: MotionConvention | None
-) -> bool:
-    """Whether the guess holds for these channels in this direction, or does but for its scale.
-
-    At an even speed, vectors to one frame are those to the other reversed. So a direction is no
-    better for being named when the signs are not as named.
-    """
-    named = _named((evidence.channels, evidence.later), guess)
-    if named is None:
-        return False
-    error, best = ranked[0]
-    return _signs(named) == _signs(best) or evidence.error(named) <= error * TIE_RATIO + TIE_FLOOR
-
-
 def _signs(axis_map: AxisMap) -> tuple[int, bool, bool]:
     return axis_map.x_channel, axis_map.x_scale > 0, axis_map.y_scale > 0
-
-
-def _key(axis_map: AxisMap, later: bool) -> Key:
-    x, y = sorted((axis_map.x_channel, axis_map.y_channel))
-    return (x, y), later
-
-
-def _named(key: Key, guess: MotionConvention | None) -> AxisMap | None:
-    """Return the guessed map of these channels in this direction."""
-    if guess is None:
-        return None
-    axes = guess.to_next if key[1] else guess.to_previous
-    if axes is None or {axes.x_channel, axes.y_channel} != set(key[0]):
-        return None
-    return axes
