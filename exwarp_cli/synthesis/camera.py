@@ -11,7 +11,7 @@ the sky, whose vectors are 0 even while the camera turns.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,9 +22,6 @@ from exwarp_cli.kernels import projection
 
 Index = npt.NDArray[np.intp]
 F64 = npt.NDArray[np.float64]
-
-# Returns the displacement, float32 [N, 2] pixels, of the pixels with N flat indices.
-MotionAt = Callable[[Index], Float32]
 
 # Points that a camera is fitted to, and how many pixels are examined for each.
 MAX_SAMPLES, GRID = 4000, 5
@@ -132,14 +129,10 @@ def camera_after(
 
     In the scene's own world; None if no camera explains the motion.
     """
-    return camera_by(scene, vectors.reshape(-1, 2).__getitem__, stencil)
-
-
-def camera_by(scene: Scene, motion_at: MotionAt, stencil: Int32 | None) -> Camera | None:
-    """Recover a camera as `camera_after` does, from the motion of its sampled points alone."""
     index = sample_surfaces(scene.depth, stencil)
     pixels = pixels_at(index, scene.depth.shape[1])
-    return fit(scene.points(index), pixels + motion_at(index), movers=stencil is None)
+    ends = pixels + vectors.reshape(-1, 2)[index]
+    return fit(scene.points(index), ends, movers=stencil is None)
 
 
 def cameras_around(

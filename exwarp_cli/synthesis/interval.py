@@ -25,9 +25,9 @@ from exwarp_cli.synthesis.camera import F64, Scene, scene_of
 from exwarp_cli.synthesis.extrapolation import Prepared, prepare
 from exwarp_cli.synthesis.history import (
     HistorySamples,
-    KeyHistory,
     OlderKeyFrame,
-    look_back,
+    look_back_rendered,
+    look_back_reprojected,
     step_back,
 )
 from exwarp_cli.synthesis.look_ahead import LookAhead
@@ -119,7 +119,6 @@ class Interval:
     _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
     _scenes: dict[int, Scene | None] = field(default_factory=dict, init=False)
     _looked: dict[int, HistorySamples] = field(default_factory=dict, init=False)
-    _history: KeyHistory | None = field(default=None, init=False)
     _light: _Once[LightFlow | None] = field(default_factory=_Once, init=False)
     _residual: _Once[KeyResidual | None] = field(default_factory=_Once, init=False)
     _extrapolated: dict[int, Float32] = field(default_factory=dict, init=False)
@@ -320,9 +319,12 @@ class Interval:
         if slot not in self._looked:
             back, key = self.back(slot), self.key.gbuffer
             assert key is not None  # the motion came from it
-            history = self._history = self._history or KeyHistory(key, self.past, self.scratch)
-            scene = self._scene(slot) if self.slots else None
-            samples = look_back(slot, back, self.slots, history, scene)
+            scene = self._scene(slot if self.slots else 0) if self.past else None
+            history = key, self.past, scene, self.scratch
+            if self.slots:
+                samples = look_back_rendered(slot, self.slots[slot - 1], back, *history)
+            else:
+                samples = look_back_reprojected(slot / FACTOR, back, *history)
             self._looked[slot] = self.scratch.store(samples)
         return self._looked[slot]
 
