@@ -136,14 +136,13 @@ def _without_vanishing(guess: MotionConvention, pairs: Pairs) -> MotionConventio
     moving = np.concatenate(
         [frame.motion[frame.moving & frame.usable] for pair in pairs for frame in pair]
     )
-    kept = {}
-    for way, axes in (("to_previous", guess.to_previous), ("to_next", guess.to_next)):
-        if axes is None or not len(moving) or np.nan_to_num(axes.apply(moving)).any():
-            continue
-        plain = replace(axes, length=None, alpha=None)
-        if np.nan_to_num(plain.apply(moving)).any():
-            kept[way] = plain
-    return replace(guess, **kept)
+    ways = []
+    for axes in (guess.to_previous, guess.to_next):
+        if axes is not None and len(moving) and not np.nan_to_num(axes.apply(moving)).any():
+            plain = replace(axes, length=None, alpha=None)
+            axes = plain if np.nan_to_num(plain.apply(moving)).any() else axes
+        ways.append(axes)
+    return replace(guess, to_previous=ways[0], to_next=ways[1])
 
 
 def _maps(convention: MotionConvention | None) -> dict[Key, AxisMap]:

@@ -107,7 +107,14 @@ def make_thumbnail(frame: KeyFrame) -> Thumbnail:
     """Reduce a frame: it reads one pixel in ten of a 1080p frame, and keeps 0.5 MB."""
     display = frame.image.display_window
     size = max(1, round(max(display.shape) / CELLS))
-    light = _light(frame.image.pixels, frame.image.data_window, display, size)
+    # Of each cell the mean square root of luminance: bright fireflies do not dominate.
+    offsets = np.array(sorted({(2 * i + 1) * size // (2 * POINTS) for i in range(POINTS)}))
+    rows, columns, inside = _cell_pixels(frame.image.data_window, display, size, offsets)
+    rows, columns = np.where(inside[0], rows, -1), np.where(inside[1], columns, -1)
+    height, width, channels = frame.image.pixels.shape
+    light = np.empty((len(rows) // len(offsets), len(columns) // len(offsets)), np.float32)
+    lines = np.ascontiguousarray(frame.image.pixels).reshape(height, width * channels)
+    frame_statistics.mean_square_roots(lines, channels, rows, columns, len(offsets), light)
     gbuffer = frame.gbuffer
     if gbuffer is None:
         return Thumbnail(frame.number, light, np.ones(light.shape, np.bool_))
@@ -162,18 +169,6 @@ def _cell_pixels(
     rows, inside_rows = along(display.height, display.y - window.y, window.height)
     columns, inside_columns = along(display.width, display.x - window.x, window.width)
     return rows, columns, (inside_rows, inside_columns)
-
-
-def _light(pixels: Float32, window: Window, display: Window, size: int) -> Float32:
-    """Return mean square roots of luminance, float32 [h, w]: bright fireflies do not dominate."""
-    offsets = np.array(sorted({(2 * i + 1) * size // (2 * POINTS) for i in range(POINTS)}))
-    rows, columns, inside = _cell_pixels(window, display, size, offsets)
-    rows, columns = np.where(inside[0], rows, -1), np.where(inside[1], columns, -1)
-    height, width, channels = pixels.shape
-    light = np.empty((len(rows) // len(offsets), len(columns) // len(offsets)), np.float32)
-    lines = np.ascontiguousarray(pixels).reshape(height, width * channels)
-    frame_statistics.mean_square_roots(lines, channels, rows, columns, len(offsets), light)
-    return light
 
 
 @dataclass(frozen=True)
@@ -317,7 +312,14 @@ class Alignment:
         frame, neighbour = self.frame, self.neighbour
         if frame.position is None or neighbour.position is None:
             return None
-        size = _cell_size(frame.position)
+        # How far apart neighbouring cells' world positions are, along a surface.
+        places = frame.position.astype(np.float64)
+        rows, columns = (np.linalg.norm(np.diff(places, axis=axis), axis=-1) for axis in (0, 1))
+        rows = np.pad(rows, ((1, 1), (0, 0)), constant_values=np.inf)
+        columns = np.pad(columns, ((0, 0), (1, 1)), constant_values=np.inf)
+        size = np.maximum(
+            np.minimum(rows[1:], rows[:-1]), np.minimum(columns[:, 1:], columns[:, :-1])
+        )
         allowed = 2 * size + np.abs(frame.position).max(axis=-1) * 2.0**-9
         still = self.landed
         if frame.stencil is None:  # a point may move as far in the world as it does on the screen
@@ -329,11 +331,11 @@ class Alignment:
         chosen[::2, ::2] = still[::2, ::2]  # enough
         if np.count_nonzero(chosen) < MIN_LANDED * still.size / 4:
             return None
-        rows, columns = (cells[chosen] for cells in self.nearest)
-        is_found = np.zeros(len(rows), np.bool_)
+        y, x = (cells[chosen] for cells in self.nearest)
+        is_found = np.zeros(len(y), np.bool_)
         for dy, dx in np.ndindex(3, 3):
-            row = np.clip(rows + dy - 1, 0, still.shape[0] - 1)
-            column = np.clip(columns + dx - 1, 0, still.shape[1] - 1)
+            row = np.clip(y + dy - 1, 0, still.shape[0] - 1)
+            column = np.clip(x + dx - 1, 0, still.shape[1] - 1)
             gap = np.linalg.norm(neighbour.position[row, column] - frame.position[chosen], axis=-1)
             is_found |= neighbour.surface[row, column] & (gap < allowed[chosen])
         return float(is_found.mean())
@@ -397,16 +399,6 @@ def _blocks(values: np.ndarray) -> np.ndarray:
     complete = values[: rows * BLOCK, : columns * BLOCK]
     split = complete.reshape(rows, BLOCK, columns, BLOCK, values.shape[2]).swapaxes(1, 2)
     return split.reshape(rows * columns, BLOCK * BLOCK, values.shape[2])
-
-
-def _cell_size(position: Float32) -> F64:
-    """Return how far apart neighbouring cells' world positions are, [h, w], along a surface."""
-    rows = np.linalg.norm(np.diff(position.astype(np.float64), axis=0), axis=-1)
-    columns = np.linalg.norm(np.diff(position.astype(np.float64), axis=1), axis=-1)
-    rows = np.pad(rows, ((1, 1), (0, 0)), constant_values=np.inf)
-    columns = np.pad(columns, ((0, 0), (1, 1)), constant_values=np.inf)
-    down, across = np.minimum(rows[1:], rows[:-1]), np.minimum(columns[:, 1:], columns[:, :-1])
-    return np.asarray(np.maximum(down, across))
 
 
 def _cell_places(height: int, width: int) -> Float32:
