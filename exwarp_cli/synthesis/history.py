@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -203,8 +203,9 @@ def look_back_rendered(
         ids = stencil_of(newer), stencil_of(gbuffer)
         follow_points(older.motion, ids, _UNCOMPARED, EXACT, np.float32(0), _UNFORESEEN, moved)
         placed, there = moved.copy(), older.scene
-        if scene and there and there.camera and gbuffer.stencil is not None:
-            place_still(scene, there.camera, gbuffer.stencil == 0, placed)
+        camera = None if there is None else there.camera
+        if scene is not None and camera is not None and gbuffer.stencil is not None:
+            place_still(scene, camera, gbuffer.stencil == 0, placed)
         fields.append(placed)
         hidden.append(find_holes(gbuffer, older.frame.gbuffer, placed, slot + FACTOR * count))
         newer = older.frame.gbuffer
@@ -227,7 +228,7 @@ def _reproject_surfaces(
     bool [H, W]
         Where that is so.
     """
-    (first, motion), *others = sources
+    first, motion = sources[0]
     first = replace(first, depth=depth_of(first))
     parts: dict[str, Any] = {}
     for name in NEAREST:
@@ -238,34 +239,29 @@ def _reproject_surfaces(
         if (array := getattr(first, name)) is not None:
             parts[name], _ = sample_bilinear(array, motion)
     unknown = np.ones(first.window.shape, np.bool_)
-    _take_over(first.without(*SMOOTH), motion, parts, unknown, blanks=True)
-    for gbuffer, motion in others:
-        _take_over(replace(gbuffer, depth=depth_of(gbuffer)), motion, parts, unknown)
-    return GBuffer(first.window, **parts), unknown
 
-
-def _take_over(
-    gbuffer: GBuffer, field: Float32, parts: dict[str, Float32], unknown: Bool, blanks: bool = False
-) -> None:
-    """Take over what is known of a frame where a slot's parts are not known yet."""
-
-    def array(name: str, source: Mapping[str, Float32 | None]) -> Float32:
-        values = source[name] if name in parts else None
-        if values is None:
-            has_channels = name == "normal" or name in SMOOTH
-            return np.zeros((0, 0, 3) if has_channels else (0, 0), np.float32)
+    def plane(name: str, values: Float32 | None) -> Float32:
+        """Return what the kernel takes, nothing for what is not taken over."""
+        if values is None or name not in parts:
+            channels = (3,) if name == "normal" or name in SMOOTH else ()
+            return np.zeros((0, 0, *channels), np.float32)
         return np.ascontiguousarray(values)
 
-    own = {name: getattr(gbuffer, name) for name in (*NEAREST, *SMOOTH)}
-    point_motion.copy_surface(
-        field,
-        tuple(array(name, own) for name in NEAREST),
-        tuple(array(name, own).reshape(-1) for name in SMOOTH),
-        tuple(array(name, parts) for name in NEAREST),
-        tuple(array(name, parts).reshape(-1) for name in SMOOTH),
-        unknown,
-        blanks,
-    )
+    for count, (gbuffer, motion) in enumerate(sources):
+        own = {name: getattr(gbuffer, name) for name in (*NEAREST, *SMOOTH)}
+        own["depth"] = depth_of(gbuffer)
+        if count == 0:  # SMOOTH is there already
+            own |= dict.fromkeys(SMOOTH)
+        point_motion.copy_surface(
+            motion,
+            tuple(plane(name, own[name]) for name in NEAREST),
+            tuple(plane(name, own[name]).reshape(-1) for name in SMOOTH),
+            tuple(plane(name, parts.get(name)) for name in NEAREST),
+            tuple(plane(name, parts.get(name)).reshape(-1) for name in SMOOTH),
+            unknown,
+            count == 0,
+        )
+    return GBuffer(first.window, **parts), unknown
 
 
 def step_back(
