@@ -187,11 +187,7 @@ def _measure(
             scaled = _judge(freely, measured, guess)
             better = scaled.error * CLEARLY_BETTER + TIE_FLOOR < verdict.error
             verdict = scaled if scaled.explains and better else verdict
-    fits = tuple(
-        "" if each is None else _fitting_preset(presets, measured, each)
-        for each in (verdict.convention, guess)
-    )
-    finding = verdict.finding(names, frames, (fits[0], fits[1]))
+    finding = verdict.finding(names, frames, presets)
     if not lost:
         return finding
     listed = " and ".join(f"{names[x]},{names[y]}" for x, y in lost)
@@ -249,10 +245,9 @@ def _judge(
 def _fitting_preset(
     presets: Mapping[str, MotionConvention],
     measured: dict[Key, Evidence],
-    convention: MotionConvention,
+    convention: MotionConvention | None,
 ) -> str:
     """Return the preset that reads vectors as a convention does; "" without."""
-
     channels, maps = len(next(iter(measured.values())).raw[0]), _maps(convention)
     fits = []
     for name, preset in presets.items():
@@ -325,7 +320,7 @@ class _Verdict:
         self,
         names: tuple[str, ...],
         frames: str,
-        presets: tuple[str, str],  # that read as this convention does, and as the names say; or ""
+        presets: Mapping[str, MotionConvention],
     ) -> MotionFinding:
         """Accept the convention, or say why not; see :func:`calibrate`."""
         guess = self.guess
@@ -337,7 +332,8 @@ class _Verdict:
             strongest = max(evidence.moved() for evidence in self.measured.values())
             if guess is not None and strongest < DECISIVE:
                 return _untested(guess, f"frames {frames} tell too little to contradict them")
-            raise MotionError(self._unexplained(frames, presets[1]))
+            raise MotionError(self._unexplained(frames, presets))
+        fitting = _fitting_preset(presets, self.measured, self.convention)
         if self.convention != guess and not self.alone:
             if guess is not None:
                 error = _convention_error(guess, self.measured)
@@ -346,7 +342,7 @@ class _Verdict:
             name_problem = "are not known" if stated is None else f"say {stated}, which is worse"
             raise MotionError(
                 f"frames {frames} do not tell the conventions {read} and others apart and the "
-                f"channel names {name_problem}; give --motion{preset_hint(presets[0])}"
+                f"channel names {name_problem}; give --motion{preset_hint(fitting)}"
             )
         corrected = guess is not None and self.convention != guess
         named = () if guess is None else (guess.to_previous, guess.to_next)
@@ -364,14 +360,15 @@ class _Verdict:
         source = "corrected" if corrected else "calibrated"
         as_named = self.convention == guess and not self.untried
         clear = as_named and min(self.rival, self.turned) > CLEARLY_WORSE * self.error
-        return MotionFinding(self.convention, source, evidence, *errors, clear, preset=presets[0])
+        return MotionFinding(self.convention, source, evidence, *errors, clear, preset=fitting)
 
-    def _unexplained(self, frames: str, preset: str) -> str:
+    def _unexplained(self, frames: str, presets: Mapping[str, MotionConvention]) -> str:
         """Say that nothing explains the motion, what may be the cause, and what to do."""
         direction = (
             " in one of the two directions" if self.error <= BEATS_STILL * self.still else ""
         )
         empty = all(evidence.empty for evidence in self.measured.values())
+        hint = "" if empty else preset_hint(_fitting_preset(presets, self.measured, self.guess))
         cause = (
             "they hold one value everywhere, so the pass is empty, or motion blur was on: switch "
             "it off and render the pass again"
@@ -381,7 +378,7 @@ class _Verdict:
         return (
             "no reading of the motion channels explains the motion between frames "
             f"{frames}{direction} (error {self.error:.3f}, {self.still:.3f} without motion); "
-            f"{cause}, or give --motion{'' if empty else preset_hint(preset)}"
+            f"{cause}, or give --motion{hint}"
         )
 
 

@@ -161,7 +161,9 @@ def place_still(
 
     With `kept`, what lies behind the camera keeps its motion.
     """
-    projection.write_rigid_motion(*_kernel_inputs(scene, camera), still, kept, motion)
+    at_infinity = camera[:, :3] @ scene.to_ray
+    points = scene.position, scene.depth
+    projection.write_rigid_motion(*points, camera, at_infinity, still, kept, motion)
 
 
 def standing(scene: Scene, camera: F64, step: Float32, tolerance: float) -> Bool:
@@ -170,12 +172,10 @@ def standing(scene: Scene, camera: F64, step: Float32, tolerance: float) -> Bool
     `tolerance` is in pixels, for either component; unknown motion (NaN) is not still.
     """
     out = np.empty(scene.depth.shape, np.bool_)
-    projection.mark_static(*_kernel_inputs(scene, camera), step, np.float32(tolerance), out)
+    at_infinity = camera[:, :3] @ scene.to_ray
+    points = scene.position, scene.depth
+    projection.mark_static(*points, camera, at_infinity, step, np.float32(tolerance), out)
     return out
-
-
-def _kernel_inputs(scene: Scene, camera: F64) -> tuple[Float32, Float32, F64, F64]:
-    return scene.position, scene.depth, camera, camera[:, :3] @ scene.to_ray
 
 
 def fit(

@@ -101,15 +101,18 @@ class LookAhead:
                 )
             )
             self._shifted = first, second
-            shifted = _warp_along(self._shifted, codes, plain)
+        before_light, after_light = (
+            replace(mover.warp(each), fringe=side.fringe)  # outlines are those of the surfaces
+            for mover, each, side in zip(self._shifted, codes, plain, strict=True)
+        )
+        shifted = before_light, after_light
+        if leads:
             self._flow_weight = flow_weight(apart, *shifted)
             if self._tiles is not None:
                 field = self._sides[0].source.field
                 self.evidence = evidence_of_sides(
                     self._tiles, plain, shifted, self._flow_weight, field, self._linear
                 )
-        else:
-            shifted = _warp_along(self._shifted, codes, plain)
         sides = (*plain, *shifted)
         if self._network is not None:  # mixing overwrites the pixels of the first of each pair
             plain, shifted = (
@@ -127,28 +130,25 @@ class LookAhead:
         del moving
         if self._network is not None:
             layer = Candidates(out, sides, self._flow_weight, self._time, self._linear)
-            weights: Iterable[tuple[Tile, np.ndarray]] = self._weights
-            if leads:
-                if self._choose is not None and self.evidence is not None:
-                    self.chosen = self._choose(self.evidence)
-                if self._tiles is None or self.chosen is None or self.chosen.all():
-                    answers = self._network.weigh(layer)
-                else:
-                    answers = layer.weigh_in(self._network, Mosaic.of(self._tiles), self.chosen)
-                # Rounded before they are used, so that the beauty is what its layers add up to.
-                weights = ((tile, answer.astype(np.float16)) for tile, answer in answers)
-                if self._linear:  # else no layers follow; weights take 10 bytes a pixel
-                    weights = self._weights = list(weights)
-            out = layer.mix(weights)
+            out = layer.mix(self._weigh(self._network, layer) if leads else self._weights)
         return self._sides[0].light(out)
 
-
-def _warp_along(
-    movers: tuple[Mover, Mover], codes: tuple[Float32, Float32], plain: tuple[Warped, Warped]
-) -> tuple[Warped, Warped]:
-    """Warp both key frames along the flow; outlines are those of the surfaces."""
-    first, second = (mover.warp(each) for mover, each in zip(movers, codes, strict=True))
-    return replace(first, fringe=plain[0].fringe), replace(second, fringe=plain[1].fringe)
+    def _weigh(
+        self, network: LookAheadNetwork, beauty: Candidates
+    ) -> Iterable[tuple[Tile, np.ndarray]]:
+        """Have a network weigh the beauty's candidates; return float16 [5, h, w] of each tile."""
+        if self._choose is not None and self.evidence is not None:
+            self.chosen = self._choose(self.evidence)
+        if self._tiles is None or self.chosen is None or self.chosen.all():
+            answers = network.weigh(beauty)
+        else:
+            answers = beauty.weigh_in(network, Mosaic.of(self._tiles), self.chosen)
+        # Rounded before they are used, so that the beauty is what its layers add up to.
+        weights = ((tile, answer.astype(np.float16)) for tile, answer in answers)
+        if not self._linear:  # no layers follow; weights take 10 bytes a pixel
+            return weights
+        self._weights = list(weights)
+        return self._weights
 
 
 class Candidates:
