@@ -9,9 +9,8 @@ of all places is the pixel's colour. An opaque surface stays opaque, as shares a
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -68,7 +67,7 @@ class Mover:
     # Whether colour stays scene-linear, so that layers which add up to the beauty still do. It is
     # 0.2 dB worse than colour as shown.
     linear: bool = False
-    _limit: Float32 | None = dataclasses.field(default=None, init=False)
+    _limit: Float32 | None = field(default=None, init=False)
 
     @property
     def has_beauty(self) -> bool:
@@ -306,7 +305,7 @@ class Coverage:
     fields: Sequence[SlotField]  # from the slot to each of them
     time: float  # of the slot in the key interval
     linear: bool = False  # as for `Mover`
-    _crossed: tuple[Index, list[_PlaceMovers]] | None = dataclasses.field(default=None, init=False)
+    _crossed: tuple[Index, list[_PlaceMovers]] | None = field(default=None, init=False)
 
     def cover(
         self,
@@ -344,8 +343,8 @@ class Coverage:
         near_edges: Bool = np.zeros(self.fields[0].depth.shape, np.bool_)
         # Not in a fringe, whose colour is that of a nearer surface. What moves as one keeps the
         # mixed colour of its edges, which places inside would blur.
-        for field in self.fields:
-            find_moving_edges(field.depth, field.field, field.fringe, near_edges)
+        for source in self.fields:
+            find_moving_edges(source.depth, source.field, source.fringe, near_edges)
         index = np.flatnonzero(near_edges)
         centres = [field.field.reshape(-1, 2)[index] for field in self.fields]
         places = [self._look(offset, index) for offset in PLACES]
