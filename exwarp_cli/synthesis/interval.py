@@ -366,15 +366,6 @@ class Interval:
         self._forward.pop(slot, None)
         self._looked.pop(slot, None)
 
-    def without(self, *parts: str) -> Interval:
-        """Return the interval as if its G-buffers lacked these parts."""
-        return replace(
-            self,
-            key=self.key.without(*parts),
-            slots=tuple(gbuffer.without(*parts) for gbuffer in self.slots),
-            past=tuple(replace(step, frame=step.frame.without(*parts)) for step in self.past),
-        )
-
     def bare(self) -> Interval:
         """Return the interval with no more than warps from the key frame use."""
         frames = (self.key, *(step.frame for step in self.past[:1]))
