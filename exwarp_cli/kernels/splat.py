@@ -200,8 +200,6 @@ def quadratic_displacement(
     # time: t, in steps of the vectors; beyond -1 to 1 motion is extrapolated, up to 2.75 intervals
     time: np.float32,
     out: F32,  # [H, W, 2], written; NaN where both are unknown
-    # extents: written as by `splat_row_extents`, while rows are cached; [0, 0, 2] if not needed
-    extents: F32,
     band: Band,
 ) -> None:
     """Write t (n - p) / 2 + t² (n + p) / 2 for p = `before` and n = `after`.
@@ -229,8 +227,6 @@ def quadratic_displacement(
             steady_y = -size * v if math.isnan(y) else size * y
             line[k] = steady_x if math.isnan(bend_x) else curved_x
             line[k + 1] = steady_y if math.isnan(bend_y) else curved_y
-        if extents.shape[0] > 0:
-            _write_row_extents(i, line, extents[i])
 
 
 ROWS_PER_STRIP = 32

@@ -27,7 +27,7 @@ from exwarp_cli.synthesis.calibration_samples import (
     sample_frame,
     sample_key_pair,
 )
-from exwarp_cli.synthesis.cut_detection import compare_frames
+from exwarp_cli.synthesis.cut_detection import compare_thumbnails, make_thumbnail
 from exwarp_cli.synthesis.holds import has_colour_moved, has_geometry_moved
 
 # Words for the frame's size in pixels, as factors of ``--motion``.
@@ -393,10 +393,10 @@ class _Measurement:
     def _is_cut_by_colour(self, index: int) -> bool:
         """Return True if a cut lies before a frame, as far as colour tells without motion."""
         before, after = (
-            read_raw(self.shot, number, (Role.COLOUR,)).key(None)
+            make_thumbnail(read_raw(self.shot, number, (Role.COLOUR,)).key(None))
             for number in self.shot.sequence.numbers[index - 1 : index + 1]
         )
-        return compare_frames(before, after).found
+        return compare_thumbnails(before, after).found
 
     def _intervals(self, count: int) -> list[KeyPair]:
         """Read so many intervals between key frames whose colours tell, and the vectors between.

@@ -11,7 +11,7 @@ import numpy as np
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import Cut, CutOption, Slot
 from exwarp_cli.errors import InputError
-from exwarp_cli.synthesis.cut_detection import Thumbnail, is_cut_between, make_thumbnail
+from exwarp_cli.synthesis.cut_detection import Thumbnail, compare_thumbnails, make_thumbnail
 from exwarp_cli.synthesis.holds import RECENT_PAIRS, PictureChange, change_between, is_same_picture
 
 # Share of the frame's longer side from which a change of speed may come of a cut: 19 pixels of
@@ -131,7 +131,8 @@ class Shots:
         if key not in self._starts:
             is_start = inside and key in self._given
             if inside and not is_start and self._wish.detect:
-                is_start = is_cut_between(self._glance(key - 1), self._glance(key))
+                glances = self._glance(key - 1), self._glance(key)
+                is_start = compare_thumbnails(*glances).found
             elif inside and not is_start and self._unreadable.tolerant:
                 # Whether they can be read shows as they are read.
                 self._read(key - 1)

@@ -34,9 +34,7 @@ PENALTIES = np.array(
 )
 
 
-def choice_rewards(
-    outcomes: F64,  # [..., 5, 2, 2]
-) -> F64:
+def choice_rewards(outcomes: F64) -> F64:
     """Return the reward of every choice at every node, [..., 5, 2] (paper, section IV-C1).
 
     It is the gain in PSNR and SSIM of the frame over that of the other choice, plus alpha where the

@@ -121,7 +121,16 @@ def compare(
                 (before.positions, statistics.positions),
             )
         )
-    var_x, var_y = _motion_variances(now, statistics.shown)
+    # Of the means of blocks, over the whole span.
+    var_x, var_y = 0.0, 0.0
+    motion = now.to_next if now.to_previous is None else now.to_previous
+    if motion is not None:
+        height, width = now.window.shape
+        means = np.empty((-(-height // BLOCK), -(-width // BLOCK), 2))
+        block_means(motion, statistics.shown, BLOCK, means)
+        known = means[~np.isnan(means[..., 0])]
+        if len(known):
+            var_x, var_y = map(float, known.var(axis=0))
     return Features(
         objects=0 if now.stencil is None else count_objects(now.stencil),
         emd_normal=emd_normal / span,
@@ -159,21 +168,6 @@ def _median_distance(gbuffer: GBuffer, shown: Bool) -> float:
     return float(median) if math.isfinite(median) else 0.0
 
 
-def _motion_variances(gbuffer: GBuffer, shown: Bool) -> tuple[float, float]:
-    """Return Var_x and Var_y, over the whole span, of the means of blocks."""
-    motion = gbuffer.to_next if gbuffer.to_previous is None else gbuffer.to_previous
-    if motion is None:
-        return 0.0, 0.0
-    height, width = shown.shape
-    means = np.empty((-(-height // BLOCK), -(-width // BLOCK), 2))
-    block_means(motion, shown, BLOCK, means)
-    block_values = means[~np.isnan(means[..., 0])]
-    if not len(block_values):
-        return 0.0, 0.0
-    var_x, var_y = block_values.var(axis=0)
-    return float(var_x), float(var_y)
-
-
 @dataclass(frozen=True)
 class Scale:
     """How a feature becomes a number from 0 to 1: log(1 + v / unit), 1 at `top` and beyond."""
@@ -181,11 +175,7 @@ class Scale:
     unit: float  # below it the scale is nearly linear
     top: float  # where it saturates
 
-    def __call__(self, value: float) -> float:
-        """Scale a value that is 0 or more."""
-        return min(math.log1p(value / self.unit) / math.log1p(self.top / self.unit), 1.0)
-
-    def scale_array(self, values: F64) -> F64:
+    def __call__(self, values: F64 | float) -> F64:
         """Scale values that are 0 or more, of any shape."""
         return np.minimum(np.log1p(values / self.unit) / math.log1p(self.top / self.unit), 1.0)
 
@@ -288,7 +278,7 @@ def scale_tile_features(features: F64, width: int) -> F64:
     units = {name: (width * FACTOR) ** 2 if name.startswith("Var") else 1 for name in TILE_SCALES}
     return np.stack(
         [
-            TILE_SCALES[name].scale_array(features[..., index] / units[name])
+            TILE_SCALES[name](features[..., index] / units[name])
             for index, name in enumerate(TILE_FEATURES)
         ],
         axis=-1,
@@ -306,7 +296,7 @@ def look_ahead_inputs(features: F64, time: float) -> F64:
     node is that which decides about the nearest of the slots 1 to 3 first. There is no other state:
     what is made of other slots changes nothing.
     """
-    scaled = [scale.scale_array(features[:, i]) for i, scale in enumerate(LOOK_AHEAD_SCALES)]
+    scaled = [scale(features[:, i]) for i, scale in enumerate(LOOK_AHEAD_SCALES)]
     slot = min(max(round(time * FACTOR), 1), FACTOR - 1)
     first = next(node for node in NODES if NODE_SLOTS[node] == slot)
     marks = [np.full(len(features), node == first, np.float64) for node in NODES]

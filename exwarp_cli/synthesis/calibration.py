@@ -9,7 +9,7 @@ again, with a flipped axis 68 %, with anything else under 18 %), else depth and 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -136,21 +136,30 @@ def _without_vanishing(guess: MotionConvention, pairs: Pairs) -> MotionConventio
     moving = np.concatenate(
         [frame.motion[frame.moving & frame.usable] for pair in pairs for frame in pair]
     )
+    ways = []
+    for axes in (guess.to_previous, guess.to_next):
+        if axes is not None and len(moving) and not np.nan_to_num(axes.apply(moving)).any():
+            plain = replace(axes, length=None, alpha=None)
+            axes = plain if np.nan_to_num(plain.apply(moving)).any() else axes
+        ways.append(axes)
+    return replace(guess, to_previous=ways[0], to_next=ways[1])
 
-    def usable(axes: AxisMap | None) -> AxisMap | None:
-        if axes is None or not len(moving):
-            return axes
-        plain = replace(axes, length=None, alpha=None)
-        vanishes = not np.nan_to_num(axes.apply(moving)).any()
-        return plain if vanishes and np.nan_to_num(plain.apply(moving)).any() else axes
 
-    return replace(guess, to_previous=usable(guess.to_previous), to_next=usable(guess.to_next))
+def _maps(convention: MotionConvention | None) -> dict[Key, AxisMap]:
+    """Return the maps of a convention, by the channels that they read and their direction."""
+    maps: dict[Key, AxisMap] = {}
+    if convention is not None:
+        for axes, later in ((convention.to_previous, False), (convention.to_next, True)):
+            if axes is not None:
+                x, y = sorted((axes.x_channel, axes.y_channel))
+                maps[(x, y), later] = axes
+    return maps
 
 
 def _convention_error(convention: MotionConvention, measured: dict[Key, Evidence]) -> float:
     """Return the mean error of a convention, by those directions that can be measured."""
-    named = {key: _named(key, convention) for key in measured}
-    errors = [measured[key].error(axes) for key, axes in named.items() if axes is not None]
+    maps = _maps(convention)
+    errors = [measured[key].error(maps[key]) for key in measured if key in maps]
     return float(np.mean(errors)) if errors else math.inf
 
 
@@ -162,12 +171,12 @@ def _measure(
     presets: Mapping[str, MotionConvention],
 ) -> MotionFinding:
     """Find the convention of those channels that hold vectors; see `calibrate`."""
-    kept = set(channel_pairs(names))
     written = {key[0] for key, evidence in measured.items() if not evidence.empty}
-    if written and written != kept:
-        kept = written
-        measured = {key: evidence for key, evidence in measured.items() if key[0] in kept}
-        guess = _restrict(guess, kept)
+    lost = [pair for pair in channel_pairs(names) if written and pair not in written]
+    if lost:
+        measured = {key: evidence for key, evidence in measured.items() if key[0] in written}
+        maps = {key[1]: axes for key, axes in _maps(guess).items() if key[0] in written}
+        guess = MotionConvention(maps.get(False), maps.get(True)) if maps else None
     with ThreadPoolExecutor(min(threads(), len(measured)), "exwarp-measure") as executor:
         each = executor.map(Evidence.ranked, measured.values())
         ranked = dict(zip(measured, each, strict=True))
@@ -178,46 +187,35 @@ def _measure(
             scaled = _judge(freely, measured, guess)
             better = scaled.error * CLEARLY_BETTER + TIE_FLOOR < verdict.error
             verdict = scaled if scaled.explains and better else verdict
-    fits = tuple(
-        "" if each is None else _fitting_preset(presets, measured, each)
-        for each in (verdict.convention, guess)
-    )
-    finding = verdict.finding(names, frames, (fits[0], fits[1]))
-    lost = [f"{names[x]},{names[y]}" for x, y in channel_pairs(names) if (x, y) not in kept]
+    finding = verdict.finding(names, frames, presets)
     if not lost:
         return finding
-    evidence = f"{finding.evidence}; {' and '.join(lost)} hold no vectors and are left out"
+    listed = " and ".join(f"{names[x]},{names[y]}" for x, y in lost)
+    evidence = f"{finding.evidence}; {listed} hold no vectors and are left out"
     return replace(finding, evidence=evidence, clear=False)
-
-
-def _restrict(
-    guess: MotionConvention | None, kept: Collection[tuple[int, int]]
-) -> MotionConvention | None:
-    """Return what the names say of some pairs of channels alone; None where that is nothing."""
-    if guess is None:
-        return None
-    before, after = (
-        axes if axes is not None and _key(axes, False)[0] in kept else None
-        for axes in (guess.to_previous, guess.to_next)
-    )
-    if before is None and after is None:
-        return None
-    return replace(guess, to_previous=before, to_next=after)
 
 
 def _judge(
     ranked: Ranked, measured: dict[Key, Evidence], guess: MotionConvention | None
 ) -> _Verdict:
     """Choose among ranked candidates of every key."""
-    option = _assign_directions(ranked, measured, guess)
+    named = _maps(guess)
+    # The ways to have channels lead to the previous and to the next frame. Where a frame has no
+    # vectors, there is nothing to assign.
+    pairs = sorted({channels for channels, _ in ranked})
+    both = [
+        [(channels, later != bool(i)) for i, channels in enumerate(pairs)]
+        for later in (False, True)
+    ]
+    options = list(filter(None, (tuple(key for key in keys if key in ranked) for keys in both)))
+    option = _assign_directions(options, ranked, measured, named)
     chosen = {key: ranked[key][0] for key in option}
     for key, (least, _) in chosen.items():
-        named = _named(key, guess)
-        if named is not None:
-            error = measured[key].error(named)
+        if key in named:
+            error = measured[key].error(named[key])
             if error <= least * TIE_RATIO + TIE_FLOOR:  # no other is clearly better
-                chosen[key] = error, named
-    turned = [[ranked[key][0][0] for key in o] for o in _options(ranked) if o != option]
+                chosen[key] = error, named[key]
+    turned = [[ranked[key][0][0] for key in o] for o in options if o != option]
     joint = rank_jointly(ranked, measured, chosen)
     if joint:
         chosen, rival = joint
@@ -228,11 +226,9 @@ def _judge(
             for key, best in maps.items()
         )
     untried: dict[Key, AxisMap] = {}
-    if guess is not None and all(_named(key, guess) == axes for key, axes in maps.items()):
+    if all(named.get(key) == axes for key, axes in maps.items()):
         # Some programs write no vectors in the first frame, or in the last.
-        for axes, later in ((guess.to_previous, False), (guess.to_next, True)):
-            if axes is not None and _key(axes, later) not in measured:
-                untried[_key(axes, later)] = axes
+        untried = {key: axes for key, axes in named.items() if key not in measured}
     return _Verdict(
         measured,
         guess,
@@ -249,24 +245,17 @@ def _judge(
 def _fitting_preset(
     presets: Mapping[str, MotionConvention],
     measured: dict[Key, Evidence],
-    convention: MotionConvention,
+    convention: MotionConvention | None,
 ) -> str:
     """Return the preset that reads vectors as a convention does; "" without."""
-
-    def same(a: AxisMap | None, b: AxisMap | None, later: bool) -> bool:
-        if a is None or b is None or a == b:
-            return a == b
-        key = _key(a, later)
-        return key == _key(b, later) and key in measured and not measured[key].differ(a, b)
-
-    channels = len(next(iter(measured.values())).raw[0])
-    fits = [
-        name
-        for name, preset in presets.items()
-        if preset.count <= channels
-        and same(preset.to_previous, convention.to_previous, False)
-        and same(preset.to_next, convention.to_next, True)
-    ]
+    channels, maps = len(next(iter(measured.values())).raw[0]), _maps(convention)
+    fits = []
+    for name, preset in presets.items():
+        own = _maps(preset)
+        if preset.count <= channels and own.keys() == maps.keys():
+            apart = [key for key, axes in own.items() if axes != maps[key]]
+            if all(k in measured and not measured[k].differ(own[k], maps[k]) for k in apart):
+                fits.append(name)
     # Many programs write alike: the shortest of their names is as good as any.
     return min(fits, key=len, default="")
 
@@ -331,7 +320,7 @@ class _Verdict:
         self,
         names: tuple[str, ...],
         frames: str,
-        presets: tuple[str, str],  # that read as this convention does, and as the names say; or ""
+        presets: Mapping[str, MotionConvention],
     ) -> MotionFinding:
         """Accept the convention, or say why not; see :func:`calibrate`."""
         guess = self.guess
@@ -343,7 +332,8 @@ class _Verdict:
             strongest = max(evidence.moved() for evidence in self.measured.values())
             if guess is not None and strongest < DECISIVE:
                 return _untested(guess, f"frames {frames} tell too little to contradict them")
-            raise MotionError(self._unexplained(frames, presets[1]))
+            raise MotionError(self._unexplained(frames, presets))
+        fitting = _fitting_preset(presets, self.measured, self.convention)
         if self.convention != guess and not self.alone:
             if guess is not None:
                 error = _convention_error(guess, self.measured)
@@ -352,7 +342,7 @@ class _Verdict:
             name_problem = "are not known" if stated is None else f"say {stated}, which is worse"
             raise MotionError(
                 f"frames {frames} do not tell the conventions {read} and others apart and the "
-                f"channel names {name_problem}; give --motion{preset_hint(presets[0])}"
+                f"channel names {name_problem}; give --motion{preset_hint(fitting)}"
             )
         corrected = guess is not None and self.convention != guess
         named = () if guess is None else (guess.to_previous, guess.to_next)
@@ -370,14 +360,15 @@ class _Verdict:
         source = "corrected" if corrected else "calibrated"
         as_named = self.convention == guess and not self.untried
         clear = as_named and min(self.rival, self.turned) > CLEARLY_WORSE * self.error
-        return MotionFinding(self.convention, source, evidence, *errors, clear, preset=presets[0])
+        return MotionFinding(self.convention, source, evidence, *errors, clear, preset=fitting)
 
-    def _unexplained(self, frames: str, preset: str) -> str:
+    def _unexplained(self, frames: str, presets: Mapping[str, MotionConvention]) -> str:
         """Say that nothing explains the motion, what may be the cause, and what to do."""
         direction = (
             " in one of the two directions" if self.error <= BEATS_STILL * self.still else ""
         )
         empty = all(evidence.empty for evidence in self.measured.values())
+        hint = "" if empty else preset_hint(_fitting_preset(presets, self.measured, self.guess))
         cause = (
             "they hold one value everywhere, so the pass is empty, or motion blur was on: switch "
             "it off and render the pass again"
@@ -387,7 +378,7 @@ class _Verdict:
         return (
             "no reading of the motion channels explains the motion between frames "
             f"{frames}{direction} (error {self.error:.3f}, {self.still:.3f} without motion); "
-            f"{cause}, or give --motion{'' if empty else preset_hint(preset)}"
+            f"{cause}, or give --motion{hint}"
         )
 
 
@@ -406,62 +397,30 @@ def _untested(guess: MotionConvention | None, reason: str) -> MotionFinding:
 
 
 def _assign_directions(
-    ranked: Ranked, measured: dict[Key, Evidence], guess: MotionConvention | None
+    options: Sequence[tuple[Key, ...]],
+    ranked: Ranked,
+    measured: dict[Key, Evidence],
+    named: dict[Key, AxisMap],
 ) -> tuple[Key, ...]:
     """Decide which channels lead to the previous and which to the next frame."""
     # Of each option the mean error, each pair of channels by its best reading.
-    least = {
-        option: float(np.mean([ranked[key][0][0] for key in option])) for option in _options(ranked)
-    }
+    least = {option: float(np.mean([ranked[key][0][0] for key in option])) for option in options}
     directions = len({channels for channels, _ in ranked})
     most = min(least.values()) * TIE_RATIO + TIE_FLOOR / directions
+    as_named = set()
+    for key in ranked.keys() & named.keys():
+        (error, best), axes = ranked[key][0], named[key]
+        # At an even speed, vectors to one frame are those to the other reversed. So a direction is
+        # no better for being named when the signs are not as named.
+        if _signs(axes) == _signs(best) or measured[key].error(axes) <= (
+            error * TIE_RATIO + TIE_FLOOR
+        ):
+            as_named.add(key)
     for option, error in least.items():
-        is_named = all(_is_as_named(ranked[key], measured[key], guess) for key in option)
-        if is_named and error <= most:
+        if error <= most and as_named.issuperset(option):
             return option
     return min(least, key=least.__getitem__)
 
 
-def _options(ranked: Ranked) -> list[tuple[Key, ...]]:
-    """Return the ways to have channels lead to the previous and to the next frame."""
-    pairs = sorted({channels for channels, _ in ranked})
-    both = [
-        [(channels, later != bool(i)) for i, channels in enumerate(pairs)]
-        for later in (False, True)
-    ]
-    # Where a frame has no vectors, there is nothing to assign.
-    return list(filter(None, (tuple(key for key in keys if key in ranked) for keys in both)))
-
-
-def _is_as_named(
-    ranked: list[tuple[float, AxisMap]], evidence: Evidence, guess: MotionConvention | None
-) -> bool:
-    """Whether the guess holds for these channels in this direction, or does but for its scale.
-
-    At an even speed, vectors to one frame are those to the other reversed. So a direction is no
-    better for being named when the signs are not as named.
-    """
-    named = _named((evidence.channels, evidence.later), guess)
-    if named is None:
-        return False
-    error, best = ranked[0]
-    return _signs(named) == _signs(best) or evidence.error(named) <= error * TIE_RATIO + TIE_FLOOR
-
-
 def _signs(axis_map: AxisMap) -> tuple[int, bool, bool]:
     return axis_map.x_channel, axis_map.x_scale > 0, axis_map.y_scale > 0
-
-
-def _key(axis_map: AxisMap, later: bool) -> Key:
-    x, y = sorted((axis_map.x_channel, axis_map.y_channel))
-    return (x, y), later
-
-
-def _named(key: Key, guess: MotionConvention | None) -> AxisMap | None:
-    """Return the guessed map of these channels in this direction."""
-    if guess is None:
-        return None
-    axes = guess.to_next if key[1] else guess.to_previous
-    if axes is None or {axes.x_channel, axes.y_channel} != set(key[0]):
-        return None
-    return axes

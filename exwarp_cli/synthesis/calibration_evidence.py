@@ -204,7 +204,13 @@ class Evidence:
         most_moved = replace(self, probes=[max(self.probes, key=_still_error)])
         rough = sorted(zip(most_moved.errors(every, ROUGH), range(len(every)), strict=True))
         # Readings of one sign and aspect stand side by side; the best of each is fitted.
-        kinds = list({_kind(every[index]): every[index] for _, index in reversed(rough)}.values())
+        best_of_kind: dict[tuple[object, ...], AxisMap] = {}
+        for _, index in reversed(rough):
+            each = every[index]
+            square = abs(each.x_scale) == abs(each.y_scale)
+            signs = each.x_channel, each.x_scale > 0, each.y_scale > 0
+            best_of_kind[*signs, square, each.still, each.alpha] = each
+        kinds = list(best_of_kind.values())
         by_error = sorted(zip(self.errors(kinds, COARSE), range(len(kinds)), strict=True))
         best = [kinds[index] for _, index in by_error[:4]]
         fitted = [self.fit_scale(candidate, FREE_STEP) for candidate in best]
@@ -232,18 +238,6 @@ class Evidence:
 
 def _still_error(probe: Probe) -> float:
     return float(probe.errors(np.zeros((1, len(probe.xy), 2), np.float32))[0])
-
-
-def _kind(reading: AxisMap) -> tuple[object, ...]:
-    """Return what distinguishes candidates but their scale."""
-    return (
-        reading.x_channel,
-        reading.x_scale > 0,
-        reading.y_scale > 0,
-        abs(reading.x_scale) == abs(reading.y_scale),
-        reading.still,
-        reading.alpha,
-    )
 
 
 def channel_pairs(names: tuple[str, ...]) -> list[tuple[int, int]]:
@@ -295,25 +289,8 @@ def rank_jointly(
     """
     if len(chosen) != 2 or is_alike(*(axes for _, axes in chosen.values())):
         return None
-    joint = sorted(_joint_readings(ranked, measured, tuple(chosen)), key=mean_error)
-    best = joint[0]
-    if any(axes not in measured[key].usual() for key, (_, axes) in best.items()):
-        best = fit_scales(best, measured, FREE_STEP)
-    if mean_error(best) > CLEARLY_WORSE * mean_error(chosen) + TIE_FLOOR:
-        return None
-    rivals = (
-        mean_error(other)
-        for other in joint
-        if any(measured[key].differ(other[key][1], best[key][1]) for key in best)
-    )
-    return best, next(rivals, 1.0)
-
-
-def _joint_readings(
-    ranked: Ranked, measured: dict[Key, Evidence], option: tuple[Key, ...]
-) -> Iterator[Chosen]:
-    """Yield readings of both directions with one span and one sign convention."""
-    for key, other in (option, option[::-1]):
+    joint: list[Chosen] = []
+    for key, other in (tuple(chosen), tuple(chosen)[::-1]):
         partner_channel = dict(zip(key[0], other[0], strict=True))
         for error, axes in ranked[key]:
             partners = [
@@ -327,8 +304,20 @@ def _joint_readings(
                 for sign in (1.0, -1.0)
             ]
             errors = measured[other].errors(partners)
-            for partner_error, partner in zip(errors, partners, strict=True):
-                yield {key: (error, axes), other: (partner_error, partner)}
+            for entry in zip(errors, partners, strict=True):
+                joint.append({key: (error, axes), other: entry})
+    joint.sort(key=mean_error)
+    best = joint[0]
+    if any(axes not in measured[key].usual() for key, (_, axes) in best.items()):
+        best = fit_scales(best, measured, FREE_STEP)
+    if mean_error(best) > CLEARLY_WORSE * mean_error(chosen) + TIE_FLOOR:
+        return None
+    rivals = (
+        mean_error(other)
+        for other in joint
+        if any(measured[key].differ(other[key][1], best[key][1]) for key in best)
+    )
+    return best, next(rivals, 1.0)
 
 
 def fit_scales(chosen: Chosen, measured: dict[Key, Evidence], ratio: float) -> Chosen:

@@ -296,22 +296,24 @@ class Trail(Probe):
     stride: int = 1
 
     def shifts(self, readings: Sequence[AxisMap], count: int | None = None) -> Float32:
-        """Return the displacements over all frames by each reading, float32 [K, N, 2]."""
-        start = self.xy[self.part(count)].astype(np.float32)
-        return np.stack([self._follow(reading, start) - start for reading in readings])
+        """Return the displacements over all frames by each reading, float32 [K, N, 2].
 
-    def _follow(self, reading: AxisMap, start: Float32) -> Float32:
-        """Return where points arrive; NaN for those that leave the frame on the way."""
-        place = start
+        NaN for points that leave the frame on the way.
+        """
+        start = self.xy[self.part(count)].astype(np.float32)
         height, width, _ = self.fields[0].shape
-        for field in self.fields:
-            finite = np.isfinite(place[:, 0]) & np.isfinite(place[:, 1])
-            cell = np.rint(np.where(finite[:, None], place, 0) / self.stride)
-            x = np.clip(cell[:, 0], 0, width - 1).astype(np.intp)
-            y = np.clip(cell[:, 1], 0, height - 1).astype(np.intp)
-            inside = finite & (cell[:, 0] == x) & (cell[:, 1] == y)
-            place = np.where(inside[:, None], place + reading.apply(field[y, x]), np.nan)
-        return np.asarray(place, np.float32)
+        shifts = []
+        for reading in readings:
+            place = start
+            for field in self.fields:
+                finite = np.isfinite(place[:, 0]) & np.isfinite(place[:, 1])
+                cell = np.rint(np.where(finite[:, None], place, 0) / self.stride)
+                x = np.clip(cell[:, 0], 0, width - 1).astype(np.intp)
+                y = np.clip(cell[:, 1], 0, height - 1).astype(np.intp)
+                inside = finite & (cell[:, 0] == x) & (cell[:, 1] == y)
+                place = np.where(inside[:, None], place + reading.apply(field[y, x]), np.nan)
+            shifts.append(np.asarray(place, np.float32) - start)
+        return np.stack(shifts)
 
 
 def make_trail(pair: KeyPair, later: bool) -> Trail | None:

@@ -1,7 +1,9 @@
 """Cameras, recovered from what the G-buffer shows.
 
 EXR headers seldom hold a camera matrix, but points of known position at known pixels determine the
-3x4 projection by the direct linear transform. With world positions the points are those. With only
+3x4 projection by the direct linear transform. A camera is this matrix, float64 [3, 4], from
+homogeneous scene points to pixels (+x right, +y down); what it maps to a negative third component
+lies behind it. With world positions the points are those. With only
 depth along the camera's axis, the frame's own camera serves as the world: the point at pixel (x, y)
 and depth z is (x, y, 1, 1/z) up to scale. Either way the fit to the neighbouring frame, through the
 renderer's vectors, gives that frame's camera. With it comes the motion of everything static and of
@@ -11,7 +13,7 @@ the sky, whose vectors are 0 even while the camera turns.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,9 +24,6 @@ from exwarp_cli.kernels import projection
 
 Index = npt.NDArray[np.intp]
 F64 = npt.NDArray[np.float64]
-
-# Returns the displacement, float32 [N, 2] pixels, of the pixels with N flat indices.
-MotionAt = Callable[[Index], Float32]
 
 # Points that a camera is fitted to, and how many pixels are examined for each.
 MAX_SAMPLES, GRID = 4000, 5
@@ -49,29 +48,13 @@ DEGENERATE = 1e-5
 
 
 @dataclass(frozen=True)
-class Camera:
-    """A 3x4 projection from homogeneous scene points to pixels (+x right, +y down)."""
-
-    matrix: F64
-    median_error: float  # on the fit's inliers, pixels
-
-    def project(self, points: F64) -> F64:
-        """Project points [..., 4] to pixels [..., 2]; NaN for what lies behind the camera."""
-        image = points @ self.matrix.T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            pixels: F64 = image[..., :2] / image[..., 2:]
-        pixels[image[..., 2] <= 0] = np.nan
-        return pixels
-
-
-@dataclass(frozen=True)
 class Scene:
     """The points of a frame: in world space, or in that of the frame's own camera."""
 
     position: Float32  # [H, W, 3], world space; [0, 0, 3] where depth places the points
     depth: Float32  # [H, W], +inf background
     to_ray: F64  # [3, 3]: takes (x, y, 1) of a pixel to the direction of its ray
-    camera: Camera | None = None  # from world positions; None where depth places the points
+    camera: F64 | None = None  # from world positions; None where depth places the points
 
     def points(self, index: Index) -> F64:
         """Return homogeneous points float64 [N, 4] of pixels with these flat indices."""
@@ -103,7 +86,7 @@ def scene_of(gbuffer: GBuffer) -> Scene | None:
         scene = Scene(position, depth, np.eye(3))
         camera = fit(scene.points(index), pixels_at(index, depth.shape[1]))
         if camera is not None:
-            to_ray = np.asarray(np.linalg.inv(camera.matrix[:, :3]), dtype=np.float64)
+            to_ray = np.asarray(np.linalg.inv(camera[:, :3]), dtype=np.float64)
             return Scene(position, depth, to_ray, camera)
     if gbuffer.depth is None:
         return None
@@ -127,19 +110,15 @@ def camera_after(
     scene: Scene,
     vectors: Float32,  # [H, W, 2], pixels, displacement to the other frame
     stencil: Int32 | None,  # [H, W], 0 static; None when unknown
-) -> Camera | None:
+) -> F64 | None:
     """Recover the camera of another instant from the motion to it.
 
     In the scene's own world; None if no camera explains the motion.
     """
-    return camera_by(scene, vectors.reshape(-1, 2).__getitem__, stencil)
-
-
-def camera_by(scene: Scene, motion_at: MotionAt, stencil: Int32 | None) -> Camera | None:
-    """Recover a camera as `camera_after` does, from the motion of its sampled points alone."""
     index = sample_surfaces(scene.depth, stencil)
     pixels = pixels_at(index, scene.depth.shape[1])
-    return fit(scene.points(index), pixels + motion_at(index), movers=stencil is None)
+    ends = pixels + vectors.reshape(-1, 2)[index]
+    return fit(scene.points(index), ends, movers=stencil is None)
 
 
 def cameras_around(
@@ -159,13 +138,13 @@ def cameras_around(
             continue
         camera = camera_after(scene, motion, stencil)
         if camera is not None:
-            matrices[0] = camera.matrix
-            matrices[1, :, :3] = camera.matrix[:, :3] @ scene.to_ray
+            matrices[0] = camera
+            matrices[1, :, :3] = camera[:, :3] @ scene.to_ray
             matrices[1, :, 3] = 1.0
     return out
 
 
-def seen_by(scene: Scene, camera: Camera) -> Float32:
+def seen_by(scene: Scene, camera: F64) -> Float32:
     """Return the displacement of each pixel to another camera's frame, if its point stands still.
 
     float32 [H, W, 2] in pixels; NaN for what lies behind the camera.
@@ -176,28 +155,27 @@ def seen_by(scene: Scene, camera: Camera) -> Float32:
 
 
 def place_still(
-    scene: Scene, camera: Camera, still: Bool, motion: Float32, kept: bool = False
+    scene: Scene, camera: F64, still: Bool, motion: Float32, kept: bool = False
 ) -> None:
     """Write what `seen_by` returns into `motion` where `still` is True; everywhere if it is [0, 0].
 
     With `kept`, what lies behind the camera keeps its motion.
     """
-    projection.write_rigid_motion(*_kernel_inputs(scene, camera), still, kept, motion)
+    at_infinity = camera[:, :3] @ scene.to_ray
+    points = scene.position, scene.depth
+    projection.write_rigid_motion(*points, camera, at_infinity, still, kept, motion)
 
 
-def standing(scene: Scene, camera: Camera, step: Float32, tolerance: float) -> Bool:
+def standing(scene: Scene, camera: F64, step: Float32, tolerance: float) -> Bool:
     """Mark pixels, bool [H, W], whose motion `step` to the camera's frame is that of still points.
 
     `tolerance` is in pixels, for either component; unknown motion (NaN) is not still.
     """
     out = np.empty(scene.depth.shape, np.bool_)
-    projection.mark_static(*_kernel_inputs(scene, camera), step, np.float32(tolerance), out)
+    at_infinity = camera[:, :3] @ scene.to_ray
+    points = scene.position, scene.depth
+    projection.mark_static(*points, camera, at_infinity, step, np.float32(tolerance), out)
     return out
-
-
-def _kernel_inputs(scene: Scene, camera: Camera) -> tuple[Float32, Float32, F64, F64]:
-    at_infinity = camera.matrix[:, :3] @ scene.to_ray
-    return scene.position, scene.depth, camera.matrix, at_infinity
 
 
 def fit(
@@ -206,7 +184,7 @@ def fit(
     # Whether points may be among them that move alike and differently from the rest. The fit then
     # starts from the least median of small samples, which tolerates nearly half of them.
     movers: bool = False,
-) -> Camera | None:
+) -> F64 | None:
     """Fit a projection to points at pixels, most of which match.
 
     None with too few points, with points on one plane, or if no camera explains half of them.
@@ -221,7 +199,13 @@ def fit(
     points, pixels = points[usable], pixels[usable]
     if len(points) < MIN_SAMPLES:
         return None
-    to_unit, unit_points = _normalise_points(points)
+    finite = points[:, :3] / points[:, 3:]
+    middle = np.median(finite, axis=0)
+    to_unit = np.eye(4)
+    to_unit[:3, 3] = -middle
+    to_unit[:3] /= float(np.median(np.abs(finite - middle))) or 1.0
+    unit_points = points @ to_unit.T
+    unit_points = unit_points / unit_points[:, 3:]
     centre, spread = pixels.mean(axis=0), float(pixels.std()) or 1.0
     unit_pixels = (pixels - centre) / spread
     from_unit = np.diag([spread, spread, 1.0])
@@ -248,20 +232,7 @@ def fit(
         # pulls the first fit so far that it stays within four median errors.
         depths = unit_points @ unit[2]
         projection.write_inlier_weights(errors, inliers, depths, max(median, INLIER_FLOOR), weights)
-    camera = Camera(matrix, float(np.median(errors[inliers])))
-    return camera if camera.median_error <= MAX_MEDIAN_ERROR else None
-
-
-def _normalise_points(points: F64) -> tuple[F64, F64]:
-    """Return a 4x4 transform, and the points after it: centred, of unit spread."""
-    finite = points[:, :3] / points[:, 3:]
-    centre = np.median(finite, axis=0)
-    spread = float(np.median(np.abs(finite - centre))) or 1.0
-    transform = np.eye(4)
-    transform[:3, 3] = -centre
-    transform[:3] /= spread
-    moved = points @ transform.T
-    return transform, moved / moved[:, 3:]
+    return matrix if np.median(errors[inliers]) <= MAX_MEDIAN_ERROR else None
 
 
 def _least_median_weights(points: F64, pixels: F64) -> F64:

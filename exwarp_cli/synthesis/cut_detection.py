@@ -24,7 +24,6 @@ where colour disagrees: a high limit costs alarms where a lamp is switched on, a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +31,7 @@ import numpy as np
 from exwarp_cli.domain.frame import Bool, Float32, Int32, KeyFrame, Window
 from exwarp_cli.kernels import frame_statistics
 from exwarp_cli.synthesis.camera import F64, Index
+from exwarp_cli.synthesis.warp import sample_bilinear
 
 # Cells along a frame's longer side.
 CELLS = 128
@@ -59,8 +59,8 @@ CONTRAST = 0.02
 # one pair of 303 falls below, and that one has moved by 0.5 frames.
 COLOUR_LIMIT = 0.15
 
-# Geometry below this disagrees, by what is compared, the best first.
-GEOMETRY_LIMITS = {"position": 0.5, "normal": 0.15, "depth": 0.45}
+# Geometry below these disagrees, by what is compared, the best first: positions, normals, depths.
+GEOMETRY_LIMITS = (0.5, 0.15, 0.45)
 
 # A gain of shifts from here on speaks against a cut whatever the vectors say: where they are wrong
 # throughout, every pair would be a cut. Across a cut it was 0.12 at most, and 0.25 in toy scenes of
@@ -107,7 +107,14 @@ def make_thumbnail(frame: KeyFrame) -> Thumbnail:
     """Reduce a frame: it reads one pixel in ten of a 1080p frame, and keeps 0.5 MB."""
     display = frame.image.display_window
     size = max(1, round(max(display.shape) / CELLS))
-    light = _light(frame.image.pixels, frame.image.data_window, display, size)
+    # Of each cell the mean square root of luminance: bright fireflies do not dominate.
+    offsets = np.array(sorted({(2 * i + 1) * size // (2 * POINTS) for i in range(POINTS)}))
+    rows, columns, inside = _cell_pixels(frame.image.data_window, display, size, offsets)
+    rows, columns = np.where(inside[0], rows, -1), np.where(inside[1], columns, -1)
+    height, width, channels = frame.image.pixels.shape
+    light = np.empty((len(rows) // len(offsets), len(columns) // len(offsets)), np.float32)
+    lines = np.ascontiguousarray(frame.image.pixels).reshape(height, width * channels)
+    frame_statistics.mean_square_roots(lines, channels, rows, columns, len(offsets), light)
     gbuffer = frame.gbuffer
     if gbuffer is None:
         return Thumbnail(frame.number, light, np.ones(light.shape, np.bool_))
@@ -164,18 +171,6 @@ def _cell_pixels(
     return rows, columns, (inside_rows, inside_columns)
 
 
-def _light(pixels: Float32, window: Window, display: Window, size: int) -> Float32:
-    """Return mean square roots of luminance, float32 [h, w]: bright fireflies do not dominate."""
-    offsets = np.array(sorted({(2 * i + 1) * size // (2 * POINTS) for i in range(POINTS)}))
-    rows, columns, inside = _cell_pixels(window, display, size, offsets)
-    rows, columns = np.where(inside[0], rows, -1), np.where(inside[1], columns, -1)
-    height, width, channels = pixels.shape
-    light = np.empty((len(rows) // len(offsets), len(columns) // len(offsets)), np.float32)
-    lines = np.ascontiguousarray(pixels).reshape(height, width * channels)
-    frame_statistics.mean_square_roots(lines, channels, rows, columns, len(offsets), light)
-    return light
-
-
 @dataclass(frozen=True)
 class CutEvidence:
     """Whether there is a cut, and why."""
@@ -186,75 +181,52 @@ class CutEvidence:
     colour: float | None = None
     # How well geometry does. None also where colour agrees, so that geometry is not compared.
     geometry: float | None = None
-    # What geometry was compared by: "position", "normal" or "depth"; "" for nothing.
-    judged_by: str = ""
     # How much better shifts of the whole frame explain the colour than others do; None where
     # nothing can be said, and where it was not measured.
     shifted: float | None = None
 
-    def __str__(self) -> str:
-        parts = []
-        if self.colour is not None:
-            parts.append(f"colour agrees to {_percent(self.colour)} along the vectors")
-        if self.geometry is not None:
-            parts.append(f"{self.judged_by} to {_percent(self.geometry)}")
-        if self.shifted is not None:
-            parts.append(f"shifts of the frame explain {_percent(self.shifted)}")
-        return ", ".join(parts) or "there is no structure to compare"
 
-
-def _percent(share: float) -> str:
-    return f"{100 * max(share, 0):.0f} %"
-
-
-def compare_frames(
-    # Neighbouring key frames with one display window, as they were read. Vectors reach over a key
-    # interval; they may be those of optical flow.
-    before: KeyFrame,
-    after: KeyFrame,
+def compare_thumbnails(
+    # Of neighbouring key frames with one display window, as they were read. Vectors reach over a
+    # key interval; they may be those of optical flow.
+    before: Thumbnail,
+    after: Thumbnail,
 ) -> CutEvidence:
-    """Judge whether a cut lies between two key frames, by nothing but the two."""
-    return compare_thumbnails(make_thumbnail(before), make_thumbnail(after))
-
-
-def is_cut_between(before: Thumbnail, after: Thumbnail) -> bool:
-    """Return True if a cut lies between two frames."""
-    # Where vectors one way lead to the same colours, which is nearly always, the other way need not
-    # be compared: half of the time.
-    if before.to_next is not None and min(before.light.mean(), after.light.mean()) > BLACK:
-        way = Alignment.along(before, after, before.to_next, after.to_previous)
-        colour = None if way.leads_away else way.colour()
-        if colour is not None and colour >= COLOUR_LIMIT:
-            return False
-    return compare_thumbnails(before, after).found
-
-
-def compare_thumbnails(before: Thumbnail, after: Thumbnail) -> CutEvidence:
-    """Judge whether a cut lies between two frames."""
+    """Judge whether a cut lies between two frames, by nothing but the two."""
     dark, bright = sorted((float(before.light.mean()), float(after.light.mean())))
     to_black = dark <= BLACK and bright >= LIT
     if dark <= BLACK and not to_black:
         return CutEvidence(False)
-    ways = [
-        Alignment.along(frame, neighbour, vectors, back)
-        for frame, neighbour, vectors, back in (
-            (before, after, before.to_next, after.to_previous),
-            (after, before, after.to_previous, before.to_next),
-        )
-        if vectors is not None
-    ]
-    if any(way.leads_away for way in ways):
-        # A pan that leaves nothing in view, or something from outside that hides all.
-        return CutEvidence(False)
-    colour = _highest(way.colour() for way in ways)
-    if colour is not None and colour >= COLOUR_LIMIT:
-        return CutEvidence(False, colour)
-    geometry, judged_by = _compare_geometry(ways)
-    if geometry is not None and geometry >= GEOMETRY_LIMITS[judged_by]:
-        return CutEvidence(False, colour, geometry, judged_by)
+    ways: list[Alignment] = []
+    colours: list[float | None] = []
+    geometry = None
+    for frame, neighbour, vectors, back in (
+        (before, after, before.to_next, after.to_previous),
+        (after, before, after.to_previous, before.to_next),
+    ):
+        if vectors is None:
+            continue
+        way = Alignment.along(frame, neighbour, vectors, back)
+        if way.leads_away:
+            # A pan that leaves nothing in view, or something from outside that hides all.
+            return CutEvidence(False)
+        agreement = way.colour()
+        if agreement is not None and agreement >= COLOUR_LIMIT:
+            # Nearly always so: the other way need not be compared, which is half of the time.
+            return CutEvidence(False, agreement)
+        ways.append(way)
+        colours.append(agreement)
+    colour = max((each for each in colours if each is not None), default=None)
+    measures = Alignment.positions, Alignment.normals, Alignment.depths
+    for measure, limit in zip(measures, GEOMETRY_LIMITS, strict=True):
+        geometry = max((each for each in map(measure, ways) if each is not None), default=None)
+        if geometry is not None:
+            if geometry >= limit:
+                return CutEvidence(False, colour, geometry)
+            break
     if to_black:
-        return CutEvidence(True, colour, geometry, judged_by)
-    shifted, found = gain_of_shifts(before.light, after.light), False
+        return CutEvidence(True, colour, geometry)
+    shifted, found = _gain_of_shifts(before.light, after.light), False
     if shifted is not None:
         a, b = (np.sort(thumbnail.light, axis=None) for thumbnail in (before, after))
         tones = float(2 * np.abs(a - b).mean() / (a.std() + b.std() + 1e-6))
@@ -262,25 +234,7 @@ def compare_thumbnails(before: Thumbnail, after: Thumbnail) -> CutEvidence:
             found = shifted < (ALIKE_SHIFT if tones <= ALIKE_TONES else SURE_SHIFT)
         else:
             found = shifted < LIKELY_SHIFT and tones >= TONES_LIMIT
-    return CutEvidence(found, colour, geometry, judged_by, shifted)
-
-
-def _compare_geometry(ways: list[Alignment]) -> tuple[float | None, str]:
-    """Return how well geometry agrees, by the first measure that is available, and its name."""
-    measures: dict[str, Callable[[Alignment], float | None]] = {
-        "position": Alignment.positions,
-        "normal": Alignment.normals,
-        "depth": Alignment.depths,
-    }
-    for name, measure in measures.items():
-        agreement = _highest(measure(way) for way in ways)
-        if agreement is not None:
-            return agreement, name
-    return None, ""
-
-
-def _highest(values: Iterable[float | None]) -> float | None:
-    return max((value for value in values if value is not None), default=None)
+    return CutEvidence(found, colour, geometry, shifted)
 
 
 @dataclass(frozen=True)
@@ -290,9 +244,11 @@ class Alignment:
     frame: Thumbnail
     neighbour: Thumbnail
     target: Float32  # [h, w, 2]: place of each cell in the other frame, in cells; inside it, or 0
+    nearest: tuple[Index, Index]  # [h, w]: row and column of the cell nearest to it
     # [h, w]: cells whose vectors are known and lead to a place inside. Where there are surfaces,
     # background does not count: its vectors are often missing, or 0 whatever the camera does.
     landed: Bool
+    both: Bool  # [h, w]: those of them that show a surface in both frames
     # Share of them from where the other frame's vectors lead back, of all that are not known to
     # leave the frame; 1 where the other has no vectors. The renderer's do so in neighbours (0.63 of
     # them at least), optical flow across a cut does not (0.39 at most).
@@ -313,20 +269,23 @@ class Alignment:
         inside = ((target >= 0) & (target <= (width - 1, height - 1))).all(axis=-1)
         landed = np.asarray(counting & finite & inside)
         target = np.where(landed[..., None], target, 0).astype(np.float32)
+        column, row = np.moveaxis(np.rint(target).astype(np.intp), -1, 0)
+        both = landed & frame.surface & neighbour.surface[row, column]
         trusted = 1.0
         if back is not None:
-            x, y = _nearest_cells(target)
-            miss = np.linalg.norm(back[y, x] + vectors, axis=-1)
+            miss = np.linalg.norm(back[row, column] + vectors, axis=-1)
             with np.errstate(invalid="ignore"):
                 returned = landed & (miss < 1 + RETURNING * np.linalg.norm(vectors, axis=-1))
             staying = int((counting & (inside | ~finite)).sum())
             trusted = int(returned.sum()) / max(staying, 1)
         leads_away = int(landed.sum()) < MIN_LANDED * int((counting & finite).sum())
-        return cls(frame, neighbour, target, landed, trusted, leads_away)
+        nearest = row, column
+        return cls(frame, neighbour, target, nearest, landed, both, trusted, leads_away)
 
     def colour(self) -> float | None:
         """Return how well patterns of light agree; None without any."""
-        sampled = _sample_bilinear(self.neighbour.light, self.target)[..., None]
+        light, field = self.neighbour.light, self.target - _cell_places(*self.landed.shape)
+        sampled, _ = sample_bilinear(light[..., None], field)
         agreement = correlation(self.frame.light[..., None], sampled, self.landed, CONTRAST)
         return None if agreement is None else agreement * self.trusted
 
@@ -334,19 +293,17 @@ class Alignment:
         """Return how well patterns of normals agree."""
         if self.frame.normal is None or self.neighbour.normal is None:
             return None
-        x, y = _nearest_cells(self.target)
-        agreement = correlation(self.frame.normal, self.neighbour.normal[y, x], self._both, 0.1)
-        return self._weigh_surfaces(agreement)
+        there = self.neighbour.normal[self.nearest]
+        return self._weigh_surfaces(correlation(self.frame.normal, there, self.both, 0.1))
 
     def depths(self) -> float | None:
         """Return how well inverse depth agrees, of which a plane is a plane in every view."""
         if self.frame.depth is None or self.neighbour.depth is None:
             return None
-        x, y = _nearest_cells(self.target)
-        both = self._both
+        both = self.both
         a, b = (
             np.divide(1, depth, out=np.zeros(both.shape), where=both & (depth != 0))[..., None]
-            for depth in (self.frame.depth, self.neighbour.depth[y, x])
+            for depth in (self.frame.depth, self.neighbour.depth[self.nearest])
         )
         return self._weigh_surfaces(correlation(a, b, both, 0.03, relative=True))
 
@@ -355,7 +312,14 @@ class Alignment:
         frame, neighbour = self.frame, self.neighbour
         if frame.position is None or neighbour.position is None:
             return None
-        size = _cell_size(frame.position)
+        # How far apart neighbouring cells' world positions are, along a surface.
+        places = frame.position.astype(np.float64)
+        rows, columns = (np.linalg.norm(np.diff(places, axis=axis), axis=-1) for axis in (0, 1))
+        rows = np.pad(rows, ((1, 1), (0, 0)), constant_values=np.inf)
+        columns = np.pad(columns, ((0, 0), (1, 1)), constant_values=np.inf)
+        size = np.maximum(
+            np.minimum(rows[1:], rows[:-1]), np.minimum(columns[:, 1:], columns[:, :-1])
+        )
         allowed = 2 * size + np.abs(frame.position).max(axis=-1) * 2.0**-9
         still = self.landed
         if frame.stencil is None:  # a point may move as far in the world as it does on the screen
@@ -367,8 +331,8 @@ class Alignment:
         chosen[::2, ::2] = still[::2, ::2]  # enough
         if np.count_nonzero(chosen) < MIN_LANDED * still.size / 4:
             return None
-        x, y = _nearest_cells(self.target[chosen])
-        is_found = np.zeros(len(x), np.bool_)
+        y, x = (cells[chosen] for cells in self.nearest)
+        is_found = np.zeros(len(y), np.bool_)
         for dy, dx in np.ndindex(3, 3):
             row = np.clip(y + dy - 1, 0, still.shape[0] - 1)
             column = np.clip(x + dx - 1, 0, still.shape[1] - 1)
@@ -376,18 +340,12 @@ class Alignment:
             is_found |= neighbour.surface[row, column] & (gap < allowed[chosen])
         return float(is_found.mean())
 
-    @property
-    def _both(self) -> Bool:
-        """Cells that show a surface in both frames."""
-        x, y = _nearest_cells(self.target)
-        return self.landed & self.frame.surface & self.neighbour.surface[y, x]
-
     def _weigh_surfaces(self, agreement: float | None) -> float | None:
         """Count surfaces that lead to background as such that disagree."""
         landed = np.count_nonzero(self.landed & self.frame.surface)
         if landed < MIN_LANDED * self.landed.size:
             return None
-        share = np.count_nonzero(self._both) / landed
+        share = np.count_nonzero(self.both) / landed
         if agreement is None:
             return 0.0 if share < 0.1 else None
         return float(agreement * share) * self.trusted
@@ -418,8 +376,16 @@ def correlations(
     if relative:
         level = np.maximum(a.sum(axis=1, keepdims=True) / np.maximum(count, 1), 1e-30)
         a, b = a / level, b / level
-    # The gradients of skies and of level ground are much alike in all scenes.
-    a, b = (_without_plane(values, mask) for values in (a, b))
+    # The gradients of skies and of level ground are much alike in all scenes: from each block, the
+    # plane that fits best is subtracted.
+    y, x = (np.mgrid[:BLOCK, :BLOCK] - (BLOCK - 1) / 2).reshape(2, -1)
+    terms = np.stack([x, y, np.ones_like(x)], axis=1)
+    products = (terms[:, :, None] * terms[:, None, :]).reshape(len(terms), 9)
+    normal = (mask[..., 0] @ products).reshape(-1, 3, 3) + 1e-6 * np.eye(3)
+    a, b = (
+        np.where(mask, values - terms @ np.linalg.solve(normal, terms.T @ values), 0)
+        for values in (a, b)
+    )
     power_a, power_b, shared = ((u * v).sum(axis=(1, 2)) for u, v in ((a, a), (b, b), (a, b)))
     cell_count = count[:, 0, 0]
     counts = (2 * cell_count >= BLOCK * BLOCK) & (power_a > contrast**2 * cell_count)
@@ -435,57 +401,32 @@ def _blocks(values: np.ndarray) -> np.ndarray:
     return split.reshape(rows * columns, BLOCK * BLOCK, values.shape[2])
 
 
-def _without_plane(values: F64, mask: np.ndarray) -> F64:
-    """Subtract from blocks [N, cells, C] the plane that fits each best."""
-    y, x = (np.mgrid[:BLOCK, :BLOCK] - (BLOCK - 1) / 2).reshape(2, -1)
-    terms = np.stack([x, y, np.ones_like(x)], axis=1)
-    products = (terms[:, :, None] * terms[:, None, :]).reshape(len(terms), 9)
-    normal = (mask[..., 0] @ products).reshape(-1, 3, 3) + 1e-6 * np.eye(3)
-    right = terms.T @ values
-    return np.asarray(np.where(mask, values - terms @ np.linalg.solve(normal, right), 0))
-
-
-def _cell_size(position: Float32) -> F64:
-    """Return how far apart neighbouring cells' world positions are, [h, w], along a surface."""
-    rows = np.linalg.norm(np.diff(position.astype(np.float64), axis=0), axis=-1)
-    columns = np.linalg.norm(np.diff(position.astype(np.float64), axis=1), axis=-1)
-    rows = np.pad(rows, ((1, 1), (0, 0)), constant_values=np.inf)
-    columns = np.pad(columns, ((0, 0), (1, 1)), constant_values=np.inf)
-    down, across = np.minimum(rows[1:], rows[:-1]), np.minimum(columns[:, 1:], columns[:, :-1])
-    return np.asarray(np.maximum(down, across))
-
-
 def _cell_places(height: int, width: int) -> Float32:
     """Return each cell's own place (x, y), [h, w, 2]."""
     return np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(np.float32)
 
 
-def _nearest_cells(target: Float32) -> tuple[Index, Index]:
-    """Return column and row of the cells nearest to places [..., 2]."""
-    nearest = np.rint(target).astype(np.intp)
-    return nearest[..., 0], nearest[..., 1]
-
-
-def _sample_bilinear(image: Float32, target: Float32) -> Float32:
-    """Sample [h, w] at places [h, w, 2] inside it."""
-    height, width = image.shape
-    x0 = np.minimum(target[..., 0].astype(np.intp), max(width - 2, 0))
-    y0 = np.minimum(target[..., 1].astype(np.intp), max(height - 2, 0))
-    x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
-    fx, fy = target[..., 0] - x0, target[..., 1] - y0
-    upper = image[y0, x0] * (1 - fx) + image[y0, x1] * fx
-    lower = image[y1, x0] * (1 - fx) + image[y1, x1] * fx
-    return np.asarray(upper * (1 - fy) + lower * fy, np.float32)
-
-
-def gain_of_shifts(before: Float32, after: Float32) -> float | None:
+def _gain_of_shifts(before: Float32, after: Float32) -> float | None:
     """Return how much better shifts of the whole frame explain a pair than others do.
 
     For each block the best of the few shifts counts that phase correlation finds (Kuglin and Hines
     1975), less the best of as many far shifts.
     """
-    width = before.shape[1]
-    likely = _best_of([(0, 0), *_likely_shifts(before, after)], before, after)
+    height, width = before.shape
+    window = np.outer(np.hanning(height), np.hanning(width))
+    a, b = (np.fft.rfft2((light - light.mean()) * window) for light in (before, after))
+    cross = a.conj() * b
+    cross /= np.abs(cross) + 1e-9 * np.abs(cross).max() + 1e-30
+    rate = np.fft.fftfreq(height)[:, None] ** 2 + np.fft.rfftfreq(width) ** 2
+    # Frequencies above a sixth of a cell's hold more noise than motion.
+    peaks = np.fft.irfft2(cross * np.exp(-rate / (2 * 0.15**2)), (height, width))
+    shifts = [(0, 0)]  # (x, y) in cells, + right and down
+    for _ in range(SHIFTS):
+        y, x = divmod(int(np.argmax(peaks)), width)
+        around = np.ix_(np.arange(y - 2, y + 3) % height, np.arange(x - 2, x + 3) % width)
+        peaks[around] = -np.inf
+        shifts.append((x - width if x > width // 2 else x, y - height if y > height // 2 else y))
+    likely = _best_of(shifts, before, after)
     far = ((17, 10), (-17, 13), (12, -12), (-10, -18), (20, 3))
     unlikely = [
         _best_of([(sign * x * width // 100, y * width // 100) for x, y in far], before, after)
@@ -509,22 +450,3 @@ def _best_of(shifts: list[tuple[int, int]], before: Float32, after: Float32) -> 
     if np.count_nonzero(measured) < MIN_BLOCKS:
         return None
     return float(np.nanmax(np.stack(each)[:, measured], axis=0).mean())
-
-
-def _likely_shifts(before: Float32, after: Float32) -> list[tuple[int, int]]:
-    """Return the highest peaks of phase correlation, as (x, y) in cells, + right and down."""
-    height, width = before.shape
-    window = np.outer(np.hanning(height), np.hanning(width))
-    a, b = (np.fft.rfft2((light - light.mean()) * window) for light in (before, after))
-    cross = a.conj() * b
-    cross /= np.abs(cross) + 1e-9 * np.abs(cross).max() + 1e-30
-    rate = np.fft.fftfreq(height)[:, None] ** 2 + np.fft.rfftfreq(width) ** 2
-    # Frequencies above a sixth of a cell's hold more noise than motion.
-    peaks = np.fft.irfft2(cross * np.exp(-rate / (2 * 0.15**2)), (height, width))
-    out = []
-    for _ in range(SHIFTS):
-        y, x = divmod(int(np.argmax(peaks)), width)
-        around = np.ix_(np.arange(y - 2, y + 3) % height, np.arange(x - 2, x + 3) % width)
-        peaks[around] = -np.inf
-        out.append((x - width if x > width // 2 else x, y - height if y > height // 2 else y))
-    return out

@@ -196,14 +196,8 @@ def modulation_of(gbuffer: GBuffer) -> Float32 | None:
     if gbuffer.albedo is None or gbuffer.specular is None:
         return None
     total: Float32 = pool.empty(gbuffer.albedo.shape, np.float32)
-    _row_bands.run_bands(_modulate, (gbuffer.albedo, gbuffer.specular, total), _row_bands.threads())
-    return total
-
-
-def _modulate(albedo: Float32, specular: Float32, out: Float32, share: Band) -> None:
-    rows = band_slice(len(out), share)
-    np.add(albedo[rows], specular[rows], out=out[rows])
-    np.clip(out[rows], np.float32(DARKEST), np.float32(BRIGHTEST), out=out[rows])
+    np.add(gbuffer.albedo, gbuffer.specular, out=total)
+    return np.clip(total, np.float32(DARKEST), np.float32(BRIGHTEST), out=total)
 
 
 def demodulated(frame: KeyFrame) -> Float32 | None:

@@ -253,6 +253,9 @@ def _camera_miss(nearness: F64, pixels: F64, target: F64) -> float:
     camera = fit(points, target, movers=True)
     if camera is None:
         return np.inf
-    error = np.linalg.norm(camera.project(points) - target, axis=1)
+    image = points @ camera.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = np.linalg.norm(image[:, :2] / image[:, 2:] - target, axis=1)
+    error[image[:, 2] <= 0] = np.inf  # behind the camera
     # Points that move by themselves are few, and hardly change the median.
     return float(np.median(np.where(np.isfinite(error), error, np.inf)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -15,7 +15,7 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels import point_motion
 from exwarp_cli.kernels.point_motion import follow_points, follow_visible
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
-from exwarp_cli.synthesis.camera import Camera, Index, Scene, camera_by, place_still, scene_of
+from exwarp_cli.synthesis.camera import Scene, camera_after, place_still, scene_of
 from exwarp_cli.synthesis.gbuffer_values import EXACT
 from exwarp_cli.synthesis.motion_fields import (
     SlotField,
@@ -98,48 +98,6 @@ def older_key_frames(
     return tuple(older_frames)
 
 
-@dataclass(frozen=True)
-class KeyHistory:
-    """A key frame and the older ones: what all slots that look back from it share, found lazily."""
-
-    key: GBuffer  # of F_k, with settled motion
-    past: Sequence[OlderKeyFrame]  # F_k-1 and F_k-2, as far as they exist
-    scratch: ScratchFrames = IN_MEMORY  # where large arrays are kept
-
-    @cached_property
-    def gone(self) -> tuple[Bool, ...]:
-        """For each older key frame with geometry, `OlderKeyFrame.gone`."""
-        masks, newer = [], self.key
-        for older in self.past:
-            if older.frame.gbuffer is None:
-                break
-            masks.append(older.gone(newer))
-            newer = older.frame.gbuffer
-            self.scratch.page_out()
-        return tuple(masks)
-
-    def camera_at(self, time: float) -> Camera | None:
-        """Predict the camera of a slot by the key frame's motion, in world space."""
-        scene = self._scene
-        if scene is None or scene.camera is None:
-            return None
-
-        def motion_at(index: Index) -> Float32:
-            before, after = (
-                None if vectors is None else vectors.reshape(-1, 2)[index][None]
-                for vectors in (self.key.to_previous, self.key.to_next)
-            )
-            points = replace(self.key, to_previous=before, to_next=after, bend=None)
-            motion: Float32 = displacement(points, time)[0]
-            return motion
-
-        return camera_by(scene, motion_at, self.key.stencil)
-
-    @cached_property
-    def _scene(self) -> Scene | None:
-        return scene_of(self.key)
-
-
 def is_lit_alike(
     # [H, W, 3 or more], scene-linear, moved to one instant.
     frame: Float32,
@@ -166,79 +124,77 @@ class HistorySamples:
     unknown: Bool  # [H, W]: no frame shows the slot's surface; depth is NaN
 
 
-def look_back(
-    slot: int,  # 1 to 3
+def look_back_reprojected(
+    time: float,  # of the slot, in key intervals after the key frame
     back: SlotField,  # motion field from the slot to the key frame
-    # G-buffers of slots 1 to 3 with settled motion; empty when only key frames have them.
-    slots: Sequence[GBuffer],
-    history: KeyHistory,
-    scene: Scene | None = None,  # the slot's points, if its G-buffer has them
+    key: GBuffer,  # of F_k, with settled motion
+    past: Sequence[OlderKeyFrame],  # F_k-1 and F_k-2, as far as they exist
+    scene: Scene | None,  # the key frame's points; only used where there are older key frames
+    scratch: ScratchFrames = IN_MEMORY,  # where large arrays are kept
 ) -> HistorySamples:
-    """Find a slot's surfaces in the older key frames."""
-    if slots:
-        return _look_back_rendered(slot, slots[slot - 1], back, history, scene)
-    return _look_back_reprojected(slot, back, history)
-
-
-def _look_back_reprojected(slot: int, back: SlotField, history: KeyHistory) -> HistorySamples:
-    """Look back from key G-buffers alone.
+    """Find a slot's surfaces in the older key frames, from key G-buffers alone.
 
     The key frame's surfaces are moved to the slot, and followed back from the key frame. What it
     does not show comes from the ones before, moved on to the slot: the only rendered pictures of
     what has just been disoccluded.
     """
-    time, newer, moved = slot / FACTOR, history.key, back.field
-    camera = history.camera_at(time) if history.past else None
+    newer, moved = key, back.field
+    camera = None
+    if past and scene is not None and scene.camera is not None:
+        motion = displacement(key.without("bend"), time)
+        camera = camera_after(scene, motion, key.stencil)
     sources = [(newer, back.field)]
     fields: list[Float32] = []
     hidden: list[Bool] = []
     lost = np.isnan(moved[..., 0])
-    for count, (older, gone) in enumerate(zip(history.past, history.gone, strict=False), start=1):
+    for count, older in enumerate(past, start=1):
         gbuffer = older.frame.gbuffer
-        assert gbuffer is not None
-        history.scratch.page_out()
+        if gbuffer is None:
+            break
+        gone = older.gone(newer)
+        scratch.page_out()
         led, missed = pool.empty(moved.shape, np.float32), pool.empty(lost.shape, np.bool_)
         follow_visible(older.motion, stencil_of(newer), gone, moved, lost, led, missed)
         moved, lost = led, missed
         if gbuffer.has_motion:
-            motion = _predict_motion(older, gbuffer, count, time, camera)
-            history.scratch.page_out()
+            # What stands still is placed by the camera of the slot. What moves by itself is moved
+            # from the last older key frame alone: from the one before that, it is unknown.
+            if count > 1:
+                motion = np.full(moved.shape, np.nan, np.float32)
+            else:
+                motion = displacement(gbuffer, count + time)
+            if camera is not None and older.scene is not None and older.stands is not None:
+                place_still(older.scene, camera, older.stands, motion)
+            scratch.page_out()
             predicted = splat_motion(gbuffer, motion).field
             point_motion.fill_predicted(predicted, moved, lost)
             sources.append((gbuffer, predicted))
         fields.append(moved)
         hidden.append(lost)
         newer = gbuffer
-    history.scratch.page_out()
+    scratch.page_out()
     gbuffer, unknown = _reproject_surfaces(sources)
     return HistorySamples(gbuffer, tuple(fields), tuple(hidden), unknown)
 
 
-def _predict_motion(
-    older: OlderKeyFrame, gbuffer: GBuffer, count: int, time: float, camera: Camera | None
-) -> Float32:
-    """Return where an older key frame's pixels move to, float32 [H, W, 2].
-
-    What stands still is placed by the camera of the slot. What moves by itself is moved from the
-    last older key frame alone: from the one before that (`count` 2), it is unknown.
-    """
-    if count > 1:
-        motion = np.full((*gbuffer.window.shape, 2), np.nan, np.float32)
-    else:
-        motion = displacement(gbuffer, count + time)
-    if camera is not None and older.scene is not None and older.stands is not None:
-        place_still(older.scene, camera, older.stands, motion)
-    return motion
-
-
-def _look_back_rendered(
-    slot: int, gbuffer: GBuffer, back: SlotField, history: KeyHistory, scene: Scene | None
+def look_back_rendered(
+    slot: int,  # 1 to 3
+    gbuffer: GBuffer,  # of the slot, with settled motion
+    back: SlotField,  # motion field from the slot to the key frame
+    # As of `look_back_reprojected`, but for the scene: the slot's points.
+    key: GBuffer,
+    past: Sequence[OlderKeyFrame],
+    scene: Scene | None,
+    scratch: ScratchFrames = IN_MEMORY,
 ) -> HistorySamples:
-    """Look back from the slot's own G-buffer, also at what the last key frame does not show."""
-    newer, moved = history.key, pool.copy(back.field)
+    """Find a slot's surfaces in the older key frames, also what the last key frame does not show.
+
+    By the slot's own G-buffer.
+    """
+    newer, moved = key, pool.copy(back.field)
     fields, hidden = [], []
-    for count, older in enumerate(history.past, start=1):
-        history.scratch.page_out()
+    for count, older in enumerate(past, start=1):
+        scratch.page_out()
         if older.frame.gbuffer is None:
             break
         # Its own vectors predict a point so many slots ago badly: with them older frames were up to
@@ -247,8 +203,9 @@ def _look_back_rendered(
         ids = stencil_of(newer), stencil_of(gbuffer)
         follow_points(older.motion, ids, _UNCOMPARED, EXACT, np.float32(0), _UNFORESEEN, moved)
         placed, there = moved.copy(), older.scene
-        if scene and there and there.camera and gbuffer.stencil is not None:
-            place_still(scene, there.camera, gbuffer.stencil == 0, placed)
+        camera = None if there is None else there.camera
+        if scene is not None and camera is not None and gbuffer.stencil is not None:
+            place_still(scene, camera, gbuffer.stencil == 0, placed)
         fields.append(placed)
         hidden.append(find_holes(gbuffer, older.frame.gbuffer, placed, slot + FACTOR * count))
         newer = older.frame.gbuffer
@@ -271,7 +228,7 @@ def _reproject_surfaces(
     bool [H, W]
         Where that is so.
     """
-    (first, motion), *others = sources
+    first, motion = sources[0]
     first = replace(first, depth=depth_of(first))
     parts: dict[str, Any] = {}
     for name in NEAREST:
@@ -282,34 +239,29 @@ def _reproject_surfaces(
         if (array := getattr(first, name)) is not None:
             parts[name], _ = sample_bilinear(array, motion)
     unknown = np.ones(first.window.shape, np.bool_)
-    _take_over(first.without(*SMOOTH), motion, parts, unknown, blanks=True)
-    for gbuffer, motion in others:
-        _take_over(replace(gbuffer, depth=depth_of(gbuffer)), motion, parts, unknown)
-    return GBuffer(first.window, **parts), unknown
 
-
-def _take_over(
-    gbuffer: GBuffer, field: Float32, parts: dict[str, Float32], unknown: Bool, blanks: bool = False
-) -> None:
-    """Take over what is known of a frame where a slot's parts are not known yet."""
-
-    def array(name: str, source: Mapping[str, Float32 | None]) -> Float32:
-        values = source[name] if name in parts else None
-        if values is None:
-            has_channels = name == "normal" or name in SMOOTH
-            return np.zeros((0, 0, 3) if has_channels else (0, 0), np.float32)
+    def plane(name: str, values: Float32 | None) -> Float32:
+        """Return what the kernel takes, nothing for what is not taken over."""
+        if values is None or name not in parts:
+            channels = (3,) if name == "normal" or name in SMOOTH else ()
+            return np.zeros((0, 0, *channels), np.float32)
         return np.ascontiguousarray(values)
 
-    own = {name: getattr(gbuffer, name) for name in (*NEAREST, *SMOOTH)}
-    point_motion.copy_surface(
-        field,
-        tuple(array(name, own) for name in NEAREST),
-        tuple(array(name, own).reshape(-1) for name in SMOOTH),
-        tuple(array(name, parts) for name in NEAREST),
-        tuple(array(name, parts).reshape(-1) for name in SMOOTH),
-        unknown,
-        blanks,
-    )
+    for count, (gbuffer, motion) in enumerate(sources):
+        own = {name: getattr(gbuffer, name) for name in (*NEAREST, *SMOOTH)}
+        own["depth"] = depth_of(gbuffer)
+        if count == 0:  # SMOOTH is there already
+            own |= dict.fromkeys(SMOOTH)
+        point_motion.copy_surface(
+            motion,
+            tuple(plane(name, own[name]) for name in NEAREST),
+            tuple(plane(name, own[name]).reshape(-1) for name in SMOOTH),
+            tuple(plane(name, parts.get(name)) for name in NEAREST),
+            tuple(plane(name, parts.get(name)).reshape(-1) for name in SMOOTH),
+            unknown,
+            count == 0,
+        )
+    return GBuffer(first.window, **parts), unknown
 
 
 def step_back(

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from threading import Lock
-from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -14,10 +12,9 @@ from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, Window, pl
 from exwarp_cli.domain.network_api import (
     Extrapolator,
     Interpolator,
-    LazyInputs,
     LookAheadNetwork,
 )
-from exwarp_cli.domain.tiles import TILE_FEATURES
+from exwarp_cli.domain.tiles import TILE_FEATURES, TILE_ROWS
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
@@ -25,9 +22,9 @@ from exwarp_cli.synthesis.camera import F64, Scene, scene_of
 from exwarp_cli.synthesis.extrapolation import Prepared, prepare
 from exwarp_cli.synthesis.history import (
     HistorySamples,
-    KeyHistory,
     OlderKeyFrame,
-    look_back,
+    look_back_rendered,
+    look_back_reprojected,
     step_back,
 )
 from exwarp_cli.synthesis.look_ahead import LookAhead
@@ -48,8 +45,6 @@ from exwarp_cli.synthesis.predicted_error import (
 from exwarp_cli.synthesis.residual_flow import CarriedLight, LightFlow, find_light_flow
 from exwarp_cli.synthesis.trajectory import (
     displacement,
-    displacement_and_reach,
-    reach_of,
     span_motion,
 )
 from exwarp_cli.synthesis.warp import Coverage, CoverageSide
@@ -60,21 +55,6 @@ QUARTERS = tuple(index / FACTOR for index in range(1, FACTOR))
 # Chooses the tiles whose key frames a network weighs, bool [rows, columns], by their
 # `LOOK_AHEAD_FEATURES`, float64 [rows, columns, 6], and the time of the slot.
 TileChooser = Callable[[F64, float], Bool]
-
-T = TypeVar("T")
-
-
-class _Once(Generic[T]):
-    """A value that the first of several threads computes for all."""
-
-    def __init__(self) -> None:
-        self._lock, self._value = Lock(), list[T]()
-
-    def get(self, compute: Callable[[], T]) -> T:
-        with self._lock:
-            if not self._value:
-                self._value.append(compute())
-        return self._value[0]
 
 
 @dataclass
@@ -113,18 +93,20 @@ class Interval:
     # may lead over another time than the key frames' do.
     rendered: Mapping[int, KeyFrame] = field(default_factory=dict)
     chooser: TileChooser | None = None  # of the tiles in which a network weighs; None for all
+    # Frames of slots that are made by several makers, kept as the next may be warped from them.
+    composed: dict[int, Float32] = field(default_factory=dict, init=False)
     _warps: dict[int, CarriedLight] = field(default_factory=dict, init=False)
     _mixers: dict[int, LookAhead] = field(default_factory=dict, init=False)
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
     _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
     _scenes: dict[int, Scene | None] = field(default_factory=dict, init=False)
     _looked: dict[int, HistorySamples] = field(default_factory=dict, init=False)
-    _history: KeyHistory | None = field(default=None, init=False)
-    _light: _Once[LightFlow | None] = field(default_factory=_Once, init=False)
-    _residual: _Once[KeyResidual | None] = field(default_factory=_Once, init=False)
+    # Empty until the first of several threads has found them for all, under the lock.
+    _light: list[LightFlow | None] = field(default_factory=list, init=False)
+    _residual: list[KeyResidual] = field(default_factory=list, init=False)
+    _lock: Lock = field(default_factory=Lock, init=False)
     _extrapolated: dict[int, Float32] = field(default_factory=dict, init=False)
     _warped: dict[int, Float32] = field(default_factory=dict, init=False)
-    _composed: dict[int, Float32] = field(default_factory=dict, init=False)
     _holes: dict[int, Bool] = field(default_factory=dict, init=False)
 
     @property
@@ -184,13 +166,6 @@ class Interval:
         return self._forward[slot]
 
     @property
-    def light(self) -> LightFlow | None:
-        """How light moves on after the key frame; None if that is unknown."""
-        if not self.past or self.estimated or self.after_hold:
-            return None
-        return self._light.get(lambda: self.scratch.store(find_light_flow(self.key, self.past[0])))
-
-    @property
     def tiles(self) -> Tiles:
         """The tiles whose error is predicted."""
         canvas = self.key.image.data_window
@@ -202,22 +177,23 @@ class Interval:
         return Mosaic.of(self.tiles)
 
     @property
-    def residual(self) -> KeyResidual | None:
+    def residual(self) -> KeyResidual:
         """How well the next key frame predicts this one, or this one is by the one before.
 
-        None where no motion leads from one to the other.
+        0 where no motion leads from one to the other.
         """
-        return self._residual.get(self._key_residual)
-
-    def _key_residual(self) -> KeyResidual | None:
-        after = self.following
-        if after is not None:
-            if after.gbuffer is None or not after.gbuffer.has_motion:
-                return None
-            return key_residual(self.tiles, after, self.key, displacement(after.gbuffer, -1))
-        if not self.past:
-            return None
-        return key_residual(self.tiles, self.key, self.past[0].frame, self.past[0].motion)
+        key, after, tiles = self.key, self.following, self.tiles
+        with self._lock:
+            if not self._residual:
+                none = np.zeros((TILE_ROWS, tiles.columns))
+                residual = KeyResidual(none, none)
+                if after is None and self.past:
+                    residual = key_residual(tiles, key, self.past[0].frame, self.past[0].motion)
+                elif after is not None and after.gbuffer is not None and after.gbuffer.has_motion:
+                    motion = displacement(after.gbuffer, -1)
+                    residual = key_residual(tiles, after, key, motion)
+                self._residual.append(residual)
+        return self._residual[0]
 
     def warp(self, slot: int) -> CarriedLight:
         """Return what moves the key frame before a slot to it; one for all layers of the slot."""
@@ -229,13 +205,19 @@ class Interval:
         return warp
 
     def _make_warp(self, slot: int, linear: bool) -> CarriedLight:
+        light = None
+        if self.past and not self.estimated and not self.after_hold:
+            with self._lock:
+                if not self._light:
+                    self._light.append(self.scratch.store(find_light_flow(self.key, self.past[0])))
+            light = self._light[0]
         time, side = self.time(slot), self._side(slot, ahead=False)
         source, coverage = self.back(slot), None
         if side is not None:
             # The slot's own surface where none of the key frame's arrives.
             source = fill_unknown(side.moved(), source) if self.slots else source
             coverage = Coverage((side,), (source,), time, linear)
-        return CarriedLight(source, time, self.light, linear, coverage)
+        return CarriedLight(source, time, light, linear, coverage)
 
     def warped(self, slot: int) -> Float32:
         """Return W's frame of a slot, float32 [H, W, C], colour moved as shown; made once."""
@@ -259,18 +241,18 @@ class Interval:
         else:
             fields = self.back(slot), self.forward(slot)
         coverage = None if sides is None else Coverage(sides, fields, time, self.linear)
-        network = choice = None
+        network = choose = None
         if weighs and isinstance(self.interpolator, LookAheadNetwork):
-            network = self.interpolator
-            if self.chooser is not None:
-                choice = self.mosaic, partial(self._choose_tiles, self.chooser, time)
-        mixer = LookAhead(*fields, time, self.linear, coverage, network, self.tiles, choice)
+            network, chooser = self.interpolator, self.chooser
+            if chooser is not None:
+
+                def choose(evidence: TileEvidence) -> Bool:
+                    return chooser(look_ahead_features(evidence, self.residual), time)
+
+        mixer = LookAhead(*fields, time, self.linear, coverage, network, self.tiles, choose)
         if self.linear:  # else no layers follow
             self._mixers[slot] = mixer
         return mixer
-
-    def _choose_tiles(self, chooser: TileChooser, time: float, evidence: TileEvidence) -> Bool:
-        return chooser(look_ahead_features(evidence, self.residual), time)
 
     def _side(self, slot: int, ahead: bool) -> CoverageSide | None:
         """Return how the surfaces of the key frame before a slot, or after it, move to the slot.
@@ -283,8 +265,7 @@ class Interval:
         if self.estimated or gbuffer is None or not gbuffer.has_motion:
             return None
         if not self.slots:
-            motion, reach = displacement_and_reach(gbuffer, self.time(slot) - ahead)
-            side = CoverageSide(gbuffer, motion, reach)
+            side = CoverageSide(gbuffer, displacement(gbuffer, self.time(slot) - ahead))
             # Also the slot's motion field, for holes and reports.
             fields = self._forward if ahead else self._back
             if slot not in fields:
@@ -301,8 +282,7 @@ class Interval:
         steps = start, *(self.slots[slot - 1 :][::-1] if ahead else self.slots[:slot])
         if any((step.to_previous if ahead else step.to_next) is None for step in steps[:-1]):
             return None
-        motion = span_motion(steps, -1 if ahead else 1)
-        return CoverageSide(gbuffer, motion, reach_of(motion))
+        return CoverageSide(gbuffer, span_motion(steps, -1 if ahead else 1))
 
     def step_back(self, slot: int) -> SlotField:
         """Return the motion field from a slot, 2 or more, to the slot before it."""
@@ -320,9 +300,12 @@ class Interval:
         if slot not in self._looked:
             back, key = self.back(slot), self.key.gbuffer
             assert key is not None  # the motion came from it
-            history = self._history = self._history or KeyHistory(key, self.past, self.scratch)
-            scene = self._scene(slot) if self.slots else None
-            samples = look_back(slot, back, self.slots, history, scene)
+            scene = self._scene(slot if self.slots else 0) if self.past else None
+            history = key, self.past, scene, self.scratch
+            if self.slots:
+                samples = look_back_rendered(slot, self.slots[slot - 1], back, *history)
+            else:
+                samples = look_back_reprojected(slot / FACTOR, back, *history)
             self._looked[slot] = self.scratch.store(samples)
         return self._looked[slot]
 
@@ -341,44 +324,30 @@ class Interval:
             slot, self.warped(slot), self.back(slot), samples, self.key, self.past, self.scratch
         )
 
-    def extrapolated(self, slot: int) -> Float32:
-        """Return E's frame for a slot, 2 or 3: float32 [H, W, C], scene-linear; made once.
+    def extrapolated(self, slot: int, chosen: Bool | None = None) -> Float32:
+        """Return E's frame for a slot, 2 or 3: float32 [H, W, C], scene-linear.
 
-        At slot 2 it is E(F), at slot 3 E(P1): the network never sees what was predicted.
+        At slot 2 it is E(F), at slot 3 E(P1): the network never sees what was predicted. It is made
+        once; with `chosen`, bool [rows, columns], each time, and valid in these tiles alone.
         """
-        assert self.extrapolator is not None
-        if slot not in self._extrapolated:
-            frame = self._extrapolate(slot, self.extrapolator)
-            self._extrapolated[slot] = self.scratch.store(frame)
-        return self._extrapolated[slot]
-
-    def extrapolated_in(self, slot: int, chosen: Bool) -> Float32:
-        """Return E's frame for a slot, 2 or 3, valid in chosen tiles, bool [rows, columns].
-
-        float32 [H, W, C], scene-linear; of all tiles it is what `extrapolated` makes.
-        """
-        network, mosaic = self.extrapolator, self.mosaic
+        network = self.extrapolator
         assert network is not None
-
-        def answer(inputs: LazyInputs) -> Float32:
-            out = np.zeros((3, *mosaic.shape), np.float32)
-            run_in_tiles(mosaic, chosen, lambda *part: network(inputs.part(*part)), out)
-            return out
-
-        return self._extrapolate(slot, network if chosen.all() else answer)
-
-    def composed(self, slot: int, make: Callable[[], Float32]) -> Float32:
-        """Return a slot's frame of several makers, made once, as the next may be warped from it."""
-        if slot not in self._composed:
-            self._composed[slot] = self.scratch.store(make())
-        return self._composed[slot]
-
-    def _extrapolate(self, slot: int, network: Callable[[LazyInputs], Float32]) -> Float32:
+        if chosen is None and slot in self._extrapolated:
+            return self._extrapolated[slot]
         self._back[slot] = self.scratch.store(self.back(slot))
         prepared = self.prepared(slot)
         self._looked.pop(slot, None)
         pool.clear()  # the network takes a gigabyte
-        return prepared.finish(network(prepared.inputs))
+        if chosen is None or chosen.all():
+            answer = network(prepared.inputs)
+        else:
+            inputs, mosaic = prepared.inputs, self.mosaic
+            answer = np.zeros((3, *mosaic.shape), np.float32)
+            run_in_tiles(mosaic, chosen, lambda *part: network(inputs.part(*part)), answer)
+        frame = prepared.finish(answer)
+        if chosen is None:
+            frame = self._extrapolated[slot] = self.scratch.store(frame)
+        return frame
 
     def forget(self, slot: int) -> None:
         """Drop what was computed for a slot, but for its holes; it may be computed again.
@@ -388,7 +357,7 @@ class Interval:
         self._warps.pop(slot, None)
         self._mixers.pop(slot, None)
         self._warped.pop(slot, None)
-        self._composed.pop(slot, None)
+        self.composed.pop(slot, None)
         if self.keeps:
             return
         if slot in self._back:
@@ -397,23 +366,12 @@ class Interval:
         self._forward.pop(slot, None)
         self._looked.pop(slot, None)
 
-    def without(self, *parts: str) -> Interval:
-        """Return the interval as if its G-buffers lacked these parts."""
-        return replace(
-            self,
-            key=self.key.without(*parts),
-            slots=tuple(gbuffer.without(*parts) for gbuffer in self.slots),
-            past=tuple(replace(step, frame=step.frame.without(*parts)) for step in self.past),
-        )
-
     def bare(self) -> Interval:
         """Return the interval with no more than warps from the key frame use."""
-
-        def bare(frame: KeyFrame) -> KeyFrame:
-            return replace(frame, gbuffer=None if frame.gbuffer is None else frame.gbuffer.bare())
-
-        past = tuple(replace(step, frame=bare(step.frame)) for step in self.past[:1])
-        return replace(self, key=bare(self.key), past=past)
+        frames = (self.key, *(step.frame for step in self.past[:1]))
+        key, *older = (replace(f, gbuffer=f.gbuffer and f.gbuffer.bare()) for f in frames)
+        past = (replace(self.past[0], frame=older[0]),) if older else ()
+        return replace(self, key=key, past=past)
 
     def on(self, window: Window) -> Interval:
         """Return the interval as if only a window inside its frames had been rendered."""
@@ -471,8 +429,7 @@ def tile_features(
     holes, outlines, x, y, xx, yy = tiles.means([*masks, *moments])
     variances = (np.maximum(square - mean**2, 0) for square, mean in ((xx, x), (yy, y)))
     residual = interval.residual
-    none = np.zeros_like(holes)
-    of_keys = (none, none) if residual is None else (residual.light, residual.motion)
-    features = np.stack([holes, outlines, *variances, *of_keys], axis=-1)
+    parts = holes, outlines, *variances, residual.light, residual.motion
+    features = np.stack(parts, axis=-1)
     assert features.shape[-1] == len(TILE_FEATURES)
     return features

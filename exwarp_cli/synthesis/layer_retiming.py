@@ -187,32 +187,29 @@ def lead_points(
     return PointMotion(field, lost, find_still(here, scene_of(here)), later)
 
 
+@dataclass(frozen=True)
 class LayerMotion:
     """How an interval's points move from key frame to key frame, computed lazily."""
 
-    def __init__(
-        self,
-        key: GBuffer,  # G-buffer of the key frame before the slots
-        following: GBuffer | None = None,  # that of the one after them, where it is used
-        # That of the one before `key`; only used where there is no `following`.
-        older: GBuffer | None = None,
-    ) -> None:
-        self._key, self._following, self._older = key, following, older
+    key: GBuffer  # G-buffer of the key frame before the slots
+    following: GBuffer | None = None  # that of the one after them, where it is used
+    # That of the one before `key`; only used where there is no `following`.
+    older: GBuffer | None = None
 
     @cached_property
     def ahead(self) -> PointMotion | None:
         """From the key frame to the one after."""
-        return None if self._following is None else lead_points(self._key, self._following, 1)
+        return None if self.following is None else lead_points(self.key, self.following, 1)
 
     @cached_property
     def behind(self) -> PointMotion | None:
         """From the key frame after to the one before."""
-        return None if self._following is None else lead_points(self._following, self._key, -1)
+        return None if self.following is None else lead_points(self.following, self.key, -1)
 
     @cached_property
     def past(self) -> PointMotion | None:
         """From the key frame to the one before it."""
-        return None if self._older is None else lead_points(self._key, self._older, -1)
+        return None if self.older is None else lead_points(self.key, self.older, -1)
 
 
 @dataclass(frozen=True)

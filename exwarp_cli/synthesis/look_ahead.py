@@ -7,7 +7,7 @@ In the method `lookahead` a network weighs both sides, pixel by pixel.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -40,12 +40,6 @@ from exwarp_cli.synthesis.warp import (
 # Depths, scene units: nearer and farther ones are given to the network as these.
 NEAREST, FURTHEST = np.float32(1e-2), np.float32(1e4)
 
-# Of each tile of a slot, float16 [5, h, w].
-Weights = list[tuple[Tile, np.ndarray]]
-
-# Where tiles lie, and what chooses those that a network weighs by what is measured of all.
-TileChoice = tuple[Mosaic, Callable[[TileEvidence], Bool]]
-
 
 class LookAhead:
     """Makes the colour of a slot from the key frames on both sides: its beauty, then its layers."""
@@ -62,18 +56,19 @@ class LookAhead:
         # That weighs what both sides show; None for the weights of softmax splatting.
         network: LookAheadNetwork | None = None,
         tiles: Tiles | None = None,  # for which `evidence` of the beauty is kept; None for none
-        # Chooses the tiles, bool [rows, columns], in which the network weighs; None for all.
-        choice: TileChoice | None = None,
+        # Chooses the tiles, bool [rows, columns], in which the network weighs, by their evidence;
+        # None for all.
+        choose: Callable[[TileEvidence], Bool] | None = None,
     ) -> None:
         self._sides = Mover(back, linear), Mover(forward, linear)
         self._time = time
         self._linear = linear
         self._coverage = coverage
         self._network = network
-        self._weights: Weights = []
+        self._weights: list[tuple[Tile, np.ndarray]] = []  # of the beauty, for further layers
         self._shifted: tuple[Mover, Mover] | None = None
         self._flow_weight = np.zeros((0, 0), np.float32)
-        self._tiles, self._choice = tiles, choice
+        self._tiles, self._choose = tiles, choose
         self.evidence: TileEvidence | None = None
         self.chosen: Bool | None = None  # tiles in which the network weighed; None without a choice
 
@@ -106,15 +101,18 @@ class LookAhead:
                 )
             )
             self._shifted = first, second
-            shifted = _warp_along(self._shifted, codes, plain)
+        before_light, after_light = (
+            replace(mover.warp(each), fringe=side.fringe)  # outlines are those of the surfaces
+            for mover, each, side in zip(self._shifted, codes, plain, strict=True)
+        )
+        shifted = before_light, after_light
+        if leads:
             self._flow_weight = flow_weight(apart, *shifted)
             if self._tiles is not None:
                 field = self._sides[0].source.field
                 self.evidence = evidence_of_sides(
                     self._tiles, plain, shifted, self._flow_weight, field, self._linear
                 )
-        else:
-            shifted = _warp_along(self._shifted, codes, plain)
         sides = (*plain, *shifted)
         if self._network is not None:  # mixing overwrites the pixels of the first of each pair
             plain, shifted = (
@@ -132,28 +130,25 @@ class LookAhead:
         del moving
         if self._network is not None:
             layer = Candidates(out, sides, self._flow_weight, self._time, self._linear)
-            if leads:
-                part = self._choose()
-                out, self._weights = layer.weigh(self._network, keep=self._linear, part=part)
-            else:
-                out = layer.mix(self._weights)
+            out = layer.mix(self._weigh(self._network, layer) if leads else self._weights)
         return self._sides[0].light(out)
 
-    def _choose(self) -> tuple[Mosaic, Bool] | None:
-        """Choose the tiles in which the network weighs; return None for all."""
-        if self._choice is None or self.evidence is None:
-            return None
-        mosaic, choose = self._choice
-        self.chosen = choose(self.evidence)
-        return None if self.chosen.all() else (mosaic, self.chosen)
-
-
-def _warp_along(
-    movers: tuple[Mover, Mover], codes: tuple[Float32, Float32], plain: tuple[Warped, Warped]
-) -> tuple[Warped, Warped]:
-    """Warp both key frames along the flow; outlines are those of the surfaces."""
-    first, second = (mover.warp(each) for mover, each in zip(movers, codes, strict=True))
-    return replace(first, fringe=plain[0].fringe), replace(second, fringe=plain[1].fringe)
+    def _weigh(
+        self, network: LookAheadNetwork, beauty: Candidates
+    ) -> Iterable[tuple[Tile, np.ndarray]]:
+        """Have a network weigh the beauty's candidates; return float16 [5, h, w] of each tile."""
+        if self._choose is not None and self.evidence is not None:
+            self.chosen = self._choose(self.evidence)
+        if self._tiles is None or self.chosen is None or self.chosen.all():
+            answers = network.weigh(beauty)
+        else:
+            answers = beauty.weigh_in(network, Mosaic.of(self._tiles), self.chosen)
+        # Rounded before they are used, so that the beauty is what its layers add up to.
+        weights = ((tile, answer.astype(np.float16)) for tile, answer in answers)
+        if not self._linear:  # no layers follow; weights take 10 bytes a pixel
+            return weights
+        self._weights = list(weights)
+        return self._weights
 
 
 class Candidates:
@@ -203,26 +198,7 @@ class Candidates:
         pictures["agreement"][0] = self._agreement[rows, columns]
         return NetworkPictures(pictures, self.time)
 
-    def weigh(
-        self, network: LookAheadNetwork, keep: bool, part: tuple[Mosaic, Bool] | None = None
-    ) -> tuple[Float32, Weights]:
-        """Have a network weigh the candidates, in chosen tiles alone where `part` names them.
-
-        Returns the slot's colour, float32 [H, W, C], coded as the candidates are, and with `keep`
-        the weights, for further layers: 10 bytes a pixel.
-        """
-        out: Float32 = pool.empty(self._mixed.shape, np.float32)
-        weights: Weights = []
-        answers = network.weigh(self) if part is None else self._weigh_in(network, *part)
-        for tile, answer in answers:
-            # Rounded before they are used, so that the beauty is what its layers add up to.
-            rounded = answer.astype(np.float16)
-            self._mix(tile, rounded, out)
-            if keep:
-                weights.append((tile, rounded))
-        return out, weights
-
-    def _weigh_in(
+    def weigh_in(
         self, network: LookAheadNetwork, mosaic: Mosaic, chosen: Bool
     ) -> Iterator[tuple[Tile, np.ndarray]]:
         """Yield the weights of each row of tiles; what `softsplat` makes counts beside chosen ones.
@@ -246,14 +222,14 @@ class Candidates:
             part[0] = 1 - share * (1 - part[0])
             yield (TileSpan(top, bottom, top, bottom), TileSpan(0, width, 0, width)), part
 
-    def mix(self, weights: Weights) -> Float32:
-        """Mix the candidates of another layer by the weights of the beauty."""
-        out: Float32 = pool.empty(self._mixed.shape, np.float32)
-        for tile, part in weights:
-            self._mix(tile, part, out)
-        return out
+    def mix(self, weights: Iterable[tuple[Tile, np.ndarray]]) -> Float32:
+        """Mix the candidates by weights, float16 [5, h, w] of each tile.
 
-    def _mix(self, tile: Tile, weights: np.ndarray, out: Float32) -> None:
-        corner = tile[0].first, tile[1].first
+        Returns the slot's colour, float32 [H, W, C], coded as the candidates are.
+        """
+        out: Float32 = pool.empty(self._mixed.shape, np.float32)
         sides = tuple(side.pixels for side in self._sides)
-        blend.mix_candidates(self._mixed, sides, weights.astype(np.float32), corner, out)
+        for (down, across), part in weights:
+            corner = down.first, across.first
+            blend.mix_candidates(self._mixed, sides, part.astype(np.float32), corner, out)
+        return out

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 
+import numpy as np
+
 from exwarp_cli.domain.decision import (
     BLEND,
     EXTRAPOLATE,
@@ -30,7 +32,7 @@ from exwarp_cli.synthesis.predicted_error import (
     FIRST_WARPED,
     MIXED,
     WARPED,
-    evidence_of_warp,
+    TileEvidence,
     predict_risk,
     terms_of,
 )
@@ -184,25 +186,24 @@ def predict_tiles(plan: TilePlan, interval: Interval, slot: int) -> Predicted:
 
 
 def _compose_tiles(plan: TilePlan, interval: Interval, slot: int) -> Float32:
-    """Make a slot of what warping and the network make in their tiles."""
-
-    def make() -> Float32:
-        makers = plan.makers(slot)
-        if interval.linear:
-            pixels = interval.warp(slot).make(interval.key.image.pixels)
-        else:  # what the network sees of it as well
-            pixels = interval.warped(slot)
-        rewarped, extrapolated = makers.made_by(REWARP), makers.made_by(EXTRAPOLATE)
-        if rewarped.any():
-            before = _compose_tiles(plan, interval, slot - 1)
-            moved = Mover(interval.step_back(slot), interval.linear).warp_alone(before)
-            pixels = lay_over(pixels, moved, interval.mosaic.weight(rewarped))
-        if extrapolated.any():
-            answer = interval.extrapolated_in(slot, extrapolated)
-            pixels = lay_over(pixels, answer, interval.mosaic.weight(extrapolated))
-        return pixels
-
-    return interval.composed(slot, make)
+    """Return a slot of what warping and the network make in their tiles; made once."""
+    if slot in interval.composed:
+        return interval.composed[slot]
+    makers = plan.makers(slot)
+    if interval.linear:
+        pixels = interval.warp(slot).make(interval.key.image.pixels)
+    else:  # what the network sees of it as well
+        pixels = interval.warped(slot)
+    rewarped, extrapolated = makers.made_by(REWARP), makers.made_by(EXTRAPOLATE)
+    if rewarped.any():
+        before = _compose_tiles(plan, interval, slot - 1)
+        moved = Mover(interval.step_back(slot), interval.linear).warp_alone(before)
+        pixels = lay_over(pixels, moved, interval.mosaic.weight(rewarped))
+    if extrapolated.any():
+        answer = interval.extrapolated(slot, extrapolated)
+        pixels = lay_over(pixels, answer, interval.mosaic.weight(extrapolated))
+    interval.composed[slot] = interval.scratch.store(pixels)
+    return interval.composed[slot]
 
 
 def _warp(interval: Interval, slot: int) -> Predicted:
@@ -223,8 +224,9 @@ def _risk_of_warp(interval: Interval, slot: int, pixels: Float32) -> Risk:
 def terms_of_warp(interval: Interval, slot: int, pixels: Float32) -> F64:
     """Return the `terms_of` a frame that is made of what came before its slot."""
     tiles, back = interval.tiles, interval.back(slot)
-    evidence = evidence_of_warp(tiles, back.hole | back.ghosts)
-    return terms_of(tiles, evidence, interval.residual, pixels)
+    (unseen,) = tiles.means([tiles.sample(back.hole | back.ghosts)])
+    none = np.zeros_like(unseen)
+    return terms_of(tiles, TileEvidence(none, none, unseen), interval.residual, pixels)
 
 
 def _network_sources(interval: Interval) -> tuple[int, ...]:

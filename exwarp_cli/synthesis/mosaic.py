@@ -153,9 +153,27 @@ class Mosaic:
     def parts(self, chosen: Bool) -> list[tuple[Box, slice, slice]]:
         """Return the boxes that chosen tiles are computed in, and the pixels the network sees.
 
-        One of all tiles where the others would take as many pixels.
+        Neighbours together where that saves pixels; one box of all tiles where the others would
+        take as many.
         """
-        boxes = self._merged_boxes(chosen)
+        boxes = []
+        for row, marks in enumerate(chosen):
+            steps = np.diff(np.concatenate([[0], marks, [0]]))
+            firsts, lasts = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
+            runs = zip(firsts.tolist(), lasts.tolist(), strict=True)
+            boxes += [Box((row, row + 1), run) for run in runs]
+        count = len(boxes) + 1
+        while len(boxes) < count:
+            count, merged = len(boxes), list[Box]()
+            for box in boxes:
+                for index, other in enumerate(merged):
+                    union = other.around(box)
+                    if self._cost(union) <= self._cost(box) + self._cost(other):
+                        merged[index] = union
+                        break
+                else:
+                    merged.append(box)
+            boxes = merged
         full = Box((0, len(self.down)), (0, len(self.across)))
         if sum(map(self._cost, boxes)) >= self._cost(full):
             boxes = [full]
@@ -179,25 +197,6 @@ class Mosaic:
     def _cost(self, box: Box) -> int:
         rows, columns = self._with_halo(box)
         return int((rows.stop - rows.start) * (columns.stop - columns.start))
-
-    def _merged_boxes(self, chosen: Bool) -> list[Box]:
-        """Return boxes that hold the chosen tiles: neighbours together, where that saves pixels."""
-        boxes = [
-            Box((row, row + 1), run) for row, marks in enumerate(chosen) for run in _runs(marks)
-        ]
-        count = len(boxes) + 1
-        while len(boxes) < count:
-            count, merged = len(boxes), list[Box]()
-            for box in boxes:
-                for index, other in enumerate(merged):
-                    union = other.around(box)
-                    if self._cost(union) <= self._cost(box) + self._cost(other):
-                        merged[index] = union
-                        break
-                else:
-                    merged.append(box)
-            boxes = merged
-        return boxes
 
 
 def run_in_tiles(
@@ -231,10 +230,3 @@ def lay_over(below: Float32, above: Float32, weight: Float32) -> Float32:
     share = weight[..., None]
     mixed = below + share * (above - below)
     return np.where(share == 1, above, np.where(share == 0, below, mixed))
-
-
-def _runs(marks: Bool) -> list[Span]:
-    padded = np.concatenate([[False], marks, [False]]).astype(np.int8)
-    steps = np.diff(padded)
-    firsts, lasts = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
-    return [(int(a), int(b)) for a, b in zip(firsts, lasts, strict=True)]

@@ -24,7 +24,7 @@ from exwarp_cli.synthesis.camera import (
 )
 from exwarp_cli.synthesis.gbuffer_values import coarser, depth_step, normal_step, relative_step
 from exwarp_cli.synthesis.trajectory import (
-    displacement_and_reach,
+    displacement,
     move_rigidly,
     reach_of,
     stencil_of,
@@ -149,7 +149,7 @@ def reproject(
     time: float,  # of the slot, in key intervals from this key frame; negative is earlier
 ) -> SlotField:
     """Return the motion field of a slot from a key frame's G-buffer alone."""
-    return splat_motion(gbuffer, *displacement_and_reach(gbuffer, time))
+    return splat_motion(gbuffer, displacement(gbuffer, time))
 
 
 def splat_motion(

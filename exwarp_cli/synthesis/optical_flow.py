@@ -91,11 +91,20 @@ def estimate_flow(
     linear = [fill_nonfinite(pixels[..., :3]) for pixels in (before, after)]
     exposure = _exposure(linear)
     first, second = (shown_colour(pixels * exposure) for pixels in linear)
-    height, width = before.shape[:2]
-    there, back = (
-        np.ascontiguousarray(flow[:height, :width])
-        for flow in _search_both_ways(_padded(first), _padded(second))
+    start, end = _padded(first), _padded(second)
+    grey = grey_of(start), grey_of(end)
+    there, back = _search(grey, PATCH_STRIDE)
+    exchanged = (
+        _better(start, end, there, invert_flow(back)),
+        _better(end, start, back, invert_flow(there)),
     )
+    height, width = before.shape[:2]
+    flows = []
+    for flow in _search(grey, PATCH_STRIDE, exchanged):
+        planes = [np.ascontiguousarray(flow[..., axis]) for axis in (0, 1)]
+        smooth = np.stack([_cv2().medianBlur(plane, MEDIAN_SIDE) for plane in planes], axis=-1)
+        flows.append(np.ascontiguousarray(smooth[:height, :width]))
+    there, back = flows
     return (
         Flow(there, _mismatch(first, second, there)),
         Flow(back, _mismatch(second, first, back)),
@@ -208,18 +217,6 @@ def _padded(shown: np.ndarray) -> np.ndarray:
     return np.pad(shown, ((0, margin[0]), (0, margin[1]), *none), mode="edge")
 
 
-def _search_both_ways(before: Float32, after: Float32) -> tuple[Float32, Float32]:
-    """Return the flows between two pictures as shown, each searched, exchanged and refined."""
-    grey = grey_of(before), grey_of(after)
-    there, back = _search(grey, PATCH_STRIDE)
-    better = (
-        _better(before, after, there, invert_flow(back)),
-        _better(after, before, back, invert_flow(there)),
-    )
-    there, back = _search(grey, PATCH_STRIDE, better)
-    return _median_filter(there), _median_filter(back)
-
-
 def finest_level(height: int, width: int) -> int:
     """Return the level of the pyramid, 0 for the frame itself, down to which flow is searched."""
     return max(math.ceil(math.log(height * width / MAX_PIXELS, 4)), 0)
@@ -236,11 +233,6 @@ def _better(start: Float32, end: Float32, flow: Float32, other: Float32) -> Floa
     candidate = np.where(np.isnan(other[..., :1]), flow, other)
     fits = [box_mean(_mismatch(start, end, each), FIT_SIDE) for each in (flow, candidate)]
     return np.where((fits[1] < fits[0])[..., None], candidate, flow)
-
-
-def _median_filter(flow: Float32) -> Float32:
-    planes = [np.ascontiguousarray(flow[..., axis]) for axis in (0, 1)]
-    return np.stack([_cv2().medianBlur(plane, MEDIAN_SIDE) for plane in planes], axis=-1)
 
 
 def _mismatch(start: Float32, end: Float32, flow: Float32) -> Float32:

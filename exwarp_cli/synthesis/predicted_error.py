@@ -143,25 +143,17 @@ def evidence_of_sides(
     return TileEvidence(*tiles.means(maps))
 
 
-def look_ahead_features(evidence: TileEvidence, residual: KeyResidual | None) -> F64:
+def look_ahead_features(evidence: TileEvidence, residual: KeyResidual) -> F64:
     """Return what a policy of tiles sees between two key frames: `LOOK_AHEAD_FEATURES`.
 
-    float64 [rows, columns, 6]; without a residual its parts are 0.
+    float64 [rows, columns, 6].
     """
-    none = np.zeros_like(evidence.light)
-    of_keys = (none, none) if residual is None else (residual.light, residual.motion)
-    squares = evidence.light + evidence.motion + (of_keys[0] + of_keys[1]) / 2
+    squares = evidence.light + evidence.motion + (residual.light + residual.motion) / 2
     apart = squares / (squares.mean() + NEGLIGIBLE)
-    parts = evidence.unseen, evidence.light, evidence.motion, *of_keys, apart
+    sides = evidence.light, evidence.motion
+    parts = evidence.unseen, *sides, residual.light, residual.motion, apart
     assert len(parts) == len(LOOK_AHEAD_FEATURES)
     return np.stack(parts, axis=-1)
-
-
-def evidence_of_warp(tiles: Tiles, hole: Bool) -> TileEvidence:
-    """Return the evidence of a slot that is moved from one key frame, with holes, bool [H, W]."""
-    (unseen,) = tiles.means([tiles.sample(hole)])
-    none = np.zeros_like(unseen)
-    return TileEvidence(none, none, unseen)
 
 
 def beside_edges(field: Float32) -> Bool:
@@ -179,7 +171,7 @@ def beside_edges(field: Float32) -> Bool:
 def terms_of(
     tiles: Tiles,
     evidence: TileEvidence,
-    residual: KeyResidual | None,  # of the frame's key frames; None counts as 0
+    residual: KeyResidual,  # of the frame's key frames
     pixels: Float32,  # [H, W, 3 or more]: the new frame, scene-linear
 ) -> F64:
     """Return the terms of a frame's tiles, float64 [len(TERMS), rows, columns]."""
@@ -193,9 +185,8 @@ def terms_of(
     grey = samples.mean(axis=-1)
     detail, mean, mean_of_squares = tiles.means([steps, grey, grey * grey])
     unseen = evidence.unseen * np.maximum(mean_of_squares - mean * mean, 0)
-    none = np.zeros_like(detail)
-    of_keys = (none, none) if residual is None else (residual.light, residual.motion)
-    return np.stack([detail, evidence.light, evidence.motion, unseen, *of_keys])
+    sides = evidence.light, evidence.motion
+    return np.stack([detail, *sides, unseen, residual.light, residual.motion])
 
 
 def weigh_terms(terms: F64, formula: Formula, time: float) -> F64:

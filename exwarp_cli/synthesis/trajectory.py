@@ -60,8 +60,6 @@ MAX_TURN = 0.5
 # pixels beside a straight line.
 MIN_TURN = 0.1
 
-_NO_REACH = np.zeros((0, 0, 2), np.float32)
-
 
 def stencil_of(gbuffer: GBuffer) -> Int32:
     """Return the ids, int32 [H, W], or [0, 0] when unknown."""
@@ -71,7 +69,6 @@ def stencil_of(gbuffer: GBuffer) -> Int32:
 def displacement(
     gbuffer: GBuffer,  # with settled motion
     time: float,  # in steps of the vectors (key intervals, or slots); negative is earlier
-    reach: Float32 | None = None,  # written: its `reach_of`, without another pass
 ) -> Float32:
     """Return where points of a frame are at another time, minus where they are.
 
@@ -84,9 +81,7 @@ def displacement(
     if after is not None and before is not None:
         out: Float32 = pool.empty(after.shape, np.float32)
         before, after = np.ascontiguousarray(before), np.ascontiguousarray(after)
-        splat.quadratic_displacement(before, after, t, out, _NO_REACH if reach is None else reach)
-        if not len(gbuffer.turning):
-            return out
+        splat.quadratic_displacement(before, after, t, out)
     elif after is not None:
         out = t * after
     else:
@@ -94,15 +89,7 @@ def displacement(
         out = -t * before
     if len(gbuffer.turning) and 0 < abs(time) < 1:
         out.reshape(-1, 2)[gbuffer.turning] = _on_arc(gbuffer, gbuffer.turning, time)
-    if reach is not None:
-        splat.splat_row_extents(out, reach)
     return out
-
-
-def displacement_and_reach(gbuffer: GBuffer, time: float) -> tuple[Float32, Float32]:
-    """Return a `displacement`, and its `reach_of`."""
-    reach = np.empty(splat.row_extents_shape(gbuffer.window.shape), np.float32)
-    return displacement(gbuffer, time, reach), reach
 
 
 def reach_of(motion: Float32) -> Float32:
@@ -292,7 +279,7 @@ def _bend(gbuffer: GBuffer, scene: Scene, turning: list[tuple[Index, Poses]]) ->
             pose = _pose_at(poses, time)
             if poses[way] is None or pose is None:
                 continue
-            on_arc, _ = _project(camera.matrix, pose.place(scene.points(index)[:, :3]))
+            on_arc, _ = _project(camera, pose.place(scene.points(index)[:, :3]))
             straight = pixels_at(index, gbuffer.window.width) + _by_vectors(gbuffer, index, time)
             bend[way].reshape(-1, 2)[index] = np.nan_to_num(on_arc - straight)
     return bend
@@ -378,7 +365,10 @@ def fit_pose(
         rotation, shift = _rotation(step[:3]) @ rotation, shift + step[3:]
         if count >= PLAIN_ROUNDS and np.abs(step @ slopes).max() < SETTLED:
             break
-    return Pose(centre, _turn_vector(rotation), shift)
+    skew = rotation - rotation.T
+    twice_sine = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
+    angle = float(np.arctan2(np.linalg.norm(twice_sine), np.trace(rotation) - 1))
+    return Pose(centre, twice_sine / (2 * _sinc(angle)), shift)
 
 
 def _rotation(turn: F64) -> F64:
@@ -393,15 +383,6 @@ def _rotation(turn: F64) -> F64:
 
 def _sinc(x: float) -> float:
     return math.sin(x) / x if x else 1.0
-
-
-def _turn_vector(rotation: F64) -> F64:
-    """Invert `_rotation`, for angles below pi."""
-    skew = rotation - rotation.T
-    twice_sine = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
-    angle = float(np.arctan2(np.linalg.norm(twice_sine), np.trace(rotation) - 1))
-    turn: F64 = twice_sine / (2 * _sinc(angle))
-    return turn
 
 
 def _moves_along(

@@ -10,7 +10,8 @@ of all places is the pixel's colour. An opaque surface stays opaque, as shares a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from exwarp_cli.kernels.silhouettes import MOTION_GAP, find_moving_edges
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.camera import Index
 from exwarp_cli.synthesis.motion_fields import SlotField, splat_motion
+from exwarp_cli.synthesis.trajectory import reach_of
 
 # How far to look for background, as a share of the frame's longer side.
 FILL_REACH = 0.25
@@ -57,30 +59,28 @@ class Warped:
     fringe: Bool  # [H, W]: colour mixed with a nearer surface that has moved on
 
 
+@dataclass(eq=False)
 class Mover:
-    """Moves colour along one motion field: the beauty first, then its layers.
+    """Moves colour along one motion field: the beauty first, then its layers."""
 
-    With `linear`, colour stays scene-linear, so that layers which add up to the beauty still do.
-    """
-
-    # Linear is 0.2 dB worse than colour as shown.
-    def __init__(self, source: SlotField, linear: bool = False) -> None:
-        self.source = source
-        self._linear = linear
-        self._limit: Float32 | None = None
+    source: SlotField
+    # Whether colour stays scene-linear, so that layers which add up to the beauty still do. It is
+    # 0.2 dB worse than colour as shown.
+    linear: bool = False
+    _limit: Float32 | None = field(default=None, init=False)
 
     @property
     def has_beauty(self) -> bool:
         """Whether the beauty was moved, if layers need that first."""
-        return not self._linear or self._limit is not None
+        return not self.linear or self._limit is not None
 
     def codes(self, pixels: Float32) -> Float32:
         """Return scene-linear colour as it is moved."""
-        return pixels if self._linear else linear_to_srgb(pixels)
+        return pixels if self.linear else linear_to_srgb(pixels)
 
     def light(self, codes: Float32) -> Float32:
         """Invert `codes`, in place."""
-        return codes if self._linear else srgb_to_linear(codes)
+        return codes if self.linear else srgb_to_linear(codes)
 
     def move(
         self,
@@ -99,7 +99,7 @@ class Mover:
         field = self.source.field
         out: Float32 = pool.empty((*field.shape[:2], codes.shape[2]), np.float32)
         unseen: Bool = pool.empty(field.shape[:2], np.bool_)
-        if self._linear:
+        if self.linear:
             leads = self._limit is None
             if self._limit is None:
                 self._limit = pool.empty(field.shape[:2], np.float32)
@@ -257,7 +257,11 @@ class CoverageSide:
 
     gbuffer: GBuffer
     motion: Float32  # [H, W, 2], pixels: from the key frame to the slot; NaN where unknown
-    reach: Float32  # of the motion, from `reach_of`
+
+    @cached_property
+    def reach(self) -> Float32:
+        """Of the motion, for all places inside pixels; see `reach_of`."""
+        return reach_of(self.motion)
 
     def moved(self, offset: Float32 | None = None) -> SlotField:
         """Return the motion field back from the slot's pixels.
@@ -293,18 +297,15 @@ class _PlaceMovers:
     visible: Bool
 
 
+@dataclass(eq=False)
 class Coverage:
     """Gives the pixels of a slot that edges pass through the mean of several places inside them."""
 
-    def __init__(
-        self,
-        sides: Sequence[CoverageSide],  # the key frame before the slot, or both around it
-        fields: Sequence[SlotField],  # from the slot to each of them
-        time: float,  # of the slot in the key interval
-        linear: bool = False,  # as for `Mover`
-    ) -> None:
-        self._sides, self._fields, self._time, self._linear = sides, fields, time, linear
-        self._crossed: tuple[Index, list[_PlaceMovers]] | None = None
+    sides: Sequence[CoverageSide]  # the key frame before the slot, or both around it
+    fields: Sequence[SlotField]  # from the slot to each of them
+    time: float  # of the slot in the key interval
+    linear: bool = False  # as for `Mover`
+    _crossed: tuple[Index, list[_PlaceMovers]] | None = field(default=None, init=False)
 
     def cover(
         self,
@@ -315,7 +316,7 @@ class Coverage:
     ) -> None:
         """Overwrite a layer's pixels that an edge passes through; the first layer is the beauty."""
         index, places = self._crossed or self._find_crossed()
-        if self._linear:  # else no layers follow, and places are memory
+        if self.linear:  # else no layers follow, and places are memory
             self._crossed = index, places
         count, channels, weight = len(index), out.shape[2], np.float32(1 / len(PLACES))
         if not count:
@@ -324,20 +325,28 @@ class Coverage:
         centre = pixels[index]
         total = np.zeros((count, channels), np.float32)
         for place in places:
-            colour, visible = _colour_at(place, codes)
-            colour = colour.reshape(-1, channels)[:count]
-            total += weight * np.where(visible.reshape(-1)[:count, None], colour, centre)
+            moved = [mover.move(each) for mover, each in zip(place.movers, codes, strict=True)]
+            colour, lost = moved[0]
+            if place.share is not None:
+                second, second_lost = moved[1]
+                # A source that is not finite, or outside its frame, leaves all to the other one.
+                share = np.where(second_lost, np.float32(0), place.share)
+                share[lost] = 1
+                blend.mix_frames(colour, second, share, colour)
+                lost &= second_lost
+            visible = (place.visible & ~lost).reshape(-1)[:count, None]
+            total += weight * np.where(visible, colour.reshape(-1, channels)[:count], centre)
         pixels[index] = total
 
     def _find_crossed(self) -> tuple[Index, list[_PlaceMovers]]:
         """Find the pixels that edges pass through, and what lies at the places inside them."""
-        near_edges: Bool = np.zeros(self._fields[0].depth.shape, np.bool_)
+        near_edges: Bool = np.zeros(self.fields[0].depth.shape, np.bool_)
         # Not in a fringe, whose colour is that of a nearer surface. What moves as one keeps the
         # mixed colour of its edges, which places inside would blur.
-        for field in self._fields:
-            find_moving_edges(field.depth, field.field, field.fringe, near_edges)
+        for source in self.fields:
+            find_moving_edges(source.depth, source.field, source.fringe, near_edges)
         index = np.flatnonzero(near_edges)
-        centres = [field.field.reshape(-1, 2)[index] for field in self._fields]
+        centres = [field.field.reshape(-1, 2)[index] for field in self.fields]
         places = [self._look(offset, index) for offset in PLACES]
         crossed = np.zeros(len(index), np.bool_)
         for place in places:
@@ -345,12 +354,31 @@ class Coverage:
                 unknown = np.isnan(vectors) & np.isnan(centre)
                 same = (np.abs(vectors - centre) <= MOTION_GAP) | unknown
                 crossed |= ~(same[:, 0] & same[:, 1])
-        movers = [self._make_movers(place, crossed, index[crossed]) for place in places]
-        return index[crossed], movers
+        index = index[crossed]
+        rows, columns = np.divmod(index, self.fields[0].depth.shape[1])
+        order = np.arange(len(index))
+        gathered = []
+        for place in places:
+            movers = []
+            for vectors, hole_mask in zip(place.vectors, place.holes, strict=True):
+                # Colour is sampled halfway to the centre: at the place itself the mean of several
+                # blurs textures (0.2 dB on lab), at the centre edges are too near (0.2 dB on
+                # market).
+                ends = vectors[crossed] + place.offset / np.float32(2)
+                ends[:, 0] += (columns - order % ROW).astype(np.float32)
+                ends[:, 1] += (rows - order // ROW).astype(np.float32)
+                hole = _in_rows(hole_mask[crossed], fill=True)
+                no_depth = np.zeros(hole.shape, np.float32)
+                source = SlotField(_in_rows(ends, fill=np.nan), no_depth, hole)
+                movers.append(Mover(source, self.linear))
+            share = None if place.share is None else _in_rows(place.share[crossed])
+            visible = ~_in_rows(place.hole[crossed], fill=True)
+            gathered.append(_PlaceMovers(movers, share, visible))
+        return index, gathered
 
     def _look(self, offset: Float32, index: Index) -> _Place:
         """Return what each side shows at a place inside some pixels."""
-        fields = [side.moved(offset) for side in self._sides]
+        fields = [side.moved(offset) for side in self.sides]
         vectors = [field.field.reshape(-1, 2)[index] - offset for field in fields]
         holes = [field.hole.flat[index] for field in fields]
         if len(fields) == 1:
@@ -359,26 +387,8 @@ class Coverage:
         share, depth = pool.empty(shape, np.float32), pool.empty(shape, np.float32)
         hole: Bool = pool.empty(shape, np.bool_)
         first, second = ((field.depth, field.hole, field.fringe) for field in fields)
-        blend.write_later_weights(first, second, np.float32(self._time), share, depth, hole)
+        blend.write_later_weights(first, second, np.float32(self.time), share, depth, hole)
         return _Place(offset, vectors, holes, share.flat[index], hole.flat[index])
-
-    def _make_movers(self, place: _Place, crossed: Bool, index: Index) -> _PlaceMovers:
-        width = self._fields[0].depth.shape[1]
-        order = np.arange(len(index))
-        rows, columns = np.divmod(index, width)
-        movers = []
-        for vectors, hole_mask in zip(place.vectors, place.holes, strict=True):
-            # Colour is sampled halfway to the centre: at the place itself the mean of several blurs
-            # textures (0.2 dB on lab), at the centre edges are too near (0.2 dB on market).
-            field = vectors[crossed] + place.offset / np.float32(2)
-            field[:, 0] += (columns - order % ROW).astype(np.float32)
-            field[:, 1] += (rows - order // ROW).astype(np.float32)
-            hole = _in_rows(hole_mask[crossed], fill=True)
-            unknown = np.zeros(hole.shape, np.float32)
-            source = SlotField(_in_rows(field, fill=np.nan), unknown, hole)
-            movers.append(Mover(source, self._linear))
-        share = None if place.share is None else _in_rows(place.share[crossed])
-        return _PlaceMovers(movers, share, ~_in_rows(place.hole[crossed], fill=True))
 
 
 def _in_rows(values: np.ndarray, fill: float = 0) -> np.ndarray:
@@ -387,16 +397,3 @@ def _in_rows(values: np.ndarray, fill: float = 0) -> np.ndarray:
     out = np.full((count, *values.shape[1:]), fill, values.dtype)
     out[: len(values)] = values
     return out.reshape(-1, ROW, *values.shape[1:])
-
-
-def _colour_at(place: _PlaceMovers, codes: Sequence[Float32]) -> tuple[Float32, Bool]:
-    """Return what one place shows, float32 [h, ROW, C], and where anything does."""
-    moved = [mover.move(each) for mover, each in zip(place.movers, codes, strict=True)]
-    first, lost = moved[0]
-    if place.share is None:
-        return first, place.visible & ~lost
-    second, second_lost = moved[1]
-    # A source that is not finite, or outside its frame, leaves all to the other one.
-    share = np.where(lost, np.float32(1), np.where(second_lost, np.float32(0), place.share))
-    blend.mix_frames(first, second, share, first)
-    return first, place.visible & ~(lost & second_lost)

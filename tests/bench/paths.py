@@ -31,6 +31,7 @@ from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.methods import METHODS
 from tests.bench.card import table
+from tests.unit.filled import without
 
 ALONE = {name: made.predict for name, made in METHODS.items() if made.predict is not None}
 """How methods that no judge chooses paths for make a frame."""
@@ -129,7 +130,7 @@ def _interval(
     """Yield method, or method and slot, with the scores of one frame."""
     causal, ahead = footage.causal(k, task.setting), footage.interval(k, task.setting)
     interval = replace(
-        causal.without(*DROPPED[task.surface]), following=ahead.following, extrapolator=network
+        without(causal, *DROPPED[task.surface]), following=ahead.following, extrapolator=network
     )
     known: dict[bytes, tuple[Score, Score | None]] = {}
     for slot in range(1, FACTOR):

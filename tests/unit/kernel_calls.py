@@ -187,9 +187,8 @@ def filled(
 
 def displaced(before: np.ndarray, after: np.ndarray, time: float, serial: bool = False) -> Arrays:
     out = np.zeros_like(after)
-    found = np.zeros(splat.row_extents_shape(after.shape), np.float32)
-    build(splat, "quadratic_displacement", serial)(before, after, np.float32(time), out, found)
-    return out, found
+    build(splat, "quadratic_displacement", serial)(before, after, np.float32(time), out)
+    return (out,)
 
 
 def edges_found(depth: np.ndarray, stencil: np.ndarray = NO_IDS, serial: bool = False) -> Arrays:

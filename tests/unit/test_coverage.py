@@ -14,7 +14,7 @@ from exwarp_cli.synthesis.look_ahead import LookAhead
 from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.motion_fields import reproject
 from exwarp_cli.synthesis.residual_flow import CarriedLight
-from exwarp_cli.synthesis.trajectory import displacement_and_reach
+from exwarp_cli.synthesis.trajectory import displacement
 from exwarp_cli.synthesis.warp import Coverage, CoverageSide
 from tests.matrix import combinations, spread
 from tests.unit.opaque_shapes import (
@@ -71,9 +71,7 @@ def make(
     times = (time, time - 1)[: len(views)]
     fields = [reproject(view.gbuffer, at) for view, at in zip(views, times, strict=True)]
     moved = zip(views, times, strict=True)
-    sides = [
-        CoverageSide(view.gbuffer, *displacement_and_reach(view.gbuffer, at)) for view, at in moved
-    ]
+    sides = [CoverageSide(view.gbuffer, displacement(view.gbuffer, at)) for view, at in moved]
     coverage = Coverage(sides, fields, time, linear) if covered else None
     if len(views) == 1:
         how = CarriedLight(fields[0], time, None, linear, coverage)

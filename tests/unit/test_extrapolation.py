@@ -17,7 +17,7 @@ from exwarp_cli.runtime.frame_pool import ScratchFrames
 from exwarp_cli.synthesis.extrapolation import DARKEST, decode, encode, modulation_of
 from exwarp_cli.synthesis.interval import Interval
 from tests.unit.analytic_scene import STEP
-from tests.unit.filled import Filled
+from tests.unit.filled import Filled, without
 from tests.unit.scenes import SKY, town
 
 K = 3
@@ -95,7 +95,7 @@ def test_every_frame_of_the_history_shows_the_slot(interval, slot):
 
 
 def test_a_network_that_answers_with_the_warp_makes_the_warp(interval):
-    plain = interval.without("albedo", "specular")
+    plain = without(interval, "albedo", "specular")
     made = plain.extrapolated(3)
     expected = plain.warp(3).make(plain.key.image.pixels)
     np.testing.assert_allclose(made, expected, rtol=1e-5, atol=1e-6)
@@ -104,7 +104,7 @@ def test_a_network_that_answers_with_the_warp_makes_the_warp(interval):
 
 def test_surface_colour_is_put_back(interval):
     """Shading is warped; the slot's own surface colour is put on it."""
-    made, plain = interval.extrapolated(2), interval.without("albedo", "specular").extrapolated(2)
+    made, plain = interval.extrapolated(2), without(interval, "albedo", "specular").extrapolated(2)
     truth = town().view(STEP * (4 * K + 2))
     mask = interval.prepared(2).inputs.pictures["mask"]
     seen = (mask[0] > 0) & (truth.surface != SKY) & truth.inside(3)
@@ -112,7 +112,7 @@ def test_surface_colour_is_put_back(interval):
 
 
 def test_what_is_missing_has_stated_defaults(interval):
-    bare = interval.without("albedo", "specular", "roughness", "metallic", "normal")
+    bare = without(interval, "albedo", "specular", "roughness", "metallic", "normal")
     prepared = bare.prepared(2)
     assert prepared.modulation is None
     features = prepared.inputs.pictures["features"]
@@ -122,7 +122,7 @@ def test_what_is_missing_has_stated_defaults(interval):
 
 
 def test_diffuse_colour_alone_is_not_divided_by(interval):
-    assert interval.without("specular").prepared(2).modulation is None
+    assert without(interval, "specular").prepared(2).modulation is None
 
 
 def test_high_dynamic_range_and_alpha_come_through(interval):
@@ -134,7 +134,7 @@ def test_high_dynamic_range_and_alpha_come_through(interval):
     image = replace(interval.key.image, pixels=bright)
     given_alpha = replace(interval, key=replace(interval.key, image=image))
     expected = given_alpha.warp(2).make(bright)
-    plain = given_alpha.without("albedo", "specular")
+    plain = without(given_alpha, "albedo", "specular")
     apart = np.abs(plain.extrapolated(2) - expected) > 1e-4 * np.abs(expected) + 1e-3
     assert apart.mean() < 5e-4  # in holes, which are filled as shown and bounded in linear light
     assert given_alpha.extrapolated(2).shape == bright.shape
@@ -183,7 +183,7 @@ PAIRS = [("depth", "position"), ("stencil", "normal"), ("depth", "to_next"),
 
 @pytest.mark.parametrize("parts", [*((part,) for part in PARTS), *PAIRS], ids="+".join)
 def test_whatever_is_not_rendered_is_done_without(interval, parts):
-    bare = interval.without(*parts)
+    bare = without(interval, *parts)
     if bare.slots and "to_previous" in parts:
         with pytest.raises(LayoutError, match="no vectors to the previous slot; render them"):
             bare.prepared(2)
@@ -205,7 +205,7 @@ def test_whatever_is_not_rendered_is_done_without(interval, parts):
 
 def test_without_any_motion_it_is_said(interval):
     with pytest.raises(LayoutError, match=r"no (motion )?vectors"):
-        interval.without("to_previous", "to_next").prepared(2)
+        without(interval, "to_previous", "to_next").prepared(2)
 
 
 def test_broken_pixels_do_not_reach_the_network(interval):

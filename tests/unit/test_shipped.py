@@ -16,6 +16,7 @@ from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.methods import METHODS
 from tests.matrix import combinations
+from tests.unit.filled import without
 
 SHOT = Path(__file__).parents[1] / "data" / "miniature" / "variety-0074"
 LEFT_OUT = {
@@ -38,7 +39,7 @@ def footage() -> SceneClip:
 
 @pytest.mark.parametrize(("left_out", "setting"), combinations([*LEFT_OUT], ["key", "slot"]))
 def test_it_is_better_than_the_warp(network, footage, setting, left_out):
-    interval = footage.causal(2, setting).without(*LEFT_OUT[left_out])
+    interval = without(footage.causal(2, setting), *LEFT_OUT[left_out])
     interval = replace(interval, extrapolator=network)
     gains = []
     for slot in (2, 3):

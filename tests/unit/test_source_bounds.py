@@ -19,6 +19,7 @@ from exwarp_cli.synthesis.source_bounds import hold_within, sources_between
 from exwarp_cli.synthesis.warp import Mover, blend_by_depth
 from tests.matrix import combinations, spread
 from tests.reference import extremes as naive
+from tests.unit.filled import without
 
 K = 3
 SETTINGS = ("key", "slot")
@@ -162,7 +163,7 @@ class TestExtrapolation:
             def __call__(self, inputs: LazyInputs) -> Float32:
                 return inputs.part(slice(None), slice(None)).pictures["warped"][3:]
 
-        plain = replace(causal.without("albedo", "specular"), extrapolator=Own())
+        plain = replace(without(causal, "albedo", "specular"), extrapolator=Own())
         filled = plain.prepared(2).warped
         np.testing.assert_allclose(plain.extrapolated(2), filled, rtol=1e-5, atol=1e-6)
 

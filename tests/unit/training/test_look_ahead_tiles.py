@@ -148,7 +148,7 @@ class TestState:
         first, second = look_ahead_features(evidence, residual)[0]
         assert first.tolist() == [0.25, 5, 2, 6, 1, 10.5 / (10.5 / 2 + NEGLIGIBLE)]
         assert not second.any()
-        alone = look_ahead_features(evidence, None)[0, 0]
+        alone = look_ahead_features(evidence, KeyResidual(0 * two, 0 * two))[0, 0]
         assert alone.tolist() == [0.25, 5, 2, 0, 0, 7 / (7 / 2 + NEGLIGIBLE)]
 
     @pytest.mark.parametrize(

@@ -147,9 +147,7 @@ class TestFeatures:
             assert found.shape == (8, given.tiles.columns, 6)
             assert np.isfinite(found).all() and (found >= 0).all()
             assert found[..., 0][hole == 0].max() == 0 and found[..., 0].max() > 0
-        residual = given.residual
-        assert residual is not None
-        np.testing.assert_array_equal(found[..., 4], residual.light)
+        np.testing.assert_array_equal(found[..., 4], given.residual.light)
 
     def test_after_the_first_key_frame_nothing_tells_of_residuals(self):
         from exwarp_cli.synthesis.interval import tile_features
