@@ -50,9 +50,8 @@ from exwarp_cli.research.training.outcome_tables import (
 )
 from exwarp_cli.research.training.policy_training import (
     add_checksums,
+    markdown_table,
     require_two_scenes,
-    table_row,
-    table_rule,
 )
 from exwarp_cli.research.training.q_learning import fit_network, integer_values, quantise
 from exwarp_cli.research.training.scene_clip import SceneClip
@@ -444,12 +443,10 @@ def gain_card(report: dict[str, Any], network: str, by_scene: Mapping[str, float
     """Return a report's ``gain_percent`` as a table, and a network's gain in each scene, dB."""
     curves = report["gain_percent"]
     shares = list(next(iter(curves.values())))
-    lines = [table_row("choice", *(f"{float(share):.0%} of the area" for share in shares))]
-    lines.append(table_rule(1 + len(shares)))
-    for name, gains in curves.items():
-        lines.append(table_row(name, *(f"{gains[share]:.0f} %" for share in shares)))
+    titles = ["choice", *(f"{float(share):.0%} of the area" for share in shares)]
+    rows = [[name, *(f"{gains[s]:.0f} %" for s in shares)] for name, gains in curves.items()]
     everywhere = ", ".join(f"{scene} {gain:+.2f}" for scene, gain in by_scene.items())
-    return "\n".join([*lines, "", f"{network} everywhere gains, in dB: {everywhere}."])
+    return f"{markdown_table(titles, rows)}\n\n{network} everywhere gains, in dB: {everywhere}."
 
 
 TRAINING = TileTraining(
