@@ -176,8 +176,9 @@ def _judge(
         "exwarp": greedy_paths(integers),
         "float": greedy_paths(floats),
         "regressor": greedy_paths(predict_rewards(fit_regression(training_tables), table)),
-        **oracle_paths(table),
-        **{name: fixed_path(table, name) for name in PATHS},
+        "oracle": best_psnr(table.outcomes),
+        "oracle-return": best_return(table.outcomes),
+        **{name: np.full(len(table), index) for index, name in enumerate(NAMES)},
     }
     agrees = (floats[..., 1] > floats[..., 0]) == (integers[..., 1] > integers[..., 0])
     passed = np.array([[node in PATHS[name].choices for node in NODES] for name in NAMES])
@@ -275,16 +276,6 @@ def greedy_paths(values: npt.NDArray[Any]) -> Paths:
         choices = dict(zip(NODES, row, strict=True))
         paths.append(NAMES.index(find_path(dict(walk_tree(choices.__getitem__)))))
     return np.array(paths, np.intp)
-
-
-def fixed_path(table: PolicyTable, name: str) -> Paths:
-    """Return one path throughout."""
-    return np.full(len(table), NAMES.index(name), np.intp)
-
-
-def oracle_paths(table: PolicyTable) -> dict[str, Paths]:
-    """Return the best paths: by mean PSNR, and by return."""
-    return {"oracle": best_psnr(table.outcomes), "oracle-return": best_return(table.outcomes)}
 
 
 def fit_regression(tables: Sequence[PolicyTable]) -> F64:
