@@ -10,7 +10,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -257,16 +257,17 @@ class ResumableTraining(ABC):
             torch.save(content, temporary)
 
 
+@dataclass(frozen=True)
 class DrawnBatches(Dataset[Any]):
     """The batches of a training by their step, from 0: patches of samples, varied."""
 
-    def __init__(self, samples: CachedArrays, settings: Settings) -> None:
-        self._samples, self._settings = samples, settings
+    samples: CachedArrays
+    settings: Settings
 
     def __getitem__(self, step: int) -> Any:
         """Return the batch of a step, on the CPU."""
-        s = self._settings
-        return self._samples.draw(step, s.batch, s.patch, s.seed)
+        s = self.settings
+        return self.samples.draw(step, s.batch, s.patch, s.seed)
 
 
 def read_checkpoint(path: Path, device: str) -> dict[str, Any]:
