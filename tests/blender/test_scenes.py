@@ -92,8 +92,8 @@ def test_composed_motion_is_that_of_a_true_low_rate_render(data):
     for index in range(9):
         rendered = SceneClip(scene, Variant(index % 4))
         k = index // 4
-        _, after = composed._motion(index, 4)
-        before, _ = composed._motion(index + 4, 4)
+        after = composed._spanned(index, 4, 1)
+        before = composed._spanned(index + 4, 4, -1)
         for found, frame, name in (
             (after, rendered.key(k), "to_next"),
             (before, rendered.key(k + 1), "to_previous"),

@@ -12,10 +12,7 @@ from torch import nn
 
 from exwarp_cli.cli import run
 from exwarp_cli.domain.network_api import LOOKAHEAD_INTERFACE, NetworkInterface
-from exwarp_cli.research.training import (
-    extrapolator_training,
-    lookahead_training,
-)
+from exwarp_cli.research.training import lookahead_training, resumable_training
 from exwarp_cli.research.training.augmentation import PLAIN, Variant
 from exwarp_cli.research.training.extrapolation_network import STRIDE
 from tests.cli.documents import strict
@@ -47,7 +44,7 @@ def test_a_network_is_trained_and_named(data, network, tmp_path, capsys, monkeyp
         about.append(more["about"])
         shutil.copy(network, path)
 
-    monkeypatch.setattr(extrapolator_training, "export_network", export)
+    monkeypatch.setattr(resumable_training, "export_network", export)
     assert train(data, tmp_path / "run", *SMALL) == 0
     out, err = capsys.readouterr()
     assert "extrapolator.onnx: give it to exwarp upsample" in out
@@ -155,7 +152,7 @@ def test_a_network_that_looks_ahead_is_trained(data, tmp_path, capsys, monkeypat
         exported.append(more)
         tiny_lookahead.save(path, tiny_lookahead.nearer_side())
 
-    monkeypatch.setattr(lookahead_training, "export_network", export)
+    monkeypatch.setattr(resumable_training, "export_network", export)
     asked = ["train", "lookahead", "--data", str(data), "-o", str(tmp_path / "run")]
     asked += ["--cache", str(tmp_path / "crops"), "--steps", "2", "--every", "1", "--batch", "2"]
     asked += ["--width", "4", "--threads", "1"]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import asdict
 from importlib import resources
 from typing import Any
@@ -51,11 +52,11 @@ def bench_document(benchmark: Benchmark, predictor: Schedule, clock_hz: float) -
     ``paper``. ``real_time`` is there with a clock alone.
     """
     rows, clock = benchmark.measured, benchmark.settings.clock
-    made = [_time_rows(row) | _frame_rows(row) | _score_rows(row) for row in rows]
-
-    def table(name: str) -> list[Document]:
-        return [identify(row) | tables[name] for row, tables in zip(rows, made, strict=True)]
-
+    tables: dict[str, list[Document]] = defaultdict(list)
+    for row in rows:
+        of_row = _time_rows(row) | _frame_rows(row) | _score_rows(row)
+        for name, values in of_row.items():
+            tables[name].append(identify(row) | values)
     document = {
         "schema": SCHEMA,
         "version": __version__,
@@ -75,17 +76,17 @@ def bench_document(benchmark: Benchmark, predictor: Schedule, clock_hz: float) -
             | {"machine": row.timing["machine"]}
             for row in rows
         ],
-        "runtime": table("runtime"),
-        "holes": table("holes"),
+        "runtime": tables["runtime"],
+        "holes": tables["holes"],
         "features": [_features_row([row], identify(row)) for row in rows]
         + [_features_row(rows, {"name": "all", "setting": None, "size": None})],
-        "quality": table("quality"),
-        "comparison": table("comparison"),
-        "fps": table("fps"),
-        "decisions": table("decisions"),
+        "quality": tables["quality"],
+        "comparison": tables["comparison"],
+        "fps": tables["fps"],
+        "decisions": tables["decisions"],
         "predictor": _predictor_cost(predictor, clock_hz),
-        "extranet_procedure": table("extranet_procedure"),
-        "render_time": table("render_time"),
+        "extranet_procedure": tables["extranet_procedure"],
+        "render_time": tables["render_time"],
     }
     if clock is not None:
         document["real_time"] = {
@@ -118,14 +119,11 @@ def _frames(row: Measured, system: str) -> list[Document]:
     return [frame for part in row.parts for frame in part["systems"][system]]
 
 
-def _new_frames(row: Measured, system: str) -> float:
-    """Return the mean number of new frames a key interval."""
-    count: int = sum(frame["made_by"] != HOLD for frame in _frames(row, system))
-    return count / len(row.parts)
-
-
 def _time_rows(row: Measured) -> Document:
-    """Return the rows of a sequence that state times: of Table III, and beside rendering."""
+    """Return the rows of a sequence that state times: Table III, beside rendering, and Figure 8.
+
+    A rate is base x (1 + mean number of new frames a key interval).
+    """
     steps, render_s = row.timing["steps_ms"], row.about["render_s"]
     printed = paper.RUNTIME.get(identify(row)["app"])
     runtime = {
@@ -138,6 +136,16 @@ def _time_rows(row: Measured) -> Document:
         },
         "paper": None if printed is None else asdict(printed),
     }
+    new_frames = {
+        name: sum(frame["made_by"] != HOLD for frame in _frames(row, name)) / len(row.parts)
+        for name in row.parts[0]["systems"]
+    }
+    base = row.about["fps"]
+    fps = {
+        "base": base,
+        "effective": {name: base * (1 + new) for name, new in new_frames.items()},
+        "paper": paper.EFFECTIVE_FPS,
+    }
     rendered: float | None = render_s["key"]
     generated = {name: ms / 1e3 for name, ms in row.timing["systems_ms"].items()}
     faster = shares = None
@@ -146,7 +154,7 @@ def _time_rows(row: Measured) -> Document:
         shares = {}
         for name, seconds in generated.items():
             # Repeats cost time and save none, as they would not have been rendered.
-            new = _new_frames(row, name)
+            new = new_frames[name]
             shares[name] = (new * rendered - len(SLOTS) * seconds) / ((1 + new) * rendered)
     render_time = {
         "key_frame_s": rendered,
@@ -154,14 +162,11 @@ def _time_rows(row: Measured) -> Document:
         "times_faster": faster,
         "saved_share": shares,
     }
-    return {"runtime": runtime, "render_time": render_time}
+    return {"runtime": runtime, "render_time": render_time, "fps": fps}
 
 
 def _frame_rows(row: Measured) -> Document:
-    """Return the rows of Figures 2, 8 and 9: holes, effective rates, and decisions.
-
-    A rate is base x (1 + mean number of new frames a key interval).
-    """
+    """Return the rows of Figures 2 and 9: holes and decisions."""
     holes: Document = dict.fromkeys(("mean", "below_10", "above_20", "histogram"))
     shares = [hole for part in row.parts for hole in part["holes"] if hole is not None]
     if shares:
@@ -174,18 +179,12 @@ def _frame_rows(row: Measured) -> Document:
             "histogram": {"edges": list(HOLE_EDGES), "counts": counts.tolist()},
             "paper": paper.HOLES.get(identify(row)["app"]),
         }
-    base, first = row.about["fps"], row.parts[0]
-    effective = {name: base * (1 + _new_frames(row, name)) for name in first["systems"]}
     decisions = {
         chooser: count_decisions(part["paths"][chooser] for part in row.parts)
         for chooser in CHOOSERS
-        if chooser in first["paths"]
+        if chooser in row.parts[0]["paths"]
     }
-    return {
-        "holes": holes,
-        "fps": {"base": base, "effective": effective, "paper": paper.EFFECTIVE_FPS},
-        "decisions": decisions | {"paper_warp_share": paper.WARP_SHARE},
-    }
+    return {"holes": holes, "decisions": decisions | {"paper_warp_share": paper.WARP_SHARE}}
 
 
 def _score_rows(row: Measured) -> Document:
@@ -301,7 +300,6 @@ def spearman(x: ArrayLike, y: ArrayLike) -> float | None:
 def _predictor_cost(schedule: Schedule, clock_hz: float) -> Document:
     """Return the synthesis table: ours, counted or measured by `make hardware`, and the paper's."""
     measured = resources.files(accelerator).joinpath("verilog", "measured.json")
-    synthesis: Mapping[str, Any] = json.loads(measured.read_text(encoding="utf-8"))
     return {
         "clock_hz": clock_hz,
         "cycles": schedule.cycles,
@@ -312,7 +310,7 @@ def _predictor_cost(schedule: Schedule, clock_hz: float) -> Document:
         "fullest_core_bytes": max(schedule.core_bytes),
         "cache_bytes": schedule.array.cache_bytes,
         "refill_bytes": schedule.refill_bytes,
-        "synthesis": synthesis,
+        "synthesis": json.loads(measured.read_text(encoding="utf-8")),
         "paper": {
             "area_mm2": paper.AREA_MM2,
             "power_mw": paper.POWER_MW,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
 from itertools import pairwise
 
 from exwarp_cli.domain.timeline import FACTOR
@@ -113,16 +112,12 @@ def draw_paths(document: Document) -> Figure | None:
 
 
 def _draw_systems(
-    labels: Labels,
-    names: Iterable[str],
-    values_of: Callable[[Document], Sequence[Document]],
-    document: Document,
+    document: Document, labels: Labels, names: Iterable[str], rows: Sequence[Document]
 ) -> Figure | None:
     """Draw a group of bars for each sequence: a bar for each system of the first one in `names`.
 
-    `values_of` returns what is drawn, by system, for each sequence.
+    `rows` have what is drawn, by system, for each sequence.
     """
-    rows = values_of(document)
     values = {name: [row.get(name) for row in rows] for name in names if name in rows[0]}
     return draw_bars(labels, sequence_labels(document), values) if values else None
 
@@ -135,7 +130,7 @@ def draw_comparison(document: Document) -> Figure | None:
         for row in document["comparison"]
     ]
     names = [name for name in rows[0] if name in COMPARED or name not in SYSTEMS]
-    return _draw_systems(labels, names, lambda _: rows, document)
+    return _draw_systems(document, labels, names, rows)
 
 
 def draw_decisions(document: Document) -> Figure | None:
@@ -171,40 +166,37 @@ FIGURES: dict[str, Callable[[Document], Figure | None]] = {
     "comparison": draw_comparison,
     "paths_psnr": draw_paths,
     "decisions": draw_decisions,
-    "fps": partial(
-        _draw_systems,
+    "fps": lambda document: _draw_systems(
+        document,
         Labels(
             "Effective rate", "", "frames per second",
             f"Base rate and new frames; at most {FACTOR} times the base rate.",
         ),
         RATED,
-        lambda document: [row["effective"] for row in document["fps"]],
+        [row["effective"] for row in document["fps"]],
     ),
-    "real_time_fps": partial(
-        _draw_systems,
+    "real_time_fps": lambda document: _draw_systems(
+        document,
         Labels(
             "Effective rate in real time", "", "frames per second",
             "Base rate and the new frames that are ready at their slots.",
         ),
         (*RATED, BEST_RETURN),
-        lambda document: [
+        [
             {name: system["effective"] for name, system in row["systems"].items()}
             for row in document["real_time"]["rows"]
         ],
     ),
     # Oracles that know the clock decide otherwise.
-    "real_time_decisions": partial(
-        _draw_systems,
+    "real_time_decisions": lambda document: _draw_systems(
+        document,
         Labels(
             "Share of warping in real time", "", "% of the decisions",
             "Of the policy, and of oracles that know the clock.",
         ),
         CHOOSERS,
-        lambda document: [
-            {
-                name: 100 * system["decisions"]["warp_share"]
-                for name, system in row["systems"].items()
-            }
+        [
+            {name: 100 * each["decisions"]["warp_share"] for name, each in row["systems"].items()}
             for row in document["real_time"]["rows"]
         ],
     ),

@@ -22,10 +22,8 @@ from exwarp_cli.pipeline.messages import other_extrapolator
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.scheduling import use_threads
 from exwarp_cli.research.bench.measurement import (
-    SLOT_SCORES,
     measure,
     part_identity,
-    score_slots,
     time_subject,
     timed_keys,
 )
@@ -98,7 +96,16 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
     subjects = find_subjects(settings, progress.message)
     networks = load_networks(settings, None)
     opened = tuple(OpenedSubject(subject, settings, networks) for subject in subjects)
-    _make_folders(opened)
+    owners: dict[Path, Subject] = {}
+    for each in opened:
+        if each.parts in owners:
+            raise UsageError(
+                f"{owners[each.parts].source.sequence} and {each.subject.source.sequence} have "
+                "one name, size and setting; measure them into two folders"
+            )
+        owners[each.parts] = each.subject
+        make_folder(each.parts)
+        remove_leftovers(each.parts)
     jobs = settings.jobs or processors().usable
     counts = {_kind(each.subject): len(each.keys) for each in opened}
     counts |= {f"timing {_kind(each.subject)}": len(timed_keys(each)) for each in opened}
@@ -131,20 +138,6 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
 def _kind(subject: Subject) -> str:
     """Name the kind of a subject's intervals: they take about as long."""
     return f"{subject.source.sequence}, {subject.setting}"
-
-
-def _make_folders(subjects: Sequence[OpenedSubject]) -> None:
-    """Make a folder for each subject; refuse two that would share one."""
-    owners: dict[Path, Subject] = {}
-    for opened in subjects:
-        if opened.parts in owners:
-            raise UsageError(
-                f"{owners[opened.parts].source.sequence} and {opened.subject.source.sequence} have "
-                "one name, size and setting; measure them into two folders"
-            )
-        owners[opened.parts] = opened.subject
-        make_folder(opened.parts)
-        remove_leftovers(opened.parts)
 
 
 def _measure_times(opened: OpenedSubject, progress: Progress) -> dict[str, Any]:
@@ -215,10 +208,7 @@ def _measure_parts(opened: OpenedSubject, keys: Sequence[int], report: Report) -
     """Measure some key intervals of a subject; what is on disk and still right is taken."""
     parts: Parts = {}
     for key in keys:
-        path = opened.parts / f"{opened.numbers[key]}.json"
-        part, is_new = _measure_part(opened, key, path)
-        if is_new:
-            atomic_write_text(path, json.dumps(part) + "\n")
+        part, is_new = _measure_part(opened, key)
         parts[opened.subject, key] = part
         report(Step(opened.subject, part["key"], is_new))
         check_stop()
@@ -226,25 +216,24 @@ def _measure_parts(opened: OpenedSubject, keys: Sequence[int], report: Report) -
     return parts
 
 
-def _measure_part(opened: OpenedSubject, key: int, path: Path) -> tuple[dict[str, Any], bool]:
-    """Return what is measured of a key interval, and whether it was not in the file `path`."""
+def _measure_part(opened: OpenedSubject, key: int) -> tuple[dict[str, Any], bool]:
+    """Return what is measured of a key interval, and whether it was not on disk before."""
+    path = opened.parts / f"{opened.numbers[key]}.json"
     kept: dict[str, Any] | None = None
-    identity, is_complete = "", False
+    identity = ""
 
     def needed(_: int, recipes: dict[int, str]) -> bool:
-        nonlocal kept, identity, is_complete
+        nonlocal kept, identity
         identity = part_identity(opened, key, recipes)
         kept = _read_kept(path, identity)
-        is_complete = kept is not None and (opened.settings.clock is None or SLOT_SCORES in kept)
-        return not is_complete
+        return kept is None
 
     inputs = opened.reader.read(key, needed)
-    if kept is None:
-        return measure(opened, inputs) | {"identity": identity}, True
-    if is_complete:
+    if kept is not None:
         return kept, False
-    frames = opened.frames(inputs, opened.builder.build(inputs))
-    return kept | {SLOT_SCORES: score_slots(opened, frames, opened.truth(key))}, True
+    part = measure(opened, inputs) | {"identity": identity}
+    atomic_write_text(path, json.dumps(part) + "\n")
+    return part, True
 
 
 def _read_kept(path: Path, identity: str) -> dict[str, Any] | None:

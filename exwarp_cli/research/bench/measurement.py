@@ -46,7 +46,6 @@ from exwarp_cli.research.bench.systems import (
     pictures_of,
 )
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.motion_fields import find_holes
 from exwarp_cli.synthesis.warp import Mover
@@ -54,10 +53,7 @@ from exwarp_cli.synthesis.warp import Mover
 FrameScores = tuple[Score, Score | None]
 
 # Raised whenever the same input would give other numbers.
-PART_VERSION = 1
-
-# The key of a part that only a clock needs: see `score_slots`.
-SLOT_SCORES = "slot_scores"
+PART_VERSION = 2
 
 # The slot that ExtraNet makes: it doubles the frame rate.
 MIDDLE = 2
@@ -166,8 +162,8 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
         ``key``, the key frame's number; ``holes``, the share of slots 1 to 3 that W cannot see;
         ``features`` of the three instants of decision; ``paths`` of the choosing systems;
         ``returns`` of S1 to S6; ``warp_psnr_db`` of W at slots 1 to 3; ``systems``, for each the
-        scores of its three frames; ``extranet``, scores of pictures by ExtraNet's procedure. With
-        a clock ``slot_scores`` as well.
+        scores of its three frames; ``extranet``, scores of pictures by ExtraNet's procedure;
+        ``slot_scores``, which a clock needs: see `score_slots`.
     """
     interval = opened.builder.build(inputs)
     surroundings = opened.observer.of(inputs, interval)
@@ -193,7 +189,7 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
     # A path that has E's frame at slot 2 stands for ExtraNet.
     middles = {names[MIDDLE - 1] for names in shown.values()}
     by_extranet = {name: score_like_extranet(truth[MIDDLE], frames[name]) for name in middles}
-    part = {
+    return {
         "key": opened.numbers[inputs.key],
         "holes": [float(masks[slot].mean()) if slot in masks else None for slot in SLOTS],
         "features": [[float(v) for v in astuple(features)] for features in surroundings.now],
@@ -213,22 +209,20 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
             system: {name: getattr(by_extranet[names[MIDDLE - 1]], name) for name in JUDGED}
             for system, names in shown.items()
         },
+        "slot_scores": score_slots(frames, truth, extrapolates=gains is not None),
     }
-    if opened.settings.clock is not None:
-        part[SLOT_SCORES] = score_slots(opened, frames, truth)
-    return part
 
 
 def score_slots(
-    opened: OpenedSubject, frames: SystemFrames, truth: Mapping[int, Float32]
+    frames: SystemFrames, truth: Mapping[int, Float32], extrapolates: bool
 ) -> dict[str, list[list[float] | None]]:
     """Return PSNR and SSIM of each picture of the tree at slots 1 to 3, as if repeated there.
 
-    None stands before a picture's first slot. Without our network nothing is extrapolated.
+    None stands before a picture's first slot.
     """
     scores: dict[str, list[list[float] | None]] = {}
     for name, first in FIRST_SLOTS.items():
-        if opened.networks.own is None and "E" in name:
+        if not extrapolates and "E" in name:
             continue
         scores[name] = [None] * (first - 1)
         for slot in range(first, FACTOR):
@@ -304,7 +298,24 @@ def _time_interval(
         "features": features_ms / count,
         "decide": decide_ms / count,
     }
-    steps |= _time_frames(interval)
+    # What a warped and an extrapolated frame are made of.
+    fresh, gbuffer, pixels = replace(interval), interval.key.gbuffer, interval.key.image.pixels
+    fields_ms, backs = _timed(lambda: {slot: fresh.back(slot) for slot in SLOTS})
+    warp_ms, _ = _timed(lambda: [Mover(backs[s]).warp_alone(pixels) for s in SLOTS])
+    steps["warp"] = (fields_ms + warp_ms) / count
+    if fresh.slots and gbuffer is not None:
+        holes_ms, _ = _timed(
+            lambda: [find_holes(fresh.slots[s - 1], gbuffer, backs[s].field, s) for s in SLOTS]
+        )
+        # Holes come with the motion fields, and are stated by themselves.
+        steps["holes"] = holes_ms / count
+        steps["warp"] -= steps["holes"]
+    network = fresh.extrapolator
+    if network is not None:
+        inputs_ms, prepared = _timed(lambda: [fresh.prepared(slot) for slot in EXTRAPOLATED])
+        network_ms, _ = _timed(lambda: [network(p.inputs) for p in prepared])
+        steps["inputs"] = inputs_ms / len(EXTRAPOLATED)
+        steps["network"] = network_ms / len(EXTRAPOLATED)
     paths = FIXED_PATHS | {POLICY: decided}
     systems = {}
     for name in opened.systems:
@@ -321,30 +332,6 @@ def _time_interval(
         if path is not None or name in MOVING:
             systems[name] += steps["geometry"]
     return steps, systems
-
-
-def _time_frames(interval: Interval) -> dict[str, float]:
-    """Time what a warped and an extrapolated frame are made of."""
-    fresh, count, gbuffer = replace(interval), len(SLOTS), interval.key.gbuffer
-    fields_ms, backs = _timed(lambda: {slot: fresh.back(slot) for slot in SLOTS})
-    holes_ms = None
-    if fresh.slots and gbuffer is not None:
-        holes_ms, _ = _timed(
-            lambda: [find_holes(fresh.slots[s - 1], gbuffer, backs[s].field, s) for s in SLOTS]
-        )
-    pixels = interval.key.image.pixels
-    warp_ms, _ = _timed(lambda: [Mover(backs[s]).warp_alone(pixels) for s in SLOTS])
-    # Holes come with the motion fields, and are stated by themselves.
-    steps = {"warp": (fields_ms + warp_ms - (holes_ms or 0.0)) / count}
-    if holes_ms is not None:
-        steps["holes"] = holes_ms / count
-    network = fresh.extrapolator
-    if network is not None:
-        inputs_ms, prepared = _timed(lambda: [fresh.prepared(slot) for slot in EXTRAPOLATED])
-        network_ms, _ = _timed(lambda: [network(p.inputs) for p in prepared])
-        steps["inputs"] = inputs_ms / len(EXTRAPOLATED)
-        steps["network"] = network_ms / len(EXTRAPOLATED)
-    return steps
 
 
 def _timed(work: Callable[[], Result]) -> tuple[float, Result]:

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from exwarp_cli.domain.decision import HOLD, LOOKAHEAD
-from exwarp_cli.domain.frame import Bool, Float32, place_on_canvas
+from exwarp_cli.domain.frame import Bool, Float32, Window, place_on_canvas
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, UsageError
-from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
+from exwarp_cli.io.dataset import BENCHMARK, find_scenes
 from exwarp_cli.io.ffmpeg import minterpolate, require_vmaf_size
 from exwarp_cli.io.footage import read_sequence_picture
-from exwarp_cli.io.generated_frames import quantise_picture
+from exwarp_cli.io.generated_frames import FrameTemplate, quantise_picture
 from exwarp_cli.io.sequences import find_sequence
 from exwarp_cli.models.interpolator import OnnxInterpolator, load_interpolator
 from exwarp_cli.models.model_file import shipped_folder
@@ -124,46 +124,38 @@ def _subjects_of_data_set(
     except InputError as error:
         raise type(error)(f"{error}; a sequence of your own needs --ground-truth") from error
     subjects: list[Subject] = []
-    for scene in scenes:
+    for listed in scenes:
         try:
-            subjects += _subjects_of_scene(scene.as_far_as_rendered(), settings)
+            scene = listed.as_far_as_rendered()
         except MissingFrameError as error:
             if settings.scenes:
                 raise
             say(f"left out: {error}")
+            continue
+        manifest = scene.manifest
+        for frames in (manifest.instants, manifest.keys):
+            numbers = find_sequence(str(scene.folder / frames.pattern)).numbers
+            if list(numbers) != list(frames.numbers):
+                raise LayoutError(
+                    f"{scene.folder} is rendered in pieces, and of {frames.pattern} only frames "
+                    f"{frames.first}-{frames.first + frames.count - 1} hold together; render what "
+                    "is between, or leave the scene out with --scenes"
+                )
+        # Instants are ground truth and G-buffers of slots at once.
+        keys, instants = (
+            str(scene.folder / frames.pattern) for frames in (manifest.keys, manifest.instants)
+        )
+        policy, unseen = settings.policy, None
+        without_scene = shipped_folder() / policy_name_without(scene.name)
+        if policy is None and without_scene.is_file():
+            policy, unseen = without_scene, True
+        for setting in settings.settings:
+            gbuffers = instants if setting == "slot" else None
+            source = SourceSettings(keys, gbuffers, manifest.motion)
+            subjects.append(Subject(scene.name, source, instants, setting, policy, unseen))
     if not subjects:
         raise MissingFrameError(f"{data} has no scene with two key frames; render one first")
     return subjects
-
-
-def _subjects_of_scene(scene: RenderedScene, settings: BenchSettings) -> list[Subject]:
-    """Return a scene in each setting; its instants are ground truth and slot G-buffers at once."""
-    manifest = scene.manifest
-    for frames in (manifest.instants, manifest.keys):
-        numbers = find_sequence(str(scene.folder / frames.pattern)).numbers
-        if list(numbers) != list(frames.numbers):
-            raise LayoutError(
-                f"{scene.folder} is rendered in pieces, and of {frames.pattern} only frames "
-                f"{frames.first}-{frames.first + frames.count - 1} hold together; render what is "
-                "between, or leave the scene out with --scenes"
-            )
-    keys = str(scene.folder / manifest.keys.pattern)
-    instants = str(scene.folder / manifest.instants.pattern)
-    policy, unseen = settings.policy, None
-    without_scene = shipped_folder() / policy_name_without(scene.name)
-    if policy is None and without_scene.is_file():
-        policy, unseen = without_scene, True
-    return [
-        Subject(
-            scene.name,
-            SourceSettings(keys, instants if setting == "slot" else None, manifest.motion),
-            instants,
-            setting,
-            policy,
-            unseen,
-        )
-        for setting in settings.settings
-    ]
 
 
 @dataclass(frozen=True)
@@ -224,63 +216,62 @@ def load_networks(settings: BenchSettings, threads: int | None) -> Networks:
 class SystemFrames:
     """Frames of one key interval by the names of `systems`, each different one made once.
 
-    The interval comes with the next key frame, its past, and our network. `finish` brings pixels on
-    its window to what is judged.
+    The interval comes with the next key frame, its past, and our network. Frames are as files like
+    `template` would hold them, on the display window.
     """
 
     def __init__(
-        self, interval: Interval, networks: Networks, finish: Callable[[Float32], Float32]
+        self, interval: Interval, networks: Networks, template: FrameTemplate, display: Window
     ) -> None:
-        self._interval, self._networks, self._finish = interval, networks, finish
+        self._interval, self._networks = interval, networks
+        self._foreign = replace(interval, extrapolator=networks.imported)
+        self._template, self._display = template, display
         self._frames: dict[str, Float32] = {}
 
     def __getitem__(self, name: str) -> Float32:
         """Return a picture, float32 [H, W, 3 or 4], scene-linear."""
         if name not in self._frames:
-            self._frames[name] = self._finish(self._make(name))
+            pixels = quantise_picture(self._make(name), self._template)
+            canvas = self._interval.key.image.data_window
+            self._frames[name] = place_on_canvas(pixels, canvas, self._display)
         return self._frames[name]
 
     def _make(self, name: str) -> Float32:
         interval = self._interval
         if name.startswith(IMPORTED):
-            interval, name = self._with_imported, name.removeprefix(IMPORTED)
-        if name == REPEATED:
-            return _predict(HOLD, interval, 1)
+            interval, name = self._foreign, name.removeprefix(IMPORTED)
         if name == "W(E2)":
             return predict_path("S4", interval, FACTOR - 1).pixels
-        if " " not in name:
+        if name == REPEATED:
+            system, slot = HOLD, 1
+        elif " " in name:
+            system, number = name.rsplit(" ", 1)
+            slot = int(number)
+        else:
             slot = int(name[1])
             if name[0] == "E":
                 return interval.extrapolated(slot)
             return predict_path("S6", interval, slot).pixels
-        system, number = name.rsplit(" ", 1)
         if system == MINTERPOLATE:
-            return self._interpolated_by_ffmpeg[int(number) - 1]
+            if interval.following is not None:
+                return self._interpolated_by_ffmpeg[slot - 1]
+            system = HOLD  # before a cut, where ffmpeg repeats the frame as well
         if system in self._networks.interpolators:
             interval = replace(interval, interpolator=self._networks.interpolators[system])
             system = "onnx"
-        return _predict(system, interval, int(number))
-
-    @cached_property
-    def _with_imported(self) -> Interval:
-        return replace(self._interval, extrapolator=self._networks.imported)
+        predict = METHODS[system].predict
+        assert predict is not None
+        return predict(interval, slot).pixels
 
     @cached_property
     def _interpolated_by_ffmpeg(self) -> list[Float32]:
         interval = self._interval
-        if interval.following is None:  # before a cut, where ffmpeg repeats the frame as well
-            return [_predict(HOLD, interval, slot) for slot in SLOTS]
+        assert interval.following is not None
         older = interval.past[0].frame.image.pixels if interval.past else None
         before, after = interval.key.image.pixels, interval.following.image.pixels
         alpha = before[..., 3:]  # which ffmpeg does not make, and no score judges
         frames = minterpolate(older, before, after)
         return [np.concatenate([frame, alpha], axis=-1) for frame in frames]
-
-
-def _predict(method: str, interval: Interval, slot: int) -> Float32:
-    predict = METHODS[method].predict
-    assert predict is not None
-    return predict(interval, slot).pixels
 
 
 class OpenedSubject:
@@ -334,12 +325,7 @@ class OpenedSubject:
 
     def frames(self, inputs: IntervalInputs, interval: Interval) -> SystemFrames:
         """Return what systems show, as files would hold it."""
-        canvas, template = interval.key.image.data_window, inputs.template
-
-        def finish(pixels: Float32) -> Float32:
-            return place_on_canvas(quantise_picture(pixels, template), canvas, self.display)
-
-        return SystemFrames(interval, self.networks, finish)
+        return SystemFrames(interval, self.networks, inputs.template, self.display)
 
     def truth_numbers(self, key: int) -> dict[int, int]:
         """Return the numbers of the ground truth of slots 0 to 4; 4 is the next key frame's."""

@@ -9,6 +9,7 @@ rounding. No look has motion blur: what ExWarp makes frames of is rendered witho
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -198,35 +199,26 @@ def _deliver_geometry(gbuffer: GBuffer, look: Look) -> GBuffer:
         gbuffer = replace(gbuffer, window=_halved(gbuffer.window), **arrays)
     missing = (*look.missing, "depth") if look.depth == "absent" else look.missing
     gbuffer = gbuffer.without(*missing)
-    return replace(
-        gbuffer,
-        depth=_depth(gbuffer.depth, look.depth),
-        to_previous=_vectors(gbuffer.to_previous, look.vectors),
-        to_next=_vectors(gbuffer.to_next, look.vectors),
-    )
-
-
-def _depth(depth: Float32 | None, kind: str) -> Float32 | None:
-    """Return a depth as files of that kind hold it; background stays infinite."""
-    if depth is None or kind in ("full", "absent"):
-        return depth
-    if kind == "inverse":
+    changed: dict[str, Any] = {}
+    for name in ("to_previous", "to_next"):
+        vectors = getattr(gbuffer, name)
+        if vectors is not None and look.vectors == "half":
+            changed[name] = vectors.astype(np.float16).astype(np.float32)
+        elif vectors is not None and look.vectors == "rounded":
+            changed[name] = np.round(vectors * STEPS_A_PIXEL) / np.float32(STEPS_A_PIXEL)
+    depth = gbuffer.depth
+    if depth is None or not (finite := np.isfinite(depth)).any():
+        return replace(gbuffer, **changed)
+    # Background stays infinite.
+    if look.depth == "inverse":
         stored = (_NEAREST / np.maximum(depth, _NEAREST)).astype(np.float16).astype(np.float32)
         with np.errstate(divide="ignore"):
-            return np.where(np.isfinite(depth), _NEAREST / stored, depth)
-    surfaces = depth[np.isfinite(depth)]
-    if not surfaces.size:
-        return depth
-    step = surfaces.max() / np.float32(2**COARSE_BITS - 1)
-    return np.where(np.isfinite(depth), np.maximum(np.round(depth / step), 1) * step, depth)
-
-
-def _vectors(vectors: Float32 | None, kind: str) -> Float32 | None:
-    if vectors is None or kind == "full":
-        return vectors
-    if kind == "half":
-        return vectors.astype(np.float16).astype(np.float32)
-    return np.round(vectors * STEPS_A_PIXEL) / np.float32(STEPS_A_PIXEL)
+            changed["depth"] = np.where(finite, _NEAREST / stored, depth)
+    elif look.depth == "coarse":
+        step = depth[finite].max() / np.float32(2**COARSE_BITS - 1)
+        coarse = np.maximum(np.round(depth / step), 1) * step
+        changed["depth"] = np.where(finite, coarse, depth)
+    return replace(gbuffer, **changed)
 
 
 def _halved(window: Window) -> Window:

@@ -119,7 +119,7 @@ def choose_frames(
     Of a frame that is drawn twice other crops are taken. `side` is the height and width in pixels
     of the crops that a frame of any look has to hold.
     """
-    rng = _generator(seed, manifest.scene, 0)
+    rng = np.random.default_rng((seed, zlib.crc32(manifest.scene.encode()), 0))
     can_halve = min(manifest.width, manifest.height) >= 2 * side
     variants = [Variant(p, backwards=b) for p in range(FACTOR) for b in (False, True)]
     places: dict[str, list[tuple[Variant, int]]] = {setting: [] for setting in SETTINGS}
@@ -160,7 +160,7 @@ def cut_crops(scene: RenderedScene, settings: ExtrapolatorSettings) -> dict[str,
             f"{scene.folder} is {manifest.width}x{manifest.height}, smaller than crops of {side} "
             "pixels; leave it out, or take smaller crops"
         )
-    rng = _generator(settings.seed, scene.name, 1)
+    rng = np.random.default_rng((settings.seed, zlib.crc32(scene.name.encode()), 1))
     crops: dict[str, list[np.ndarray]] = {}
     count = count_frames(settings.frames, manifest.instants.count)
     clip = SceneClip(scene)
@@ -186,11 +186,6 @@ def cut_crops(scene: RenderedScene, settings: ExtrapolatorSettings) -> dict[str,
             crops.setdefault("time", []).append(np.array(choice.slot / FACTOR, np.float32))
         check_stop()
     return {name: np.stack(arrays) for name, arrays in crops.items()}
-
-
-def _generator(seed: int, name: str, use: int) -> np.random.Generator:
-    """Return random numbers that differ for every scene and every use."""
-    return np.random.default_rng((seed, zlib.crc32(name.encode()), use))
 
 
 def _draw_view(frame: Window, side: int, rng: np.random.Generator) -> Window:

@@ -75,33 +75,19 @@ class StepDown(nn.Module):
         return torch.relu(self.bn2(self.conv2(x)))
 
 
-class TwoConvolutions(nn.Module):
-    """Two plain convolutions, the first of which halves the channels."""
-
-    def __init__(self, inputs: int, outputs: int) -> None:
-        super().__init__()
-        middle = inputs // 2
-        self.double_conv = nn.Sequential(
-            *_convolution(inputs, middle), *_convolution(middle, outputs)
-        )
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Map [N, inputs, H, W] to [N, outputs, H, W]."""
-        out: Tensor = self.double_conv(x)
-        return out
-
-
 class StepUp(nn.Module):
     """Twice the size, then two convolutions beside what had that size on the way down."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
-        self.conv = TwoConvolutions(inputs, outputs)
+        middle = inputs // 2
+        layers = (*_convolution(inputs, middle), *_convolution(middle, outputs))
+        self.conv = nn.ModuleDict({"double_conv": nn.Sequential(*layers)})
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
         """Map [N, C, H / 2, W / 2] and a skip [N, inputs - C, H, W] to [N, outputs, H, W]."""
         x = functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=True)
-        out: Tensor = self.conv(torch.cat([skip, x], dim=1))
+        out: Tensor = self.conv["double_conv"](torch.cat([skip, x], dim=1))
         return out
 
 

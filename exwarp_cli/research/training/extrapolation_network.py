@@ -49,7 +49,6 @@ class Architecture:
     # Sizes of the box blurs of the filled warp that are candidates too.
     blurs: tuple[int, ...] = (3, 5, 9)
     candidates: bool = True  # Whether candidates are weighed at all
-    continued: bool = True  # Whether the change in shading since F_k-1, continued, is a candidate.
     flow: int = 0  # Number of candidates that are the filled warp, sampled where the network says.
     residual: bool = False  # Whether the network adds colour of its own.
     patched: bool = False  # Whether it does so in holes, beside weighing candidates.
@@ -152,7 +151,7 @@ class ExtrapolationNetwork(nn.Module):
         sides = len(SIDES) if a.reach else 0
         self.candidate_count = 0
         if a.candidates:
-            self.candidate_count = 1 + taps + len(a.blurs) + a.continued + a.flow + sides
+            self.candidate_count = 1 + taps + len(a.blurs) + a.flow + 1 + sides
         inputs = INPUT_PLANES + 4 * sides
         outputs = self.candidate_count + 2 * a.flow + 3 * (a.residual or a.patched)
         self.net = UNet(inputs, a.detail or outputs, a.width, a.growth)
@@ -207,7 +206,12 @@ class ExtrapolationNetwork(nn.Module):
         # from have noise, and a mean of candidates is the best guess of what has noise: without
         # this, clean frames came out 14 % softer than the truth.
         change = torch.cat([mask * (out - filled), mask], 1)
-        change, visible = torch.split(_window_mean(change, a.light), [3, 1], 1)
+        # The mean over a window: along rows, then columns, as windows are large.
+        change = functional.pad(change, (a.light // 2,) * 4, mode="replicate")
+        change = functional.avg_pool2d(
+            functional.avg_pool2d(change, (1, a.light), 1), (a.light, 1), 1
+        )
+        change, visible = torch.split(change, [3, 1], 1)
         lit = filled + change / visible.clamp_min(LEAST_VISIBLE)
         return torch.where(mask > 0, lit, out)
 
@@ -221,26 +225,24 @@ class ExtrapolationNetwork(nn.Module):
             visible = history[:, 4 * index + 3 :][:, :1]
             # What a frame does not show would be black: the filled warp replaces it.
             is_shown = (visible > 0) | (frame != 0).any(1, keepdim=True)
-            out += _neighbours(torch.where(is_shown, frame, filled), radius)
+            frame = torch.where(is_shown, frame, filled)
+            if radius == 0:
+                out.append(frame)
+                continue
+            # The frame shifted to every place of the window.
+            height, width = frame.shape[2:]
+            padded = functional.pad(frame, (radius,) * 4, mode="replicate")
+            side = range(2 * radius + 1)
+            out += [padded[:, :, y : y + height, x : x + width] for y in side for x in side]
         for size in a.blurs:
             padded = functional.pad(filled, (size // 2,) * 4, mode="replicate")
             out.append(functional.avg_pool2d(padded, size, 1))
-        if a.continued:
-            both = history[:, 3:4] * history[:, 7:8]
-            out.append(filled + when * both * (filled - history[:, 4:7]))
+        # The change in shading since F_k-1, continued.
+        both = history[:, 3:4] * history[:, 7:8]
+        out.append(filled + when * both * (filled - history[:, 4:7]))
         for index in range(a.flow):
             out.append(_sample(filled, flow[:, 2 * index : 2 * index + 2]))
         return out + [side[:, :3] for side in sides]
-
-
-def _neighbours(frame: Tensor, radius: int) -> list[Tensor]:
-    """Return the frame shifted to every place of a (2 radius + 1) squared window."""
-    if radius == 0:
-        return [frame]
-    height, width = frame.shape[2:]
-    padded = functional.pad(frame, (radius,) * 4, mode="replicate")
-    side = range(2 * radius + 1)
-    return [padded[:, :, y : y + height, x : x + width] for y in side for x in side]
 
 
 def _first_visible(frame: Tensor, mask: Tensor, side: tuple[int, int], reach: int) -> Tensor:
@@ -269,12 +271,6 @@ def _shift(x: Tensor, right: int, down: int) -> Tensor:
     x = functional.pad(x, (max(right, 0), max(-right, 0), max(down, 0), max(-down, 0)))
     top, left = max(-down, 0), max(-right, 0)
     return x[:, :, top : top + height, left : left + width]
-
-
-def _window_mean(planes: Tensor, size: int) -> Tensor:
-    """Return the mean over a window: along rows, then columns, as windows are large."""
-    padded = functional.pad(planes, (size // 2,) * 4, mode="replicate")
-    return functional.avg_pool2d(functional.avg_pool2d(padded, (1, size), 1), (size, 1), 1)
 
 
 def _sample(frame: Tensor, flow: Tensor) -> Tensor:

@@ -16,24 +16,23 @@ from onnx import numpy_helper
 from torch import Tensor, nn
 
 from exwarp_cli.domain.network_api import EXTRAPOLATOR_INTERFACE
-from exwarp_cli.errors import DamagedFileError, LayoutError
+from exwarp_cli.errors import DamagedFileError, LayoutError, UsageError
 from exwarp_cli.research.training.crop_cache import Batch, CachedArrays, Crops
 from exwarp_cli.research.training.extrapolation_network import (
+    ARCHITECTURES,
     STRIDE,
     ExtrapolationNetwork,
     GatedConvolution,
     build_network,
 )
-from exwarp_cli.research.training.onnx_export import export_network
 from exwarp_cli.research.training.resumable_training import (
-    WARM_UP,
     DrawnBatches,
     ResumableTraining,
     Say,
     read_checkpoint,
     read_file,
 )
-from exwarp_cli.research.training.training_settings import ExtrapolatorSettings, require_sane
+from exwarp_cli.research.training.training_settings import ExtrapolatorSettings
 from exwarp_cli.runtime.stop import check_stop
 
 MODEL = "extrapolator.onnx"
@@ -70,7 +69,10 @@ SLOPE = 0.45
 
 
 class ExtrapolatorTraining(ResumableTraining):
-    """One training of an extrapolation network."""
+    """One training of an extrapolation network.
+
+    Raises UsageError for an unknown architecture, or sizes that fit neither network nor crops.
+    """
 
     network: ExtrapolationNetwork
     average: ExtrapolationNetwork
@@ -78,15 +80,44 @@ class ExtrapolatorTraining(ResumableTraining):
     samples = Crops
     weight_decay = 0.01
     largest_gradient = 0.3
+    high = 0.0
     least_rate = 0.02
+    model, interface = MODEL, EXTRAPOLATOR_INTERFACE
+    about = "extrapolation network, {0.architecture}"
     columns = ("step", "seconds", "loss", "rate", "gain_db", "gain_holes_db")
     scores_text = "{:+.2f} dB over the filled warp, {:+.2f} dB in holes"
 
     def __init__(self, folder: Path, settings: ExtrapolatorSettings, say: Say) -> None:
-        require_sane(settings)
+        if settings.architecture not in ARCHITECTURES:
+            raise UsageError(
+                f"--architecture {settings.architecture} is not one of {', '.join(ARCHITECTURES)}"
+            )
+        for option, size in (("--patch", settings.patch), ("--side", settings.side)):
+            if size % STRIDE:
+                raise UsageError(
+                    f"{option} {size} is no multiple of {STRIDE}, which the network halves down to"
+                )
+        if settings.patch > settings.side:
+            raise UsageError(
+                f"--patch {settings.patch} is larger than --side {settings.side}; "
+                "enlarge the latter"
+            )
+        if settings.batch < 2:
+            raise UsageError(
+                f"--batch {settings.batch} is too small to normalise over; give 2 or more"
+            )
+        if not 0 < settings.rate < 1:
+            raise UsageError(f"--rate {settings.rate:g} is not between 0 and 1; try 0.002")
         self._begins_with_model = False
         super().__init__(folder, settings, say)
-        self._uses_bfloat16 = _is_bfloat16_fast(self.device)
+        # With AVX-512 BF16 a step takes two thirds of the time. torch.cpu.get_capabilities tells of
+        # it too, but is younger than the oldest torch that is allowed.
+        processors = Path("/proc/cpuinfo")
+        self._uses_bfloat16 = (
+            torch.cuda.is_bf16_supported()
+            if self.device == "cuda"
+            else processors.is_file() and "avx512_bf16" in processors.read_text(encoding="utf-8")
+        )
 
     def _make_network(self) -> ExtrapolationNetwork:
         return build_network(self.settings.architecture, self.settings.width)
@@ -121,24 +152,11 @@ class ExtrapolatorTraining(ResumableTraining):
             self.average.load_state_dict(self.network.state_dict())
         super().run(samples, held_out, every)
 
-    def export(self) -> Path:
-        """Write the network as an ONNX model; return its path."""
-        path = self.folder / MODEL
-        about = (
-            f"ExWarp extrapolation network, {self.settings.architecture}, {self.step} steps on "
-            f"{len(self.settings.scenes['training'])} scenes, seed {self.settings.seed}"
-        )
-        export_network(self.average, path, EXTRAPOLATOR_INTERFACE, stride=STRIDE, about=about)
-        return path
-
     def _loss(self, batch: Batch) -> Tensor:
         with torch.autocast(self.device, torch.bfloat16, enabled=self._uses_bfloat16):
             answer = self.network(*batch.inputs)
         colour = batch.finish(answer.float())
         return loss_of(colour, batch.target, batch.plain, batch.mask)
-
-    def _decayed(self) -> float:
-        return (self.step - WARM_UP) / max(1, self.settings.steps - WARM_UP)
 
     @torch.no_grad()
     def _validate(self, samples: Crops) -> tuple[float, float]:
@@ -155,15 +173,6 @@ class ExtrapolatorTraining(ResumableTraining):
                 gain = psnr(colour, batch.target, where) - psnr(plain, batch.target, where)
                 rows += gain.tolist()
         return float(np.nanmean(gains)), float(np.nanmean(gains_in_holes))
-
-
-def _is_bfloat16_fast(device: str) -> bool:
-    # With AVX-512 BF16 a step takes two thirds of the time.
-    if device == "cuda":
-        return bool(torch.cuda.is_bf16_supported())
-    # torch.cpu.get_capabilities tells it too, but is younger than the oldest torch that is allowed.
-    processors = Path("/proc/cpuinfo")
-    return processors.is_file() and "avx512_bf16" in processors.read_text(encoding="utf-8")
 
 
 def to_display(linear: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
@@ -45,13 +45,12 @@ from exwarp_cli.research.training.tile_policy_training import (
     TableOfTiles,
     TileTraining,
     choice_margins,
-    fit_tiles,
     gain_card,
-    gain_percent,
     gains_by_share,
     gains_in_db,
     margins_unseen,
     price_for,
+    train_tiles,
 )
 from exwarp_cli.research.training.training_settings import TilePolicySettings
 from exwarp_cli.runtime.stop import check_stop
@@ -69,6 +68,12 @@ CLEARLY = 5.0
 QUARTER = "0.25"
 
 RULE, LEARNED = "both sides and key frames apart", "learned, scene left out"
+
+# Rules that go by a sum of features alone.
+SIMPLER = {
+    "both sides apart": ("light", "motion"),
+    "key residual alone": ("key_light", "key_motion"),
+}
 
 
 @dataclass(frozen=True)
@@ -100,10 +105,20 @@ class LookAheadTable(TableOfTiles):
             states[of_slot, 0] = look_ahead_inputs(self.features[of_slot], slot / FACTOR)
         return states
 
-    @property
+    @cached_property
     def gains(self) -> F64:
-        """What the network takes from each tile's squared error, float64 [N]."""
-        return np.asarray(self.errors[:, 0] - self.errors[:, 1])
+        """What the network takes from each tile's squared error, float64 [N, 1, 2]."""
+        gain = self.errors[:, 0] - self.errors[:, 1]
+        return np.stack([np.zeros(len(self)), gain], axis=-1)[:, None]
+
+    @staticmethod
+    def cost(margins: Margins, price: float) -> float:
+        """Return the share of the area that the network computes."""
+        return float((margins > price).mean())
+
+    def error(self, margins: Margins, price: float) -> float:
+        """Return the mean squared error of slots 1 to 3, squared display levels."""
+        return float(np.where(margins[:, 0] > price, self.errors[:, 1], self.errors[:, 0]).mean())
 
 
 def measure_look_ahead(scene: RenderedScene, network: OnnxLookAhead, say: Say) -> LookAheadTable:
@@ -154,35 +169,6 @@ def rule_network(states: F64) -> QuantisedMlp:
     return quantise(weights, [np.zeros(len(layer)) for layer in weights], states)
 
 
-def train_look_ahead(
-    tables: Sequence[LookAheadTable], settings: TilePolicySettings
-) -> QuantisedMlp:
-    """Learn from the tables of some scenes, which count alike; return the integer network."""
-    gained = [np.stack([np.zeros(len(t)), t.gains], axis=-1)[:, None] for t in tables]
-    return fit_tiles(tables, gained, settings, {})
-
-
-def area_at(margins: Margins, price: float) -> float:
-    """Return the share of the area that the network computes at a price."""
-    return float((margins > price).mean())
-
-
-def gain_at(share: float, tables: Sequence[LookAheadTable], margins: Sequence[Margins]) -> float:
-    """Return what a choice gains at a share of the area, in % of the network's gain in dB."""
-    price = price_for(share, margins, area_at)
-    errors = (
-        np.where(margin[:, 0] > price, table.errors[:, 1], table.errors[:, 0]).mean()
-        for table, margin in zip(tables, margins, strict=True)
-    )
-    return gain_percent(map(_fixed_errors, tables), errors)
-
-
-def _fixed_errors(table: LookAheadTable) -> tuple[float, float]:
-    """Return the errors of `softsplat` and of `lookahead`."""
-    softsplat, lookahead = table.errors.mean(axis=0)
-    return softsplat, lookahead
-
-
 def train_look_ahead_policy(
     tables: Sequence[LookAheadTable], output: Path, settings: TilePolicySettings, say: Say
 ) -> dict[str, Any]:
@@ -190,23 +176,29 @@ def train_look_ahead_policy(
     require_two_scenes(len(tables))
     make_folder(output)
     rule = rule_network(np.concatenate([table.states[:, 0] for table in tables]))
-    margins = {
+    margins: dict[str, list[Margins]] = {
         RULE: [choice_margins(rule, table) for table in tables],
-        LEARNED: margins_unseen(tables, train_look_ahead, settings, say),
-        **_simpler_margins(tables, settings.seed),
+        LEARNED: margins_unseen(tables, settings, say),
     }
-    gains = gains_by_share(margins, lambda share, of_choice: gain_at(share, tables, of_choice))
+    for name, features in SIMPLER.items():
+        columns = [LOOK_AHEAD_FEATURES.index(feature) for feature in features]
+        margins[name] = [t.features[:, columns].sum(axis=-1, keepdims=True) for t in tables]
+    rng = np.random.default_rng(settings.seed)
+    margins["coin"] = [rng.random((len(table), 1)) for table in tables]
+    margins["the truth"] = [table.gains[..., 1] for table in tables]
+    gains = gains_by_share(tables, margins)
     is_learned = bool(gains[LEARNED][QUARTER] >= gains[RULE][QUARTER] + CLEARLY)
     best, how = rule, "where both key frames are apart"
     if is_learned:
         say(f"on all {len(tables)} scenes")
-        best, how = train_look_ahead(tables, settings), "learned on rendered scenes"
+        best, how = train_tiles(tables, settings), "learned on rendered scenes"
     own = [choice_margins(best, table) for table in tables]
+    prices = [price_for(share, own, LookAheadTable.cost) for share in EFFORTS]
     metadata = {
         "about": f"ExWarp's predictor of tiles between key frames: {how}",
         "state": LOOK_AHEAD_STATE,
         "scenes": [table.scene for table in tables],
-        "efforts": [[share, round(price_for(share, own, area_at))] for share in EFFORTS],
+        "efforts": [[s, round(price)] for s, price in zip(EFFORTS, prices, strict=True)],
     }
     save_network(output / SHIPPED_LOOK_AHEAD_POLICY, best, metadata)
     report = {
@@ -214,7 +206,7 @@ def train_look_ahead_policy(
         "settings": asdict(settings),
         "is_learned": is_learned,
         "tiles": {table.scene: len(table) for table in tables},
-        "network_gain_db": gains_in_db(tables, map(_fixed_errors, tables)),
+        "network_gain_db": gains_in_db(tables),
         "gain_percent": gains,
     }
     atomic_write_text(output / REPORT, json.dumps(report, indent=1) + "\n")
@@ -222,34 +214,13 @@ def train_look_ahead_policy(
     return report
 
 
-def _simpler_margins(tables: Sequence[LookAheadTable], seed: int) -> dict[str, list[F64]]:
-    """Return the margins of simpler rules, float64 [N, 1] each, and of knowing the truth."""
-    rng = np.random.default_rng(seed)
-
-    def total(table: LookAheadTable, *names: str) -> F64:
-        columns = [LOOK_AHEAD_FEATURES.index(name) for name in names]
-        return np.asarray(table.features[:, columns].sum(axis=-1, keepdims=True))
-
-    return {
-        "both sides apart": [total(table, "light", "motion") for table in tables],
-        "key residual alone": [total(table, "key_light", "key_motion") for table in tables],
-        "coin": [rng.random((len(table), 1)) for table in tables],
-        "the truth": [table.gains[:, None] for table in tables],
-    }
-
-
 def look_ahead_policy_card(report: dict[str, Any]) -> str:
     """Return what the scores file holds: what choices gain at some shares of the area."""
     return gain_card(report, "The network", report["network_gain_db"])
 
 
-def _load_network(model: Path | None) -> OnnxLookAhead:
-    """Load the network on one thread."""
-    return load_lookahead(model, 1, "cpu")
-
-
 TRAINING = TileTraining(
     "look-ahead-policy", SHIPPED_LOOK_AHEAD_POLICY, LookAheadTable, Path(TILE_TABLES, TABLES),
-    "--interpolator", _load_network, measure_look_ahead, train_look_ahead_policy,
-    look_ahead_policy_card,
+    "--interpolator", partial(load_lookahead, threads=1, device="cpu"),
+    measure_look_ahead, train_look_ahead_policy, look_ahead_policy_card,
 )  # fmt: skip

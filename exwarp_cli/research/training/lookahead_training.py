@@ -33,7 +33,6 @@ from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.research.training.augmentation import PLAIN, Look, Variant, draw_look
 from exwarp_cli.research.training.crop_cache import CachedArrays, digest_of, write_arrays
 from exwarp_cli.research.training.extrapolation_network import LEAK, STRIDE, UNet
-from exwarp_cli.research.training.onnx_export import export_network
 from exwarp_cli.research.training.resumable_training import ResumableTraining, read_checkpoint
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.research.training.training_settings import LookAheadSettings
@@ -63,9 +62,6 @@ CERTAIN = 2.0
 # Share of the network's answer in the shipped model. The whole of it gained 0.02 dB less on six
 # scenes in the mean, and lost 0.07 on one: it is surer than it should be on unknown scenes.
 SHARE = 0.6
-
-# Share of the steps for which the rate stays.
-HIGH = 0.3
 
 # Values as displayed above it count as it: far highlights are not visible.
 BRIGHTEST = 1.5
@@ -207,9 +203,10 @@ class Samples(CachedArrays):
         """Return the batch of a step of training: patches of slots, varied."""
         rng = np.random.default_rng((seed, step))
         indices = [self.draw_index(step * size + n, seed) for n in range(size)]
-        return _stack([_vary_patch(self._draw_patch(index, side, rng), rng) for index in indices])
+        return _stack([self._draw_patch(index, side, rng) for index in indices])
 
     def _draw_patch(self, index: int, side: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        """Cut a patch; turn, flip, play it backwards, re-expose and recolour it, or hide depth."""
         f, i = self._places[index]
         files = self._files[f]
         height, width = files["truth"].shape[-2:]
@@ -221,46 +218,43 @@ class Samples(CachedArrays):
             )
             for _ in range(count)
         ]
-
-        def error(corner: tuple[int, ...]) -> float:
+        errors = []
+        for corner in corners:
             rows, columns = (slice(first, first + side, 4) for first in corner)
             softsplat = files["colour"][i, :3, rows, columns].astype(np.float32)
-            return float(np.abs(softsplat - files["truth"][i, :, rows, columns]).mean())
-
-        y, x = corners[0] if count == 1 else max(corners, key=error)
-        patch = {n: files[n][i, :, y : y + side, x : x + side] for n in (*PICTURES, "truth")}
-        return patch | {"time": files["time"][i]}
-
-
-def _vary_patch(patch: Mapping[str, np.ndarray], rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Turn, flip, play backwards, re-expose and recolour a patch, or leave out its depth."""
-    pictures = {n: np.asarray(patch[n], np.float32) for n in (*PICTURES, "truth")}
-    order, gain = rng.permutation(3), np.float32(np.exp(rng.uniform(*BRIGHTNESS)))
-    for name in ("colour", "truth"):
-        shape = pictures[name].shape
-        pictures[name] = pictures[name].reshape(-1, 3, *shape[1:])[:, order].reshape(shape) * gain
-    pictures["depth"] = pictures["depth"] + np.float32(rng.uniform(-DEPTH_SHIFT, DEPTH_SHIFT))
-    if rng.random() < NO_DEPTH:
-        pictures["depth"] = np.full_like(pictures["depth"], pictures["depth"].max())
-    for axis in (-1, -2):
+            errors.append(float(np.abs(softsplat - files["truth"][i, :, rows, columns]).mean()))
+        y, x = corners[int(np.argmax(errors))]
+        pictures = {
+            name: files[name][i, :, y : y + side, x : x + side].astype(np.float32)
+            for name in (*PICTURES, "truth")
+        }
+        order, gain = rng.permutation(3), np.float32(np.exp(rng.uniform(*BRIGHTNESS)))
+        for name in ("colour", "truth"):
+            layers = pictures[name].reshape(-1, 3, side, side)
+            pictures[name] = layers[:, order].reshape(-1, side, side) * gain
+        pictures["depth"] = pictures["depth"] + np.float32(rng.uniform(-DEPTH_SHIFT, DEPTH_SHIFT))
+        if rng.random() < NO_DEPTH:
+            pictures["depth"] = np.full_like(pictures["depth"], pictures["depth"].max())
+        for axis in (-1, -2):
+            if rng.random() < 0.5:
+                pictures = {n: np.flip(p, axis) for n, p in pictures.items()}
         if rng.random() < 0.5:
-            pictures = {n: np.flip(p, axis) for n, p in pictures.items()}
-    if rng.random() < 0.5:
-        pictures = {n: p.swapaxes(-1, -2) for n, p in pictures.items()}
-    time = np.float32(patch["time"])
-    if rng.random() < 0.5:
-        for name, channels in SWAPPED.items():
-            pictures[name] = pictures[name][list(channels)]
-        time = np.float32(1) - time
-    return pictures | {"time": np.array(time)}
+            pictures = {n: p.swapaxes(-1, -2) for n, p in pictures.items()}
+        time = np.float32(files["time"][i])
+        if rng.random() < 0.5:
+            for name, channels in SWAPPED.items():
+                pictures[name] = pictures[name][list(channels)]
+            time = np.float32(1) - time
+        return pictures | {"time": np.array(time)}
 
 
 def _stack(patches: Sequence[Mapping[str, np.ndarray]]) -> SampleBatch:
-    def stack(name: str) -> Tensor:
-        planes = np.stack([patch[name] for patch in patches]).astype(np.float32)
-        return torch.from_numpy(np.ascontiguousarray(planes))
-
-    return SampleBatch({name: stack(name) for name in PICTURES}, stack("time"), stack("truth"))
+    tensors = {}
+    for name in SAMPLE_ARRAYS:
+        planes = np.stack([patch[name] for patch in patches])
+        tensors[name] = torch.from_numpy(np.ascontiguousarray(planes, np.float32))
+    time, truth = tensors.pop("time"), tensors.pop("truth")
+    return SampleBatch(tensors, time, truth)
 
 
 class NormalisedConvolution(nn.Module):
@@ -294,7 +288,22 @@ class WeighingNetwork(UNet):
         self, colour: Tensor, masks: Tensor, depth: Tensor, agreement: Tensor, time: Tensor
     ) -> Tensor:
         """Return the weights, float32 [N, CANDIDATES, H, W]."""
-        planes = _input_planes(colour, masks, depth, agreement, time)
+        mixed, sides = colour[:, :3], colour[:, 3:]
+        apart = CONTRAST * (sides - mixed.repeat(1, SIDES, 1, 1))
+        before, after, lit_before, lit_after = (sides[:, i : i + 3] for i in range(0, 12, 3))
+        between = [
+            CONTRAST * (a - b).abs().mean(1, keepdim=True)
+            for a, b in ((before, after), (lit_before, lit_after))
+        ]
+        padded = functional.pad(depth, (1, 1, 1, 1), mode="replicate")
+        furthest = functional.max_pool2d(padded, 3, 1)
+        nearest = -functional.max_pool2d(-padded, 3, 1)
+        relative = (depth[:, :1] - depth[:, 1:]).clamp(-MOST_DEPTH, MOST_DEPTH)
+        jump = (furthest - nearest).clamp(max=MOST_DEPTH).amax(1, keepdim=True)
+        above = (depth - nearest).clamp(max=MOST_DEPTH).amax(1, keepdim=True)
+        when = torch.zeros_like(relative) + time.reshape(-1, 1, 1, 1)
+        seen = [mixed, apart, *between, masks, relative, jump, above, agreement, when]
+        planes = torch.cat(seen, 1)
         x = self.head(self.detail(torch.cat([super().forward(planes), planes], 1)))
         return torch.softmax(x.float(), 1)
 
@@ -317,26 +326,6 @@ class ShippedNetwork(nn.Module):
         """Return the weights, float32 [N, CANDIDATES, H, W]."""
         weights: Tensor = self.network(colour, masks, depth, agreement, time)
         return SHARE * weights + self.kept
-
-
-def _input_planes(
-    colour: Tensor, masks: Tensor, depth: Tensor, agreement: Tensor, time: Tensor
-) -> Tensor:
-    """Return what the network sees of each pixel, [N, INPUT_PLANES, H, W]."""
-    mixed, sides = colour[:, :3], colour[:, 3:]
-    apart = CONTRAST * (sides - mixed.repeat(1, SIDES, 1, 1))
-    before, after, lit_before, lit_after = (sides[:, i : i + 3] for i in range(0, 12, 3))
-    between = [
-        CONTRAST * (a - b).abs().mean(1, keepdim=True)
-        for a, b in ((before, after), (lit_before, lit_after))
-    ]
-    padded = functional.pad(depth, (1, 1, 1, 1), mode="replicate")
-    furthest, nearest = functional.max_pool2d(padded, 3, 1), -functional.max_pool2d(-padded, 3, 1)
-    relative = (depth[:, :1] - depth[:, 1:]).clamp(-MOST_DEPTH, MOST_DEPTH)
-    jump = (furthest - nearest).clamp(max=MOST_DEPTH).amax(1, keepdim=True)
-    above = (depth - nearest).clamp(max=MOST_DEPTH).amax(1, keepdim=True)
-    when = torch.zeros_like(relative) + time.reshape(-1, 1, 1, 1)
-    return torch.cat([mixed, apart, *between, masks, relative, jump, above, agreement, when], 1)
 
 
 def mix(weights: Tensor, colour: Tensor) -> Tensor:
@@ -385,7 +374,10 @@ class LookAheadTraining(ResumableTraining):
     samples = Samples
     weight_decay = 1e-5
     largest_gradient = 0.5
+    high = 0.3
     least_rate = 0.005
+    model, interface = MODEL, LOOKAHEAD_INTERFACE
+    about = "look-ahead network, {0.width} channels"
     # The scores of held-out slots: dB over `softsplat`, and how far the mean gradient is from the
     # truth's.
     columns = ("step", "seconds", "loss", "rate", "gain_db", "sharpness_percent")
@@ -404,43 +396,33 @@ class LookAheadTraining(ResumableTraining):
                 "its --width, or another --start"
             ) from error
 
-    def export(self) -> Path:
-        """Write the network as an ONNX model; return its path."""
-        path, settings = self.folder / MODEL, self.settings
-        about = (
-            f"ExWarp look-ahead network, {settings.width} channels, {self.step} steps on "
-            f"{len(settings.scenes['training'])} scenes, seed {settings.seed}"
-        )
-        shipped = ShippedNetwork(self.average)
-        export_network(shipped, path, LOOKAHEAD_INTERFACE, stride=STRIDE, about=about)
-        return path
+    def _shipped(self) -> ShippedNetwork:
+        return ShippedNetwork(self.average)
 
     def _loss(self, batch: SampleBatch) -> Tensor:
         colour = mix(self.network(**batch.inputs, time=batch.time), batch.inputs["colour"])
         return loss_of(colour, batch.truth)
 
-    def _decayed(self) -> float:
-        return max(0.0, (self.step / self.settings.steps - HIGH) / (1 - HIGH))
-
     @torch.no_grad()
     def _validate(self, samples: Samples) -> tuple[float, float]:
         """Return the gain over `softsplat` in dB, and per cent of sharpness, of held-out slots."""
         self.average.eval()
-        indices = samples.spread(VALIDATED)
-        scores = [self._score(samples.whole(index).to(self.device)) for index in indices]
-        gain, sharpness = np.mean(scores, axis=0)
-        return float(gain), float(sharpness)
-
-    def _score(self, sample: SampleBatch) -> tuple[float, float]:
-        height, width = sample.truth.shape[-2:]
-        padding = (0, -width % STRIDE, 0, -height % STRIDE)
-        inputs = {
-            name: functional.pad(picture, padding, mode="replicate")
-            for name, picture in sample.inputs.items()
-        }
-        colour = mix(self.average(**inputs, time=sample.time), inputs["colour"])
-        colour = colour[..., :height, :width].clamp(0, 1)
-        truth, plain = sample.truth.clamp(0, 1), sample.inputs["colour"][:, :3].clamp(0, 1)
-        gain = 10 / math.log(10) * (_log_error(plain, truth) - _log_error(colour, truth))
-        slopes = [sum(g.abs().mean() for g in _gradients(p.mean(1))) for p in (colour, truth)]
-        return float(gain), 100 * (float(slopes[0]) / max(float(slopes[1]), 1e-6) - 1)
+        scores = []
+        for index in samples.spread(VALIDATED):
+            sample = samples.whole(index).to(self.device)
+            height, width = sample.truth.shape[-2:]
+            padding = (0, -width % STRIDE, 0, -height % STRIDE)
+            inputs = {
+                name: functional.pad(picture, padding, mode="replicate")
+                for name, picture in sample.inputs.items()
+            }
+            colour = mix(self.average(**inputs, time=sample.time), inputs["colour"])
+            colour = colour[..., :height, :width].clamp(0, 1)
+            truth, plain = sample.truth.clamp(0, 1), sample.inputs["colour"][:, :3].clamp(0, 1)
+            gain = 10 / math.log(10) * (_log_error(plain, truth) - _log_error(colour, truth))
+            own, true = (
+                sum(g.abs().mean() for g in _gradients(p.mean(1))) for p in (colour, truth)
+            )
+            scores.append((float(gain), 100 * (float(own) / max(float(true), 1e-6) - 1)))
+        gain_db, sharpness = np.mean(scores, axis=0)
+        return float(gain_db), float(sharpness)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import inspect
 import logging
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -72,7 +72,12 @@ def export_network(
             f"may take others out of {', '.join(shapes)}"
         )
     example = {name: torch.full(shapes[name], 0.5) for name in parameters}
-    with _quiet_exporter(), torch.no_grad():
+    with ExitStack() as quiet:
+        # The exporter warns of absent torchvision, and of its own deprecations.
+        quiet.enter_context(warnings.catch_warnings(action="ignore"))
+        logging.disable(logging.WARNING)
+        quiet.callback(logging.disable, logging.NOTSET)
+        quiet.enter_context(torch.no_grad())
         answer = module(**example)
         if answer.shape != (1, interface.made, height, width) or answer.dtype != torch.float32:
             raise ValueError(
@@ -111,22 +116,6 @@ def _remove_run_details(model: onnx.ModelProto) -> None:
         if value.name != TIME_INPUT:
             for axis, name in AXES.items():
                 value.type.tensor_type.shape.dim[axis].dim_param = name
-
-
-@contextmanager
-def _quiet_exporter() -> Iterator[None]:
-    # It warns of absent torchvision, and of its own deprecations.
-    loggers = [logging.getLogger(name) for name in ("torch", "torch.onnx", "onnxscript", "onnx_ir")]
-    levels = [logger.level for logger in loggers]
-    try:
-        for logger in loggers:
-            logger.setLevel(logging.ERROR)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.setLevel(level)
 
 
 def export_float(weights: Sequence[F32], biases: Sequence[F32], path: Path) -> None:

@@ -109,7 +109,15 @@ def train_policy(
         save_network(output / name, network, _metadata(training_tables, settings))
         written.append(name)
         folds[table.scene] = _judge(floats, network, table, training_tables)
-        say(f"without {table.scene}: {_score_text(folds[table.scene][ALL])}")
+        whole = folds[table.scene][ALL]
+        scores = whole["scores"]
+        own, oracle = scores["exwarp"], scores["oracle"]
+        best = max(scores[path]["psnr_db"] for path in PATHS)
+        say(
+            f"without {table.scene}: return {own['reward']:.3f}, PSNR {own['psnr_db']:.3f} dB; "
+            f"best fixed path {best:.3f}, oracle {oracle['psnr_db']:.3f}; "
+            f"int8 agrees on {whole['agreement']:.2%}"
+        )
     say(f"training on all {len(tables)} scenes")
     floats, network = learn(tables, settings)
     # In the precision that they were trained in.
@@ -168,8 +176,9 @@ def _judge(
         "exwarp": greedy_paths(integers),
         "float": greedy_paths(floats),
         "regressor": greedy_paths(predict_rewards(fit_regression(training_tables), table)),
-        **oracle_paths(table),
-        **{name: fixed_path(table, name) for name in PATHS},
+        "oracle": best_psnr(table.outcomes),
+        "oracle-return": best_return(table.outcomes),
+        **{name: np.full(len(table), index) for index, name in enumerate(NAMES)},
     }
     agrees = (floats[..., 1] > floats[..., 0]) == (integers[..., 1] > integers[..., 0])
     passed = np.array([[node in PATHS[name].choices for node in NODES] for name in NAMES])
@@ -208,16 +217,6 @@ def add_checksums(folder: Path, names: Sequence[str]) -> None:
     for name in names:
         checksums[name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
     atomic_write_text(path, json.dumps(checksums, indent=1, sort_keys=True) + "\n")
-
-
-def _score_text(part: dict[str, Any]) -> str:
-    scores = part["scores"]
-    best = max(scores[name]["psnr_db"] for name in PATHS)
-    own, oracle = scores["exwarp"], scores["oracle"]
-    return (
-        f"return {own['reward']:.3f}, PSNR {own['psnr_db']:.3f} dB; best fixed path {best:.3f}, "
-        f"oracle {oracle['psnr_db']:.3f}; int8 agrees on {part['agreement']:.2%}"
-    )
 
 
 @dataclass(frozen=True)
@@ -279,16 +278,6 @@ def greedy_paths(values: npt.NDArray[Any]) -> Paths:
     return np.array(paths, np.intp)
 
 
-def fixed_path(table: PolicyTable, name: str) -> Paths:
-    """Return one path throughout."""
-    return np.full(len(table), NAMES.index(name), np.intp)
-
-
-def oracle_paths(table: PolicyTable) -> dict[str, Paths]:
-    """Return the best paths: by mean PSNR, and by return."""
-    return {"oracle": best_psnr(table.outcomes), "oracle-return": best_return(table.outcomes)}
-
-
 def fit_regression(tables: Sequence[PolicyTable]) -> F64:
     """Fit the reward of both choices at each node to the states of some scenes.
 
@@ -326,10 +315,7 @@ def policy_card(report: dict[str, Any]) -> str:
         if part != "all"
     ]
     titles = [TITLES.get(name, name) for name in COLUMNS]
-    quality = [table_row("scene", "frames", *titles), table_rule(2 + len(COLUMNS))]
-    gains = [table_row("return", "frames", *titles), table_rule(2 + len(COLUMNS))]
-    names = ("scene", "frames", "intervals", *PATHS, "warps", "effective fps", "int8 = float")
-    choices = [table_row(*names), table_rule(len(names))]
+    quality, gains, choices = list[list[str]](), list[list[str]](), list[list[str]]()
     for scene, part, entry in rows:
         scores = [entry["scores"][name] for name in COLUMNS]
         best = max(score["psnr_db"] for score in scores[1 : 1 + len(PATHS)])
@@ -338,25 +324,28 @@ def policy_card(report: dict[str, Any]) -> str:
             f"**{cell}**" if score["psnr_db"] == best and name in PATHS else cell
             for name, score, cell in zip(COLUMNS, scores, cells, strict=True)
         )
-        quality.append(table_row(scene, part, *marked))
-        gains.append(table_row(scene, part, *(f"{score['reward']:.2f}" for score in scores)))
+        quality.append([scene, part, *marked])
+        gains.append([scene, part, *(f"{score['reward']:.2f}" for score in scores)])
         own = entry["scores"]["exwarp"]
         fps = float(DEFAULT_FPS) * (1 + own["new_frames"])
         counts = (str(count) for count in (own["intervals"], *own["paths"]))
         shares = (f"{own['warp_share']:.1%}", f"{fps:.1f}", f"{entry['agreement']:.2%}")
-        choices.append(table_row(scene, part, *counts, *shares))
+        choices.append([scene, part, *counts, *shares])
     means = (
         sum(entry["scores"][name]["reward"] for _, _, entry in rows) / len(rows) for name in COLUMNS
     )
-    gains.append(table_row("**mean**", "", *(f"{mean:.3f}" for mean in means)))
-    return "\n\n".join("\n".join(lines) for lines in (quality, gains, choices))
+    gains.append(["**mean**", "", *(f"{mean:.3f}" for mean in means)])
+    shares_of = ("intervals", *PATHS, "warps", "effective fps", "int8 = float")
+    tables = (
+        markdown_table(["scene", "frames", *titles], quality),
+        markdown_table(["return", "frames", *titles], gains),
+        markdown_table(["scene", "frames", *shares_of], choices),
+    )
+    return "\n\n".join(tables)
 
 
-def table_row(*cells: str) -> str:
-    """Return a row of a Markdown table."""
-    return "| " + " | ".join(cells) + " |"
-
-
-def table_rule(count: int) -> str:
-    """Return what stands below the titles of a Markdown table."""
-    return "|" + "---|" * count
+def markdown_table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a Markdown table."""
+    lines = ["| " + " | ".join(cells) + " |" for cells in (titles, *rows)]
+    lines.insert(1, "|" + "---|" * len(titles))
+    return "\n".join(lines)

@@ -13,7 +13,6 @@ and saturate there. The last layer has one scale, as its two sums are compared.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
@@ -193,11 +192,7 @@ def quantise(weights: Sequence[F64], biases: Sequence[F64], states: F64) -> Quan
 
 def factors(ratios: F64) -> Requantisation:
     """Return positive ratios as int32 multipliers and shifts, to 30 bits where they fit."""
-    multipliers, shifts = np.empty(ratios.shape, np.int32), np.empty(ratios.shape, np.uint8)
-    for i, ratio in enumerate(ratios):
-        _, exponent = math.frexp(float(ratio))
-        shift = min(max(MULTIPLIER_BITS - exponent, 0), MAX_SHIFT)
-        multiplier = round(float(ratio) * 2.0**shift)
-        multipliers[i] = min(max(multiplier, 1), 2**MULTIPLIER_BITS - 1)
-        shifts[i] = shift
-    return Requantisation(multipliers, shifts)
+    _, exponents = np.frexp(ratios)
+    shifts = np.clip(MULTIPLIER_BITS - exponents, 0, MAX_SHIFT)
+    multipliers = np.rint(np.ldexp(ratios, shifts)).clip(1, 2**MULTIPLIER_BITS - 1)
+    return Requantisation(multipliers.astype(np.int32), shifts.astype(np.uint8))

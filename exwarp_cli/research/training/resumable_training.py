@@ -10,7 +10,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -21,6 +21,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
+from exwarp_cli.domain.network_api import NetworkInterface
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, split_scenes
 from exwarp_cli.io.files import atomic_path, atomic_write_text, make_folder
@@ -28,6 +29,8 @@ from exwarp_cli.io.key_file import file_digest
 from exwarp_cli.models.model_file import read_file_bytes
 from exwarp_cli.pipeline.scheduling import prefetch, use_threads
 from exwarp_cli.research.training.crop_cache import CachedArrays, is_complete
+from exwarp_cli.research.training.extrapolation_network import STRIDE
+from exwarp_cli.research.training.onnx_export import export_network
 from exwarp_cli.research.training.training_settings import ExtrapolatorSettings, LookAheadSettings
 from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.stop import check_stop
@@ -60,7 +63,13 @@ class ResumableTraining(ABC):
     samples: type[CachedArrays]  # what it learns from
     weight_decay: float
     largest_gradient: float  # a longer one is scaled to this norm
-    least_rate: float  # what the learning rate ends at, as a share of its highest
+    # The learning rate: the share of the steps for which it stays at its highest, and what it ends
+    # at, as a share of that.
+    high: float
+    least_rate: float
+    model: str  # name of the file that is exported
+    interface: NetworkInterface
+    about: str  # what the model is; a format of the settings
     columns: tuple[str, ...]  # of the curve: step, seconds, loss, rate, scores of `_validate`
     scores_text: str  # how these scores are said; a format
 
@@ -102,14 +111,6 @@ class ResumableTraining(ABC):
     def _load_start(self, path: Path) -> None: ...
 
     @abstractmethod
-    def export(self) -> Path:
-        """Write the network as an ONNX model; return its path."""
-
-    @abstractmethod
-    def _decayed(self) -> float:
-        """Return how far the learning rate has fallen after the warm-up, 0 to 1."""
-
-    @abstractmethod
     def _loss(self, batch: Any) -> Tensor: ...
 
     @abstractmethod
@@ -124,6 +125,19 @@ class ResumableTraining(ABC):
         if not self.step:
             self._load_start(path)
             self.average.load_state_dict(self.network.state_dict())
+
+    def export(self) -> Path:
+        """Write the network as an ONNX model; return its path."""
+        path, settings = self.folder / self.model, self.settings
+        about = (
+            f"ExWarp {self.about.format(settings)}, {self.step} steps on "
+            f"{len(settings.scenes['training'])} scenes, seed {settings.seed}"
+        )
+        export_network(self._shipped(), path, self.interface, stride=STRIDE, about=about)
+        return path
+
+    def _shipped(self) -> nn.Module:
+        return self.average
 
     @classmethod
     def train(
@@ -210,7 +224,10 @@ class ResumableTraining(ABC):
         """Return the learning rate: a straight rise, a plain if there is one, half a cosine."""
         if self.step < WARM_UP:
             return self.settings.rate * (self.step + 1) / WARM_UP
-        wave = 0.5 * (1 + math.cos(math.pi * self._decayed()))
+        # From the end of the plain, or of the rise.
+        begin = self.high * self.settings.steps or WARM_UP
+        fallen = max(0.0, (self.step - begin) / max(1, self.settings.steps - begin))
+        wave = 0.5 * (1 + math.cos(math.pi * fallen))
         return self.settings.rate * (self.least_rate + (1 - self.least_rate) * wave)
 
     def _record(self, loss: float, *scores: float) -> None:
@@ -239,16 +256,17 @@ class ResumableTraining(ABC):
             torch.save(content, temporary)
 
 
+@dataclass(frozen=True)
 class DrawnBatches(Dataset[Any]):
     """The batches of a training by their step, from 0: patches of samples, varied."""
 
-    def __init__(self, samples: CachedArrays, settings: Settings) -> None:
-        self._samples, self._settings = samples, settings
+    samples: CachedArrays
+    settings: Settings
 
     def __getitem__(self, step: int) -> Any:
         """Return the batch of a step, on the CPU."""
-        s = self._settings
-        return self._samples.draw(step, s.batch, s.patch, s.seed)
+        s = self.settings
+        return self.samples.draw(step, s.batch, s.patch, s.seed)
 
 
 def read_checkpoint(path: Path, device: str) -> dict[str, Any]:

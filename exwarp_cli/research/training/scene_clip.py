@@ -51,7 +51,7 @@ class SceneClip:
         self.look = look
         count = scene.manifest.instants.count
         self._order = self.variant.order(count)
-        self._frames: OrderedDict[int, KeyFrame] = OrderedDict()
+        self._frames: OrderedDict[int, tuple[KeyFrame, GBuffer]] = OrderedDict()
         if not self.intervals:
             raise InputError(
                 f"{scene.folder} has {count} instants, too few for {variant}; leave it out"
@@ -79,16 +79,15 @@ class SceneClip:
             raw = read_raw(self.scene.keys, number, GEOMETRY)
             gbuffer = settle_motion(raw.settle(self._convention(self.scene.keys)))
             return self._play(index, gbuffer.to_previous, gbuffer.to_next, gbuffer.bend)
-        return self._play(index, *self._motion(index, FACTOR * self.variant.speed))
+        return self._play_over(index, FACTOR * self.variant.speed)
 
     def slot(self, k: int, i: int) -> KeyFrame:
         """Return slot i of key frame k: ground truth, and settled motion to neighbouring slots."""
-        index = self._order[FACTOR * k + i]
-        return self._play(index, *self._motion(index, self.variant.speed))
+        return self._play_over(self._order[FACTOR * k + i], self.variant.speed)
 
     def truth(self, k: int, i: int) -> Image:
         """Return what slot i of key frame k is to show."""
-        frame = replace(self._load(self._order[FACTOR * k + i]), gbuffer=None)
+        frame, _ = self._load(self._order[FACTOR * k + i])
         if self.variant.mirror:
             frame = mirror(frame)
         return with_tones(frame.image, self.look)
@@ -139,10 +138,11 @@ class SceneClip:
         bend: Float32 | None = None,
     ) -> KeyFrame:
         """Return an instant in the variant and look, with motion in rendered order."""
-        gbuffer = replace(self._gbuffer(index), to_previous=to_previous, to_next=to_next, bend=bend)
+        frame, gbuffer = self._load(index)
+        gbuffer = replace(gbuffer, to_previous=to_previous, to_next=to_next, bend=bend)
         if self.variant.backwards:
             gbuffer = reverse_time(gbuffer)
-        frame = replace(self._load(index), gbuffer=gbuffer)
+        frame = replace(frame, gbuffer=gbuffer)
         if self.variant.mirror:
             frame = mirror(frame)
         if self.look == PLAIN:
@@ -150,34 +150,29 @@ class SceneClip:
         noise = np.random.default_rng((zlib.crc32(self.scene.name.encode()), index))
         return deliver(frame, self.look, noise)
 
-    def _motion(self, index: int, span: int) -> tuple[Float32 | None, Float32 | None]:
-        """Return the motion of an instant over `span` instants to both sides, in rendered order."""
-        if span == 1:
-            gbuffer = self._gbuffer(index)
-            return gbuffer.to_previous, gbuffer.to_next
-        return self._spanned(index, span, -1), self._spanned(index, span, 1)
+    def _play_over(self, index: int, span: int) -> KeyFrame:
+        """Return an instant as `_play` does, with its motion over `span` instants."""
+        return self._play(index, self._spanned(index, span, -1), self._spanned(index, span, 1))
 
     def _spanned(self, index: int, span: int, direction: int) -> Float32 | None:
         """Return the motion over `span` instants in one direction; None beyond the render."""
+        if span == 1:
+            _, gbuffer = self._load(index)
+            return gbuffer.to_next if direction > 0 else gbuffer.to_previous
         end = index + direction * span
         if not 0 <= end < self.scene.manifest.instants.count:
             return None
-        gbuffers = [self._gbuffer(i) for i in range(index, end + direction, direction)]
+        gbuffers = [self._load(i)[1] for i in range(index, end + direction, direction)]
         return span_motion(gbuffers, direction)
 
-    def _gbuffer(self, index: int) -> GBuffer:
-        gbuffer = self._load(index).gbuffer
-        assert gbuffer is not None
-        return gbuffer
-
-    def _load(self, index: int) -> KeyFrame:
-        """Return an instant as rendered, its motion settled; index from 0."""
+    def _load(self, index: int) -> tuple[KeyFrame, GBuffer]:
+        """Return an instant as rendered, and its G-buffer, motion settled; index from 0."""
         if index not in self._frames:
             shot, number = self.scene.instants, self.scene.manifest.instants.first + index
             raw = read_raw(shot, number, (Role.COLOUR, *GEOMETRY, *SURFACE))
             frame = raw.key(self._convention(shot))
             assert frame.gbuffer is not None
-            self._frames[index] = replace(frame, gbuffer=settle_motion(frame.gbuffer))
+            self._frames[index] = replace(frame, gbuffer=None), settle_motion(frame.gbuffer)
             while len(self._frames) > KEPT:
                 self._frames.popitem(last=False)
         self._frames.move_to_end(index)

@@ -10,7 +10,8 @@ gained when it was left out, beside simpler rules at equal cost, and the file's 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -39,7 +40,6 @@ from exwarp_cli.policy.state import (
     TILE_NODES,
     scale_tile_features,
     tile_inputs,
-    tile_paths,
 )
 from exwarp_cli.research.training.augmentation import PLAIN, Look, Variant
 from exwarp_cli.research.training.outcome_tables import (
@@ -50,9 +50,8 @@ from exwarp_cli.research.training.outcome_tables import (
 )
 from exwarp_cli.research.training.policy_training import (
     add_checksums,
+    markdown_table,
     require_two_scenes,
-    table_row,
-    table_rule,
 )
 from exwarp_cli.research.training.q_learning import fit_network, integer_values, quantise
 from exwarp_cli.research.training.scene_clip import SceneClip
@@ -63,7 +62,6 @@ from exwarp_cli.synthesis.methods import predict_path
 
 F64 = npt.NDArray[np.float64]
 Margins = npt.NDArray[Any]
-Chosen = Mapping[str, npt.NDArray[np.bool_]]
 Say = Callable[[str], None]
 
 SCHEMA = "exwarp.tile-policy-scores/1"
@@ -81,9 +79,6 @@ SHARES = (0.1, 0.25, 0.5, 0.75)
 # Shares of the area whose price is kept with the policy.
 EFFORTS = tuple(i / 20 for i in range(1, 20))
 
-# The nodes after warping and after extrapolating; none after slot 3.
-AFTER = {"d2": ("d5", "d4")}
-
 # What errors are of: slot, maker, and a path whose frame shows it.
 MADE = ((2, WARP, "S6"), (2, EXTRAPOLATE, "S3"), (3, WARP, "S6"), (3, EXTRAPOLATE, "S3"),
         (3, REWARP, "S4"))  # fmt: skip
@@ -97,16 +92,45 @@ VARIANTS = tuple(
 )
 
 
-class TableOfTiles(TrainingTable):
-    """A table of a scene's tiles."""
+class TableOfTiles(TrainingTable, ABC):
+    """A table of a scene's tiles.
+
+    What is chosen follows from margins, [N, nodes]: by how much a network's frame is worth more at
+    each node. The network makes it where that is more than a price.
+    """
+
+    # By the index of a node, those of the nodes after either choice.
+    after: ClassVar[Mapping[int, tuple[int, int]]] = {}
 
     scene: str
     network: str  # checksum of the network whose frames were judged
 
     @property
+    @abstractmethod
     def states(self) -> F64:
         """The policy's inputs at each node that decides, float64 [N, nodes, 44]."""
-        raise NotImplementedError
+
+    @property
+    @abstractmethod
+    def gains(self) -> F64:
+        """What either choice takes from a tile's error, float64 [N, nodes, 2], at a price of 0.
+
+        In squared display levels, against doing without the network.
+        """
+
+    @staticmethod
+    @abstractmethod
+    def cost(margins: Margins, price: float) -> float:
+        """Return the share of the area that the network computes."""
+
+    @abstractmethod
+    def error(self, margins: Margins, price: float) -> float:
+        """Return the mean squared error of the frames, squared display levels."""
+
+    def fixed_errors(self) -> tuple[float, float]:
+        """Return the errors without the network, and by it alone."""
+        margins = np.zeros(self.gains.shape[:2])
+        return self.error(margins, np.inf), self.error(margins, -np.inf)
 
 
 Table = TypeVar("Table", bound=TableOfTiles)
@@ -115,7 +139,7 @@ Network = TypeVar("Network", bound=NetworkModel)
 
 @dataclass(frozen=True)
 class TileTable(TableOfTiles):
-    """All tiles of a scene's key intervals."""
+    """All tiles of a scene's key intervals; the network is E."""
 
     schema = "exwarp.tile-table/1"
     kind, row = "table of tiles", "tile"
@@ -125,6 +149,8 @@ class TileTable(TableOfTiles):
         "features": (np.float32, np.float64, (3, len(TILE_FEATURES))),
         "errors": (np.float32, np.float64, (len(MADE),)),
     }
+    # After d2: d5 if it warps, d4 if it extrapolates.
+    after: ClassVar = {TILE_NODES.index("d2"): (TILE_NODES.index("d5"), TILE_NODES.index("d4"))}
 
     scene: str
     width: int  # Of its frames, pixels
@@ -134,23 +160,39 @@ class TileTable(TableOfTiles):
     network: str  # Checksum of the network whose frames were judged.
 
     @cached_property
-    def slots(self) -> list[F64]:
-        """Scaled features of slots 1 to 3, float64 [N, 6] each."""
-        return [
+    def states(self) -> F64:
+        """The policy's inputs at each of `TILE_NODES`, float64 [N, 3, 44]."""
+        slots = [
             scale_tile_features(self.features[:, slot], self.width) for slot in range(FACTOR - 1)
         ]
+        return np.stack([tile_inputs(slots, node) for node in TILE_NODES], axis=1)
 
     @cached_property
-    def states(self) -> F64:
-        """The network's inputs at each node of `DECIDED`, float64 [N, 3, 44]."""
-        states = np.stack([tile_inputs(self.slots, node) for node in TILE_NODES], axis=1)
-        assert states.shape[1:] == (len(TILE_NODES), INPUTS)
-        return states
+    def gains(self) -> F64:
+        """What either choice at each of `TILE_NODES` gains against warping, float64 [N, 3, 2]."""
+        warped_2, made_2, warped_3, made_3, rewarped_3 = self.errors.T
+        none = np.zeros(len(self))
+        nodes = {
+            "d2": (none, warped_2 - made_2),
+            "d4": (warped_3 - rewarped_3, warped_3 - made_3),
+            "d5": (none, warped_3 - made_3),
+        }
+        return np.stack([np.stack(nodes[node], axis=-1) for node in TILE_NODES], axis=1)
 
-    def error(self, slot: int, maker: str) -> F64:
-        """Return the errors of a slot's tiles by one maker, float64 [N]."""
-        places = [(number, name) for number, name, _ in MADE]
-        return np.asarray(self.errors[:, places.index((slot, maker))])
+    @staticmethod
+    def cost(margins: Margins, price: float) -> float:
+        """Return the share of slots 2 and 3 that E computes."""
+        d2, d4, d5 = np.greater(margins.T, price)  # whether `TILE_NODES` extrapolate
+        return float((d2.mean() + np.where(d2, d4, d5).mean()) / 2)
+
+    def error(self, margins: Margins, price: float) -> float:
+        """Return the mean squared error of slots 2 and 3, squared display levels."""
+        warped_2, made_2, warped_3, made_3, rewarped_3 = self.errors.T
+        d2, d4, d5 = np.greater(margins.T, price)  # whether `TILE_NODES` extrapolate
+        second = np.where(d2, made_2, warped_2)
+        after_e, after_w = np.where(d4, made_3, rewarped_3), np.where(d5, made_3, warped_3)
+        third = np.where(d2, after_e, after_w)
+        return float((second.mean() + third.mean()) / 2)
 
 
 def measure_tiles(
@@ -248,39 +290,15 @@ class TileTraining(Generic[Table, Network]):
         ]
 
 
-def gains(table: TileTable) -> F64:
-    """Return what each choice at each node of `DECIDED` takes from a tile's squared error.
+def train_tiles(tables: Sequence[Table], settings: TilePolicySettings) -> QuantisedMlp:
+    """Learn what choices gain, and the best that follows them; return the integer network.
 
-    float64 [N, 3, 2], squared display levels, against warping from the key frame at a price of 0.
+    Scenes count alike. The same on one kind of processor.
     """
-    second = table.error(2, WARP) - table.error(2, EXTRAPOLATE)
-    third, again = (table.error(3, WARP) - table.error(3, name) for name in (EXTRAPOLATE, REWARP))
-    none = np.zeros(len(table))
-    nodes = {"d2": (none, second), "d4": (again, third), "d5": (none, third)}
-    return np.stack([np.stack(nodes[node], axis=-1) for node in TILE_NODES], axis=1)
-
-
-def train_tiles(tables: Sequence[TileTable], settings: TilePolicySettings) -> QuantisedMlp:
-    """Learn from the tables of some scenes, which count alike; return the integer network.
-
-    The same on one kind of processor.
-    """
-    after = {
-        TILE_NODES.index(node): [TILE_NODES.index(name) for name in following]
-        for node, following in AFTER.items()
-    }
-    return fit_tiles(tables, [gains(table) for table in tables], settings, after)
-
-
-def fit_tiles(
-    tables: Sequence[TableOfTiles],
-    gained: Sequence[F64],  # of each table, float64 [N, nodes, 2]: what either choice gains
-    settings: TilePolicySettings,
-    after: Mapping[int, Sequence[int]],  # by node, the nodes after either choice
-) -> QuantisedMlp:
-    """Learn what choices gain, and the best that follows them; see `train_tiles`."""
     states = [torch.from_numpy(table.states).float() for table in tables]
-    rewards = [torch.from_numpy(np.clip(gain / UNIT, -MOST, MOST)).float() for gain in gained]
+    rewards = [
+        torch.from_numpy(np.clip(table.gains / UNIT, -MOST, MOST)).float() for table in tables
+    ]
     count = -(-settings.batch // len(states))
 
     def draw(target: nn.Module) -> tuple[Tensor, Tensor]:
@@ -290,7 +308,7 @@ def fit_tiles(
             torch.cat([scene[row] for scene, row in zip(part, rows, strict=True)])
             for part in (states, rewards)
         )
-        if after:
+        if after := tables[0].after:
             best = target(state).amax(dim=-1)
             for node, following in after.items():
                 aim[:, node] += best[:, list(following)]
@@ -302,16 +320,13 @@ def fit_tiles(
 
 
 def margins_unseen(
-    tables: Sequence[Table],
-    train: Callable[[Sequence[Table], TilePolicySettings], QuantisedMlp],
-    settings: TilePolicySettings,
-    say: Say,
+    tables: Sequence[Table], settings: TilePolicySettings, say: Say
 ) -> list[Margins]:
     """Return the margins of each scene by a network that was trained on the others."""
     unseen = []
     for index, table in enumerate(tables):
         say(f"without {table.scene}")
-        network = train([t for i, t in enumerate(tables) if i != index], settings)
+        network = train_tiles([t for i, t in enumerate(tables) if i != index], settings)
         unseen.append(choice_margins(network, table))
     return unseen
 
@@ -322,38 +337,8 @@ def choice_margins(network: QuantisedMlp, table: TableOfTiles) -> npt.NDArray[np
     return outputs[..., 1] - outputs[..., 0]
 
 
-def choose(margins: Margins, price: float) -> Chosen:
-    """Return whether each node extrapolates: where that is worth more than a price."""
-    return {node: margins[:, index] > price for index, node in enumerate(TILE_NODES)}
-
-
-def cost(chosen: Chosen) -> float:
-    """Return the share of slots 2 and 3 that E computes."""
-    third = np.where(chosen["d2"], chosen["d4"], chosen["d5"])
-    return float((chosen["d2"].mean() + third.mean()) / 2)
-
-
-def error_of(table: TileTable, chosen: Chosen) -> float:
-    """Return the mean squared error of slots 2 and 3, squared display levels."""
-    paths = tile_paths(chosen)
-    second = np.where(chosen["d2"], table.error(2, EXTRAPOLATE), table.error(2, WARP))
-    third = np.select(
-        [(paths == "S3") | (paths == "S5"), paths == "S4"],
-        [table.error(3, EXTRAPOLATE), table.error(3, REWARP)],
-        table.error(3, WARP),
-    )
-    return float((second.mean() + third.mean()) / 2)
-
-
-def cost_at(margins: Margins, price: float) -> float:
-    """Return the share of slots 2 and 3 that E computes at a price."""
-    return cost(choose(margins, price))
-
-
 def price_for(
-    share: float,
-    margins: Sequence[Margins],
-    cost_of: Callable[[Margins, float], float] = cost_at,
+    share: float, margins: Sequence[Margins], cost_of: Callable[[Margins, float], float]
 ) -> float:
     """Return the price at which a network computes a share of the scenes' area on average."""
     low, high = (float(f(np.concatenate([m.ravel() for m in margins]))) for f in (np.min, np.max))
@@ -367,70 +352,35 @@ def price_for(
     return high
 
 
-def gain_at(share: float, tables: Sequence[TileTable], margins: Sequence[Margins]) -> float:
-    """Return what a choice gains at a share of the area, in % of E's gain in dB over all scenes."""
-    price = price_for(share, margins)
-    return _gain(tables, [choose(margin, price) for margin in margins])
+def gain_at(share: float, tables: Sequence[TableOfTiles], margins: Sequence[Margins]) -> float:
+    """Return what margins gain at a share of the area: see `gain_percent`."""
+    return gain_percent(tables, margins, price_for(share, margins, tables[0].cost))
 
 
-def _gain(tables: Sequence[TileTable], chosen: Sequence[Chosen]) -> float:
-    return gain_percent(map(_fixed_errors, tables), map(error_of, tables, chosen))
-
-
-def gain_percent(fixed: Iterable[tuple[float, float]], errors: Iterable[float]) -> float:
-    """Return what choices gain, in % of a network's gain in dB over all scenes.
-
-    `fixed` are each scene's errors without the network and by it alone; `errors` by the choices.
-    """
+def gain_percent(tables: Sequence[TableOfTiles], margins: Sequence[Margins], price: float) -> float:
+    """Return what margins gain at a price, in % of the network's gain in dB over all scenes."""
     gained = everything = 0.0
-    for (without, alone), error in zip(fixed, errors, strict=True):
-        gained += np.log10(without / error)
+    for table, margin in zip(tables, margins, strict=True):
+        without, alone = table.fixed_errors()
+        gained += np.log10(without / table.error(margin, price))
         everything += np.log10(without / alone)
     return 100 * float(gained / everything)
 
 
 def gains_by_share(
-    margins: Mapping[str, Sequence[Margins]],
-    gain_of: Callable[[float, Sequence[Margins]], float],
+    tables: Sequence[TableOfTiles], margins: Mapping[str, Sequence[Margins]]
 ) -> dict[str, dict[str, float]]:
     """Return what each choice gains at each of `SHARES`, in %, as the scores file has it."""
     return {
-        name: {f"{share:g}": round(gain_of(share, of_choice), 1) for share in SHARES}
+        name: {f"{share:g}": round(gain_at(share, tables, of_choice), 1) for share in SHARES}
         for name, of_choice in margins.items()
     }
 
 
-def gains_in_db(
-    tables: Sequence[TableOfTiles], fixed: Iterable[tuple[float, float]]
-) -> dict[str, float]:
-    """Return what a network gains everywhere in each scene, dB; `fixed` as in `gain_percent`."""
-    return {
-        table.scene: round(10 * float(np.log10(without / alone)), 3)
-        for table, (without, alone) in zip(tables, fixed, strict=True)
-    }
-
-
-def _fixed_errors(table: TileTable) -> tuple[float, float]:
-    """Return the errors of warping everything, and of extrapolating everything."""
-    warp, extrapolate = (
-        {node: np.full(len(table), choice) for node in TILE_NODES} for choice in (False, True)
-    )
-    return error_of(table, warp), error_of(table, extrapolate)
-
-
-def rule_margins(table: TileTable, seed: int) -> dict[str, F64]:
-    """Return the margins of simpler rules, float64 [N, 3], and of knowing the truth."""
-    holes = np.stack([table.features[:, slot, :2].sum(axis=-1) for slot in (1, 2, 2)], axis=-1)
-    residual = table.features[:, 0, 4:].sum(axis=-1)
-    toss = np.random.default_rng(seed).random((len(table), len(TILE_NODES)))
-    truth = gains(table)
-    return {
-        "coin": toss,
-        # A trace of chance parts what is equal.
-        "holes": holes + 1e-6 * toss,
-        "key residual": np.repeat(residual[:, None], len(TILE_NODES), axis=1) + 1e-6 * toss,
-        "truth": truth[..., 1] - np.maximum(truth[..., 0], 0),
-    }
+def gains_in_db(tables: Sequence[TableOfTiles]) -> dict[str, float]:
+    """Return what a network gains everywhere in each scene, dB."""
+    fixed = {table.scene: table.fixed_errors() for table in tables}
+    return {s: round(10 * float(np.log10(without / by)), 3) for s, (without, by) in fixed.items()}
 
 
 def train_tile_policy(
@@ -439,7 +389,7 @@ def train_tile_policy(
     """Train with every scene left out once, then on all; return what ``tile-policy.json`` holds."""
     require_two_scenes(len(tables))
     make_folder(output)
-    unseen = margins_unseen(tables, train_tiles, settings, say)
+    margins = {"policy, scene left out": margins_unseen(tables, settings, say)}
     say(f"on all {len(tables)} scenes")
     network = train_tiles(tables, settings)
     own = [choice_margins(network, table) for table in tables]
@@ -449,22 +399,31 @@ def train_tile_policy(
         "scenes": [table.scene for table in tables],
         "settings": asdict(settings),
         "extrapolator": sorted({table.network for table in tables}),
-        "efforts": [[share, round(price_for(share, own))] for share in EFFORTS],
+        "efforts": [[share, round(price_for(share, own, TileTable.cost))] for share in EFFORTS],
     }
     save_network(output / SHIPPED_TILE_POLICY, network, metadata)
-    margins = {"policy, scene left out": unseen}
     for table in tables:
-        for name, of_table in rule_margins(table, settings.seed).items():
+        toss = np.random.default_rng(settings.seed).random((len(table), len(TILE_NODES)))
+        holes = [table.features[:, slot, :2].sum(axis=-1) for slot in (1, 2, 2)]
+        residual = table.features[:, 0, 4:].sum(axis=-1, keepdims=True)
+        rules = {
+            "coin": toss,
+            # A trace of chance parts what is equal.
+            "holes": np.stack(holes, axis=-1) + 1e-6 * toss,
+            "key residual": residual + 1e-6 * toss,
+            "truth": table.gains[..., 1] - np.maximum(table.gains[..., 0], 0),
+        }
+        for name, of_table in rules.items():
             margins.setdefault(name, []).append(of_table)
     # Slot 2 is extrapolated everywhere, and warped on.
-    always_s4 = [{n: np.full(len(table), n == "d2") for n in TILE_NODES} for table in tables]
+    always_s4 = [np.tile([float(node == "d2") for node in TILE_NODES], (len(t), 1)) for t in tables]
     report = {
         "schema": SCHEMA,
         "settings": asdict(settings),
         "tiles": {table.scene: len(table) for table in tables},
-        "extrapolator_gain_db": gains_in_db(tables, map(_fixed_errors, tables)),
-        "gain_percent": gains_by_share(margins, lambda share, m: gain_at(share, tables, m)),
-        "always_s4_percent": round(_gain(tables, always_s4), 1),
+        "extrapolator_gain_db": gains_in_db(tables),
+        "gain_percent": gains_by_share(tables, margins),
+        "always_s4_percent": round(gain_percent(tables, always_s4, 0.5), 1),
     }
     atomic_write_text(output / REPORT, json.dumps(report, indent=1) + "\n")
     add_checksums(output, [SHIPPED_TILE_POLICY])
@@ -484,12 +443,10 @@ def gain_card(report: dict[str, Any], network: str, by_scene: Mapping[str, float
     """Return a report's ``gain_percent`` as a table, and a network's gain in each scene, dB."""
     curves = report["gain_percent"]
     shares = list(next(iter(curves.values())))
-    lines = [table_row("choice", *(f"{float(share):.0%} of the area" for share in shares))]
-    lines.append(table_rule(1 + len(shares)))
-    for name, gains in curves.items():
-        lines.append(table_row(name, *(f"{gains[share]:.0f} %" for share in shares)))
+    titles = ["choice", *(f"{float(share):.0%} of the area" for share in shares)]
+    rows = [[name, *(f"{gains[s]:.0f} %" for s in shares)] for name, gains in curves.items()]
     everywhere = ", ".join(f"{scene} {gain:+.2f}" for scene, gain in by_scene.items())
-    return "\n".join([*lines, "", f"{network} everywhere gains, in dB: {everywhere}."])
+    return f"{markdown_table(titles, rows)}\n\n{network} everywhere gains, in dB: {everywhere}."
 
 
 TRAINING = TileTraining(

@@ -92,27 +92,3 @@ def require_sane_policy(settings: PolicySettings | TilePolicySettings) -> None:
     """Raise UsageError for settings that no training of a policy can begin with."""
     if not 0 < settings.rate < 1:
         raise UsageError(f"--rate {settings.rate:g} is not between 0 and 1; try 0.001")
-
-
-def require_sane(settings: ExtrapolatorSettings) -> None:
-    """Raise UsageError for an unknown architecture, or sizes that fit neither network nor crops."""
-    # Imported here, as it imports PyTorch.
-    from exwarp_cli.research.training.extrapolation_network import ARCHITECTURES, STRIDE
-
-    if settings.architecture not in ARCHITECTURES:
-        raise UsageError(
-            f"--architecture {settings.architecture} is not one of {', '.join(ARCHITECTURES)}"
-        )
-    for option, size in (("--patch", settings.patch), ("--side", settings.side)):
-        if size % STRIDE:
-            raise UsageError(
-                f"{option} {size} is no multiple of {STRIDE}, which the network halves down to"
-            )
-    if settings.patch > settings.side:
-        raise UsageError(
-            f"--patch {settings.patch} is larger than --side {settings.side}; enlarge the latter"
-        )
-    if settings.batch < 2:
-        raise UsageError(f"--batch {settings.batch} is too small to normalise over; give 2 or more")
-    if not 0 < settings.rate < 1:
-        raise UsageError(f"--rate {settings.rate:g} is not between 0 and 1; try 0.002")

@@ -18,7 +18,6 @@ from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, PolicyFile, load
 from exwarp_cli.policy.state import (
     INPUTS,
     STATE_SIZE,
-    TILE_NODES,
     TilePolicy,
     apply_price,
     interpolate_price,
@@ -30,11 +29,7 @@ from exwarp_cli.research.training.tile_policy_training import (
     REPORT,
     TileTable,
     choice_margins,
-    choose,
-    cost,
-    error_of,
     gain_at,
-    gains,
     price_for,
     train_tile_policy,
     train_tiles,
@@ -158,8 +153,8 @@ class TestFeatures:
 class TestTraining:
     def test_gains_are_against_warping(self):
         errors = np.array([[100.0, 90, 150, 170, 165]])
-        found = gains(replace(table("hall", 1), errors=errors))
-        assert found.tolist() == [[[0, 10], [-15, -20], [0, -20]]]
+        found = replace(table("hall", 1), errors=errors)
+        assert found.gains.tolist() == [[[0, 10], [-15, -20], [0, -20]]]
 
     def test_it_learns_where_extrapolation_pays(self, tables):
         network = train_tiles(tables[:2], SETTINGS)
@@ -182,19 +177,33 @@ class TestTraining:
     def test_cost_and_error_by_hand(self, tables):
         one = tables[0]
         holes = one.features[:, 0, 0] > 0
-        everywhere = {node: np.ones(len(one), np.bool_) for node in TILE_NODES}
-        assert cost(everywhere) == 1 and error_of(one, everywhere) == pytest.approx(
-            one.errors[:, [1, 3]].mean()
-        )
-        rightly = {node: holes for node in TILE_NODES}
-        assert cost(rightly) == pytest.approx(holes.mean())
-        assert 125 - 60 * holes.mean() < error_of(one, rightly) < 125 - 40 * holes.mean()
+        everywhere = np.ones((len(one), 3))
+        assert one.cost(everywhere, 0) == 1
+        assert one.error(everywhere, 0) == pytest.approx(one.errors[:, [1, 3]].mean())
+        assert one.fixed_errors() == pytest.approx((125, one.error(everywhere, 0)))
+        rightly = np.stack([holes] * 3, axis=1).astype(float)
+        assert one.cost(rightly, 0.5) == pytest.approx(holes.mean())
+        assert 125 - 60 * holes.mean() < one.error(rightly, 0.5) < 125 - 40 * holes.mean()
+
+    def test_each_path_costs_and_shows_what_it_makes(self, tables):
+        """Of S3 to S6 in turn: which of slots 2 and 3 are extrapolated, and their errors."""
+        errors = np.array([[100.0, 110.0, 150.0, 160.0, 170.0]])
+        one = replace(tables[0], errors=errors)
+        paths = {
+            (1, 1, 0): (1, 135),
+            (1, 0, 1): (0.5, 140),
+            (0, 1, 1): (0.5, 130),
+            (0, 1, 0): (0, 125),
+        }
+        for nodes, (share, error) in paths.items():
+            margins = np.array([nodes], float)
+            assert (one.cost(margins, 0.5), one.error(margins, 0.5)) == (share, error)
 
     def test_a_price_gives_a_share(self, tables):
         margins = [np.random.default_rng(seed).random((500, 3)) for seed in range(3)]
         for share in (0.1, 0.5, 0.9):
-            price = price_for(share, margins)
-            found = np.mean([cost(choose(margin, price)) for margin in margins])
+            price = price_for(share, margins, TileTable.cost)
+            found = np.mean([TileTable.cost(margin, price) for margin in margins])
             assert found == pytest.approx(share, abs=2e-3)
 
     def test_what_is_written(self, trained, tables):
@@ -211,7 +220,7 @@ class TestTraining:
         curves = trained[1]["gain_percent"]
         own, coin, truth = (curves[n]["0.25"] for n in ("policy, scene left out", "coin", "truth"))
         assert own > coin + 20 and truth >= own
-        margins = [gains(one)[..., 1] for one in tables]
+        margins = [one.gains[..., 1] for one in tables]
         assert gain_at(0.25, tables, margins) == pytest.approx(truth, abs=5)
 
     def test_one_scene_is_too_few(self, tables, tmp_path):
