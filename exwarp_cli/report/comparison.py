@@ -39,13 +39,14 @@ from exwarp_cli.report.plots import Labels, draw_lines
 from exwarp_cli.report.schema import (
     FIRST_SCORES,
     LATER_COLUMNS,
+    LATER_HOLE_SCORES,
+    LATER_SCORES,
     escape_formula,
-    first_score_cells,
     format_csv,
-    later_score_cells,
     mean_scores,
-    replace_nonfinite,
+    score_cells,
     score_values,
+    to_plain,
 )
 from exwarp_cli.report.sentences import format_percent
 
@@ -72,7 +73,7 @@ def comparison_document(result: Comparison, baseline: Comparison | None = None) 
     ``baseline`` is there only if there is one, compared with the same reference.
     """
     worst, frames = result.worst, result.frames
-    document: dict[str, Any] = replace_nonfinite(
+    document: dict[str, Any] = to_plain(
         {
             "schema": SCHEMA,
             "version": __version__,
@@ -98,7 +99,7 @@ def comparison_document(result: Comparison, baseline: Comparison | None = None) 
         }
     )
     if baseline is not None:
-        quality = replace_nonfinite(_summarise_quality(baseline.frames))
+        quality = to_plain(_summarise_quality(baseline.frames))
         document[BASELINE] = _describe_sequence(baseline.test) | {"quality": quality}
     return document
 
@@ -126,9 +127,10 @@ def format_comparison_csv(result: Comparison) -> str:
     rows = (
         (
             *(frame.test, frame.reference, escape_formula(frame.file), frame.hole_fraction),
-            *first_score_cells(frame.score),
-            *first_score_cells(frame.hole_score),
-            *later_score_cells(frame.score, frame.hole_score),
+            *score_cells(frame.score, FIRST_SCORES),
+            *score_cells(frame.hole_score, FIRST_SCORES),
+            *score_cells(frame.score, LATER_SCORES),
+            *score_cells(frame.hole_score, LATER_HOLE_SCORES),
             *(escape_formula(frame.origin.kind), escape_formula(frame.origin.made_by)),
             frame.score.pulse,
         )

@@ -13,19 +13,14 @@ those of `exwarp_cli.domain.results.RunSummary` and the dataclasses in it.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
-from enum import Enum
-from fractions import Fraction
+from dataclasses import is_dataclass
 from functools import cache
 from hashlib import sha256
 from itertools import repeat
 from pathlib import Path
 from types import UnionType
 from typing import Any, get_args, get_origin, get_type_hints
-
-import numpy as np
 
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.timeline import ranges
@@ -47,6 +42,7 @@ from exwarp_cli.report.schema import (
     format_review_txt,
     run_document,
     to_json,
+    to_plain,
 )
 from exwarp_cli.report.upsample_page import upsample_page
 
@@ -180,7 +176,7 @@ def _write_files(folder: Path, texts: Mapping[str, str]) -> None:
 def format_run(run: RunSummary, report: str) -> str:
     """Write run.json; `report` is the text of the report.json beside it."""
     digest = sha256(report.encode()).hexdigest()
-    document = {"schema": RUN_SCHEMA, "report_sha256": digest, "run": _encode(run)}
+    document = {"schema": RUN_SCHEMA, "report_sha256": digest, "run": to_plain(run, lossless=True)}
     return json.dumps(document, allow_nan=False, separators=(",", ":")) + "\n"
 
 
@@ -200,27 +196,11 @@ def parse_run(text: str, report: str) -> RunSummary:
     return run
 
 
-def _encode(value: Any) -> Any:
-    if is_dataclass(value):
-        return {field.name: _encode(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, dict):
-        return {key: _encode(item) for key, item in value.items()}
-    if isinstance(value, tuple):
-        return [_encode(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, Fraction) or (isinstance(value, float) and not math.isfinite(value)):
-        return str(value)
-    return value
-
-
 _type_hints = cache(get_type_hints)
 
 
 def _decode(kind: Any, value: Any) -> Any:
-    """Return a value of an annotated type from what `_encode` returned; refuse other types."""
+    """Return a value of an annotated type from what `to_plain` returned; refuse other types."""
     if kind in (int, str, bool):
         if type(value) is not kind:
             raise TypeError(f"{value!r} is no {kind.__name__}")
