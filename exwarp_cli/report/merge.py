@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.results import FrameRecord, RunSummary, join_cuts
+from exwarp_cli.domain.results import RunSummary, join_cuts
 from exwarp_cli.domain.timeline import list_numbers, ranges
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.report.comparison import SCHEMA as COMPARISON
@@ -37,6 +37,9 @@ from exwarp_cli.report.schema import SCHEMA, run_document
 MAX_VALUE = 120
 
 _AGAIN = "do its key frames again with --report, or leave it out"
+
+# What reading a report raises that holds something else.
+_NO_RUN = (AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,7 @@ def merge_reports(
         if keys is not None:
             runs[folder] = part_of_run(runs[folder], keys)
 
-    run = merge_runs(list(runs.values()), [str(folder) for folder in runs])
+    run = merge_runs({str(folder): run for folder, run in runs.items()})
     prepare_report(target, replace, "-o")
     numbers = [{frame.number for frame in part.frames} for part in runs.values()]
     album, unreadable = merge_albums([folder / ALBUM_FILE for folder in runs], numbers, run)
@@ -153,23 +156,28 @@ def _select_newest(folders: Sequence[Path]) -> tuple[Selection, list[Path]]:
         Reports with key frames of which newer ones count.
     """
 
-    def finished_ns(folder: Path) -> int:
+    finished_ns: dict[Path, int] = {}
+    keys: dict[Path, frozenset[int]] = {}
+    for folder in folders:
         path = folder / REPORT_FILE
         try:
-            return path.stat().st_mtime_ns
+            finished_ns[folder] = path.stat().st_mtime_ns
         except OSError as error:
             raise InputError(f"cannot read {path}: {error.strerror or error}; {_AGAIN}") from error
+        _, document = _read_report(folder)
+        try:
+            numbers = list_numbers(document["input"]["selected"] or "")
+            keys[folder] = frozenset(map(int, numbers))
+        except _NO_RUN as error:
+            raise _unusable(folder, document) from error
 
     covered: frozenset[int] = frozenset()
-    keys: dict[Path, frozenset[int]] = {}
     remaining: dict[Path, frozenset[int]] = {}
-    newest_first = sorted(folders, key=finished_ns, reverse=True)
-    for _, group in groupby(newest_first, key=finished_ns):
+    newest_first = sorted(folders, key=finished_ns.__getitem__, reverse=True)
+    for _, group in groupby(newest_first, key=finished_ns.__getitem__):
         # Of the same moment none is newer: merging refuses frames that are in two of them.
         same_moment = list(group)
-        for folder in same_moment:
-            keys[folder] = _read_keys(folder)
-            remaining[folder] = keys[folder] - covered
+        remaining |= {folder: keys[folder] - covered for folder in same_moment}
         covered = covered.union(*(keys[folder] for folder in same_moment))
     selected = {
         folder: None if remaining[folder] == keys[folder] else remaining[folder]
@@ -177,15 +185,6 @@ def _select_newest(folders: Sequence[Path]) -> tuple[Selection, list[Path]]:
         if remaining[folder] or not keys[folder]
     }
     return selected, [folder for folder in folders if remaining[folder] != keys[folder]]
-
-
-def _read_keys(folder: Path) -> frozenset[int]:
-    """Read the input numbers of a report's key frames from report.json, which is small."""
-    _, document = _read_report(folder)
-    try:
-        return frozenset(map(int, list_numbers(document["input"]["selected"] or "")))
-    except (AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
-        raise _unusable(folder, document) from error
 
 
 def _read_run(folder: Path) -> RunSummary:
@@ -207,7 +206,7 @@ def _read_run(folder: Path) -> RunSummary:
     text = _read_text(folder / RUN_FILE)
     try:
         return parse_run(text, report)
-    except (AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+    except _NO_RUN as error:
         raise _unusable(folder, document) from error
 
 
@@ -283,15 +282,14 @@ def missing_keys(run: RunSummary) -> list[int]:
     return sorted(set(run.input.numbers) - set(run.selected))
 
 
-def merge_runs(runs: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSummary:
+def merge_runs(runs: Mapping[str, RunSummary]) -> RunSummary:
     """Merge what chunks of one run found out.
 
     Parameters
     ----------
     runs
-        In any order, at least one. No frame may be in two of them.
-    names
-        What messages call them, such as the folders of their reports; by default their key frames.
+        In any order, at least one, by what messages call them, such as the folders of their
+        reports. No frame may be in two of them.
 
     Returns
     -------
@@ -305,14 +303,11 @@ def merge_runs(runs: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSumm
     InputError
         When they are no parts of one run, or two have the same frame.
     """
-    names = names or [f"the run of key frames {ranges(run.selected) or 'none'}" for run in runs]
-    parts = sorted(
-        zip(runs, names, strict=True), key=lambda part: (part[0].selected, part[0].input.pattern)
-    )
-    ordered = [run for run, _ in parts]
-    first, first_name = parts[0]
+    parts = sorted(runs.items(), key=lambda part: (part[1].selected, part[1].input.pattern))
+    ordered = [run for _, run in parts]
+    first_name, first = parts[0]
     common = _common_facts(first)
-    for run, name in parts[1:]:
+    for name, run in parts[1:]:
         for fact, value in _common_facts(run).items():
             if value != common[fact]:
                 raise InputError(
@@ -320,12 +315,20 @@ def merge_runs(runs: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSumm
                     f"{_format_value(common[fact])} in the one and {_format_value(value)} in the "
                     "other; join only what one command did in chunks"
                 )
+    frames = [(frame, name) for name, run in parts for frame in run.frames]
+    frames.sort(key=lambda entry: entry[0].number)
+    for (frame, name), (later, later_name) in pairwise(frames):
+        if frame.number == later.number:
+            raise InputError(
+                f"frame {frame.number} is in {name} and again in {later_name}; leave one of them "
+                "out"
+            )
     files = dict.fromkeys(file for run in ordered for file in run.files)
     left_out = [interval for run in ordered for interval in run.left_out]
     verified = [run.verified for run in ordered]
     return replace(
         first,
-        frames=_merge_frames(parts),
+        frames=tuple(frame for frame, _ in frames),
         keys=tuple(sorted({key for run in ordered for key in run.selected})),
         cuts=join_cuts(run.cuts for run in ordered),
         wall_seconds=sum(run.wall_seconds for run in ordered),
@@ -335,18 +338,6 @@ def merge_runs(runs: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSumm
         verified=None if None in verified else sum(count or 0 for count in verified),
         nonfinite=tuple(pixels for run in ordered for pixels in run.nonfinite),
     )
-
-
-def _merge_frames(parts: Sequence[tuple[RunSummary, str]]) -> tuple[FrameRecord, ...]:
-    frames = [(frame, name) for run, name in parts for frame in run.frames]
-    frames.sort(key=lambda entry: entry[0].number)
-    for (frame, name), (later, later_name) in pairwise(frames):
-        if frame.number == later.number:
-            raise InputError(
-                f"frame {frame.number} is in {name} and again in {later_name}; leave one of them "
-                "out"
-            )
-    return tuple(frame for frame, _ in frames)
 
 
 def _format_value(value: Any) -> str:

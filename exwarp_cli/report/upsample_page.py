@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 from exwarp_cli.domain.decision import CHOICES, FEATURES, HOLD, LOOKAHEAD, NODES, SOFTSPLAT
@@ -107,7 +106,20 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None
     """
     if album is not None:
         for frame in run.frames:
-            album.set_facts(frame.number, frame_maker(frame), _facts(frame), frame.risk)
+            facts = {"slot": f"{frame.slot} after key frame {frame.key}"}
+            if frame.path is not None:
+                facts["path"] = frame.path
+            if frame.decision is not None:
+                facts["decision"] = f"{frame.decision.node} = {frame.decision.choice}"
+            facts |= score_facts(frame.score, frame.hole_score)
+            if frame.key_pulse is not None:
+                metric = BY_FIELD["pulse"]
+                facts[f"{metric.name} against {KEY_FRAMES}"] = metric.with_unit(frame.key_pulse)
+            if frame.risk is not None:
+                facts["predicted error"] = f"{frame.risk.error:.1f} of 255"
+            if frame.has_holes:
+                facts["holes"] = str(format_percent(frame.hole_fraction))
+            album.set_facts(frame.number, frame_maker(frame), facts, frame.risk)
         # VMAF and flicker are known only now.
         if (worst := worst_frame(run.frames)) in album.frames:
             album.start = worst
@@ -145,7 +157,15 @@ def headline(document: dict[str, Any]) -> list[Number]:
     """Return the numbers on top: the saved time first, where the headers state it."""
     frames, fps, holes = document["frames"], document["fps"], document["holes"]
     decisions, pulse = document["decisions"], document["pulse"]
-    numbers = _render_time_numbers(document["render_time"])
+    numbers = []
+    if (saved := document["render_time"]) is not None:
+        share = f"{format_percent(saved['saved_share'], 0)} of rendering all"
+        for label, value, note in (
+            ("Render time saved", saved["saved_s"], share),
+            ("Rendered frame", saved["key_frame_s"], "by the headers, on average"),
+            ("Generated frame", saved["generated_frame_s"], "reading and writing included"),
+        ):
+            numbers.append(Number(label, str(format_time(value)), note))
     kinds = f"{format_rendered(frames)}, {frames['generated']} generated"
     if frames["dropped"]:
         kinds += f", {frames['dropped']} repeated"
@@ -180,36 +200,6 @@ def headline(document: dict[str, Any]) -> list[Number]:
         time = format_time(1 / fps["throughput"])
         numbers.append(Number("Time", str(time), "per written frame, all threads"))
     return numbers
-
-
-def _render_time_numbers(saved: dict[str, Any] | None) -> list[Number]:
-    if saved is None:
-        return []
-    share = f"{format_percent(saved['saved_share'], 0)} of rendering all"
-    values = (
-        ("Render time saved", saved["saved_s"], share),
-        ("Rendered frame", saved["key_frame_s"], "by the headers, on average"),
-        ("Generated frame", saved["generated_frame_s"], "reading and writing included"),
-    )
-    return [Number(label, str(format_time(value)), note) for label, value, note in values]
-
-
-def _facts(frame: FrameRecord) -> dict[str, str]:
-    """Return what is written beside a frame in the viewer."""
-    facts = {"slot": f"{frame.slot} after key frame {frame.key}"}
-    if frame.path is not None:
-        facts["path"] = frame.path
-    if frame.decision is not None:
-        facts["decision"] = f"{frame.decision.node} = {frame.decision.choice}"
-    facts |= score_facts(frame.score, frame.hole_score)
-    if frame.key_pulse is not None:
-        metric = BY_FIELD["pulse"]
-        facts[f"{metric.name} against {KEY_FRAMES}"] = metric.with_unit(frame.key_pulse)
-    if frame.risk is not None:
-        facts["predicted error"] = f"{frame.risk.error:.1f} of 255"
-    if frame.has_holes:
-        facts["holes"] = str(format_percent(frame.hole_fraction))
-    return facts
 
 
 def _review(run: RunSummary, document: dict[str, Any], album: Album | None) -> list[Block]:
@@ -320,8 +310,8 @@ def _slot_plots(frames: Sequence[FrameRecord]) -> list[Figure]:
             slots = [0, *slots, slots[-1] + 1]
             series = {name: [0.0, *row, 0.0] for name, row in series.items()}
             x_label = f"slot, with the key frames at 0 and {slots[-1]}"
-        labels = Labels(title, x_label, metric.title, f"{metric.title} by slot. {note}")
-        figures.append(replace(draw_lines(labels, slots, series), note=note))
+        labels = Labels(title, x_label, metric.title, f"{metric.title} by slot. {note}", note)
+        figures.append(draw_lines(labels, slots, series))
     return figures
 
 
@@ -439,11 +429,11 @@ def _timing(run: RunSummary, timing_ms: dict[str, float | None]) -> list[Block]:
     labels = Labels(
         "Time per frame by what made it", "ms",
         description="Mean milliseconds of each step for each kind of frame, end to end.",
+        note="Steps overlap on several threads: reading runs ahead and writing behind.",
     )  # fmt: skip
-    note = "Steps overlap on several threads: reading runs ahead and writing behind."
     rows = [(step, format_number(timing_ms[step])) for step in steps]
     return [
-        draw_stacked_bars(labels, list(groups), parts, note=note),
+        draw_stacked_bars(labels, list(groups), parts),
         Table("Mean of the frames that had the step", ("step", "ms"), rows),
     ]
 
