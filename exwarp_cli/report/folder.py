@@ -39,7 +39,6 @@ from exwarp_cli.report.review import places_worth_a_look
 from exwarp_cli.report.schema import (
     format_frames_csv,
     format_review_csv,
-    format_review_txt,
     run_document,
     to_json,
     to_plain,
@@ -49,7 +48,7 @@ from exwarp_cli.report.upsample_page import upsample_page
 REPORT_FILE = "report.json"
 FRAMES_FILE = "frames.csv"
 PLACES_FILE = "review.csv"
-RENDER_FILE = "review.txt"
+RENDER_FILE = "review.txt"  # frames most worth rendering, as farms take them: 12,15-18; or nothing
 PAGE_FILE = "report.html"
 # What `exwarp merge-reports` reads: the run without loss, and its pictures.
 RUN_FILE = "run.json"
@@ -141,10 +140,11 @@ def write_report(folder: Path, run: RunSummary, album: Album | None = None) -> N
     document = run_document(run)
     page = render(upsample_page(run, document, album))
     report = to_json(document)
+    render_list = document["review"]["render"] if document["review"] else ""
     texts = {
         FRAMES_FILE: format_frames_csv(run.frames),
         PLACES_FILE: format_review_csv(places_worth_a_look(run)),
-        RENDER_FILE: format_review_txt(run.frames),
+        RENDER_FILE: f"{render_list}\n" if render_list else "",
         RUN_FILE: format_run(run, report),
         ALBUM_FILE: format_album(album),
         PAGE_FILE: page,

@@ -298,9 +298,9 @@ def merge_albums(
     worst = worst_frame(frame for frame in run.frames if frame.number in file_of)
     chosen = set() if worst is None else {worst}
     complete = [i for i, group in enumerate(groups) if all(n in file_of for n in group)]
-    for wanted in choose_groups(groups) if complete else ():
+    for choice in choose_groups(groups) if complete else ():
         # Albums of long chunks lack intervals, so that the nearest one has to do.
-        chosen.update(groups[min(complete, key=lambda i: abs(i - wanted))])
+        chosen.update(groups[min(complete, key=lambda i: abs(i - choice))])
 
     room, longest = limit_pictures(len(chosen))
     frames: dict[int, Shown] = {}

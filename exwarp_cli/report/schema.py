@@ -32,12 +32,7 @@ from exwarp_cli.domain.metric import GROUND_TRUTH, KEY_FRAMES, METRICS
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary, Score
 from exwarp_cli.domain.tiles import paths_from_makers
 from exwarp_cli.domain.timeline import ranges
-from exwarp_cli.report.review import (
-    PLACE_COLUMNS,
-    Place,
-    frames_worth_rendering,
-    summarise_review,
-)
+from exwarp_cli.report.review import PLACE_COLUMNS, Place, summarise_review
 
 SCHEMA = "exwarp.report/1"
 
@@ -462,12 +457,6 @@ def format_review_csv(places: Sequence[Place]) -> str:
     """Write places as CSV, a row each; the error with one decimal."""
     rows = ((p.frame, round(p.error, 1), p.x, p.y, p.width, p.height, p.reason) for p in places)
     return format_csv(PLACE_COLUMNS, rows)
-
-
-def format_review_txt(frames: Iterable[FrameRecord]) -> str:
-    """Write which frames are most worth rendering, as farms take them: ``12,15-18``, or nothing."""
-    numbers = ranges(frames_worth_rendering(frames))
-    return f"{numbers}\n" if numbers else ""
 
 
 def format_csv(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from exwarp_cli.domain.decision import CHOICES, FEATURES, HOLD, LOOKAHEAD, NODES, SOFTSPLAT
@@ -137,8 +137,7 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None
             Section("decisions", "Decisions", _decisions(run, document["decisions"])),
             Section("holes", "Holes and features", _holes_and_features(run, document)),
             Section("timing", "Time", _timing(run, document["timing_ms"])),
-            Section("left-out", "Left out", _left_out(document["left_out"])),
-            Section("nonfinite", "NaN and infinities", _nonfinite(document["nonfinite"])),
+            *_unused_input(document),
             Section("input", "Input and settings", [_settings(document)]),
         ),
     )
@@ -438,36 +437,35 @@ def _timing(run: RunSummary, timing_ms: dict[str, float | None]) -> list[Block]:
     ]
 
 
-def _left_out(left_out: list[dict[str, Any]]) -> list[Block]:
-    if not left_out:
-        return []
-    rows = [
-        (
-            str(interval["key"]),
-            *(ranges(interval[name]) for name in ("frames", "scores", "rendered")),
-            interval["reason"],
-        )
-        for interval in left_out
-    ]
-    title = "Not scored"
-    if any(interval["frames"] for interval in left_out):
-        title = "Key intervals left out"
-    elif any(interval["rendered"] for interval in left_out):
-        title = "Rendered frames that are not used"
-    return [Table(title, ("key frame", "frames", "not scored", "rendered, not used", "why"), rows)]
-
-
-def _nonfinite(nonfinite: list[dict[str, Any]]) -> list[Block]:
-    if not nonfinite:
-        return []
-    view = ("view",) if nonfinite[0]["view"] else ()
-    rows = [
-        [*(str(entry[name]) for name in ("key", "slot", *view, "channels")),
-         format_number(entry["pixels"], 0)]
-        for entry in nonfinite[:MAX_ROWS]
-    ]  # fmt: skip
-    columns = ("key frame", "slot", *view, "channels", "pixels")
-    return [Table("Not finite in the input", columns, rows, describe_nonfinite(nonfinite))]
+def _unused_input(document: dict[str, Any]) -> Iterator[Section]:
+    """Yield the sections of what was left out, and of what is not finite, if there is any."""
+    if left_out := document["left_out"]:
+        rows: list[list[Cell]] = [
+            [
+                str(interval["key"]),
+                *(ranges(interval[name]) for name in ("frames", "scores", "rendered")),
+                interval["reason"],
+            ]
+            for interval in left_out
+        ]
+        title = "Not scored"
+        if any(interval["frames"] for interval in left_out):
+            title = "Key intervals left out"
+        elif any(interval["rendered"] for interval in left_out):
+            title = "Rendered frames that are not used"
+        columns = ("key frame", "frames", "not scored", "rendered, not used", "why")
+        yield Section("left-out", "Left out", [Table(title, columns, rows)])
+    if nonfinite := document["nonfinite"]:
+        view = ("view",) if nonfinite[0]["view"] else ()
+        rows = [
+            [*(str(entry[name]) for name in ("key", "slot", *view, "channels")),
+             format_number(entry["pixels"], 0)]
+            for entry in nonfinite[:MAX_ROWS]
+        ]  # fmt: skip
+        columns = ("key frame", "slot", *view, "channels", "pixels")
+        note = describe_nonfinite(nonfinite)
+        table = Table("Not finite in the input", columns, rows, note)
+        yield Section("nonfinite", "NaN and infinities", [table])
 
 
 def _settings(document: dict[str, Any]) -> Table:
