@@ -148,14 +148,9 @@ def _select_reports(folders: Sequence[Path]) -> tuple[Selection, list[Path]]:
 def _select_newest(folders: Sequence[Path]) -> tuple[Selection, list[Path]]:
     """Assign each key frame to the newest report that has it.
 
-    Returns
-    -------
-    selected : dict
-        Reports of which anything counts, in the order of `folders`.
-    superseded : list of Path
-        Reports with key frames of which newer ones count.
+    Return what counts, in the order of `folders`, and the reports with key frames of which newer
+    ones count.
     """
-
     finished_ns: dict[Path, int] = {}
     keys: dict[Path, frozenset[int]] = {}
     for folder in folders:
@@ -188,15 +183,7 @@ def _select_newest(folders: Sequence[Path]) -> tuple[Selection, list[Path]]:
 
 
 def _read_run(folder: Path) -> RunSummary:
-    """Read what `write_report` wrote.
-
-    Raises
-    ------
-    InputError
-        When a file cannot be read, or the report is one of another kind.
-    DamagedFileError
-        When a file is damaged or was changed, or is of a version that wrote something else.
-    """
+    """Read what `write_report` wrote; InputError or DamagedFileError if it is something else."""
     report, document = _read_report(folder)
     if not (folder / RUN_FILE).exists():
         raise InputError(

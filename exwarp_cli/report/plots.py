@@ -190,16 +190,9 @@ def draw_bars(
     series: Mapping[str, Values],
     references: Mapping[str, Values] | None = None,
 ) -> Figure:
-    """Draw a group of bars for each name.
+    """Draw groups of bars with their names below: in each, a bar of every series.
 
-    Parameters
-    ----------
-    groups
-        Names below the groups.
-    series
-        A value for each group; a bar of each in every group.
-    references
-        By series, values that are marked across its bars: the paper's.
+    `references` are, by series, values that are marked across its bars: the paper's.
     """
     width = 0.8 / max(len(series), 1)
     is_in_legend = False  # the first mark stands for all
@@ -235,16 +228,9 @@ def draw_stacked_bars(
     parts: Mapping[str, Values],
     kinds: bool = False,
 ) -> Figure:
-    """Draw one horizontal bar a group, made of parts.
+    """Draw one horizontal bar a group, made of parts: a length for each group, None counts as 0.
 
-    Parameters
-    ----------
-    groups
-        Names beside the bars.
-    parts
-        A length for each group; None counts as 0.
-    kinds
-        True if the parts are named out of KINDS and coloured so.
+    `kinds` is True if the parts are named out of KINDS and coloured so.
     """
     with _canvas(1.1 + 0.34 * len(groups)) as canvas:
         axes = _add_axes(canvas, labels)
@@ -322,17 +308,11 @@ def draw_timeline(
     columns: Sequence[Sequence[TimelineCell | None]],
     kinds: Sequence[str],
 ) -> Figure:
-    """Draw coloured cells: a row a slot, a column a key interval.
+    """Draw coloured cells: a row a slot, from the top, and a column a key interval.
 
-    Parameters
-    ----------
-    rows
-        Names of the rows, from the top.
-    columns
-        For each column a cell a row; None stays empty. Of more than TIMELINE_COLUMNS, neighbours
-        share a column: its colour is the most frequent, and its hint counts the others.
-    kinds
-        The kinds that appear, for the legend.
+    Cells that are None stay empty. Of more than TIMELINE_COLUMNS, neighbours share a column: its
+    colour is the most frequent, and its hint counts the others. `kinds` are those that appear, for
+    the legend.
     """
     shared = columns
     if len(columns) > TIMELINE_COLUMNS:

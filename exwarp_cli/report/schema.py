@@ -176,13 +176,9 @@ def score_values(score: Score | None) -> dict[str, float | None]:
 
 
 def mean_scores(scores: Iterable[Score | None]) -> dict[str, float | int | None]:
-    """Average the scores that are there.
+    """Average the scores that are there, by metric; None where no frame has a value.
 
-    Returns
-    -------
-    dict
-        By metric the mean over the frames that have a value, or None. ``frames``: how many frames
-        were scored.
+    ``frames`` counts the frames that were scored.
     """
     rows = [score_values(score) for score in scores if score is not None]
     means = {
@@ -315,11 +311,8 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
 def count_decisions(paths: Iterable[str] | None) -> dict[str, Any]:
     """Count the decisions of a run.
 
-    Parameters
-    ----------
-    paths
-        S1 to S6 of each key interval with all its slots, or of each of its tiles; None for a
-        method outside the paper's decision tree, whose counts are all None.
+    `paths` are S1 to S6 of each key interval with all its slots, or of each of its tiles; None for
+    a method outside the paper's decision tree, whose counts are all None.
     """
     if paths is None:
         return {
@@ -378,14 +371,11 @@ def _summarise_quality(decides: bool, between: Sequence[FrameRecord]) -> dict[st
 def render_time_saved(run: RunSummary) -> dict[str, Any] | None:
     """Return what a run saved, from the render times in the headers of its key frames.
 
-    Returns
-    -------
-    dict or None
-        ``key_frame_s``, mean render time of a key frame; ``key_frames``, how many headers state it;
-        ``source``, the attribute; ``generated_frame_s``, this run's time for each generated frame,
-        reading and writing included, scoring not; ``saved_s``, what rendering the generated frames
-        would have taken beyond the key frames, less the run's time; ``saved_share``, that as a
-        share of rendering all frames. None where no header says it, or nothing was generated.
+    ``key_frame_s``: mean render time of a key frame; ``key_frames``: how many headers state it;
+    ``source``: the attribute; ``generated_frame_s``: this run's time for each generated frame,
+    reading and writing included, scoring not; ``saved_s``: what rendering the generated frames
+    would have taken beyond the key frames, less the run's time; ``saved_share``: that as a share of
+    rendering all frames. None where no header says it, or nothing was generated.
     """
     render_times = [frame.render for frame in run.frames if frame.render is not None]
     # This run spent no time on resumed frames, nor on key frames of intervals that it kept.
@@ -429,7 +419,7 @@ def format_frames_csv(frames: tuple[FrameRecord, ...]) -> str:
         rows.append(
             [
                 *(frame.number, escape_formula(frame.file), frame.key, frame.slot),
-                *(frame.kind, frame.method, _join(frame.sources)),
+                *(frame.kind, frame.method, " ".join(map(str, frame.sources))),
                 *(frame.hole_fraction, frame.nonfinite_pixels),
                 *score_cells(score, FIRST_SCORES),
                 *score_cells(holes, FIRST_SCORES),
@@ -437,7 +427,7 @@ def format_frames_csv(frames: tuple[FrameRecord, ...]) -> str:
                 *((decision.node, decision.choice) if decision else (None, None)),
                 *((decision.outputs if decision else None) or (None, None)),
                 *(features.values if features else (None,) * len(FEATURES)),
-                (_join(decision.inputs) or None) if decision else None,
+                (" ".join(map(str, decision.inputs)) or None) if decision else None,
                 *score_cells(score, LATER_SCORES),
                 *score_cells(holes, LATER_HOLE_SCORES),
                 *(frame.render or (None, None)),
@@ -446,7 +436,7 @@ def format_frames_csv(frames: tuple[FrameRecord, ...]) -> str:
                 *((frame.risk.error, frame.risk.text) if frame.risk else (None, None)),
                 frame.trial.text if frame.trial else None,
                 frame.tiles.text if frame.tiles else None,
-                _join(frame.rendered_sources) or None,
+                " ".join(map(str, frame.rendered_sources)) or None,
                 *map(frame.timing_ms.get, steps),
             ]
         )
@@ -488,7 +478,3 @@ def score_cells(score: Score | None, names: Sequence[str]) -> list[float | None]
     """Return the cells of some metrics, by their names in `Score`."""
     values = score_values(score)
     return [values[name] for name in names]
-
-
-def _join(numbers: Iterable[int]) -> str:
-    return " ".join(map(str, numbers))
