@@ -191,12 +191,8 @@ def _judge_limits(result: Comparison) -> list[dict[str, Any]]:
 def require_quality(result: Comparison) -> None:
     """Raise what a comparison fails by.
 
-    Raises
-    ------
-    UsageError
-        When a limit is on something that was not measured: nothing passes unseen.
-    QualityError
-        When a value is worse than its limit.
+    UsageError: a limit is on something that was not measured: nothing passes unseen. QualityError:
+    a value is worse than its limit.
     """
     verdicts = zip(result.measuring.thresholds, _judge_limits(result), strict=True)
     failed = [(limit, verdict["value"]) for limit, verdict in verdicts if not verdict["passed"]]

@@ -82,14 +82,8 @@ def chunk_reports(report: Path) -> list[Path]:
 def prepare_report(folder: Path, replace: bool, option: str = "--report") -> None:
     """Make the folder of a report before the work, and refuse to replace one unless asked.
 
-    `option` names the folder on the command line.
-
-    Raises
-    ------
-    OutputExistsError
-        When it holds a report and `replace` is False.
-    OutputError
-        When the folder cannot be made.
+    `option` names the folder on the command line. OutputExistsError: it holds a report and
+    `replace` is False. OutputError: it cannot be made.
     """
     refuse_report(folder, replace, option)
     make_folder(folder)
@@ -107,12 +101,7 @@ def refuse_report(folder: Path, replace: bool, option: str = "--report") -> None
 def prepare_comparison(folder: Path) -> None:
     """Make the folder before the work; a comparison replaces the one before it and nothing else.
 
-    Raises
-    ------
-    OutputExistsError
-        When it holds a report of another kind.
-    OutputError
-        When the folder cannot be made.
+    OutputExistsError: it holds a report of another kind. OutputError: it cannot be made.
     """
     report = folder / REPORT_FILE
     if path_exists(report):
@@ -132,10 +121,7 @@ def prepare_comparison(folder: Path) -> None:
 def write_report(folder: Path, run: RunSummary, album: Album | None = None) -> None:
     """Write, or replace, all files of the report of a run; `album` has the page's pictures.
 
-    Raises
-    ------
-    OutputError
-        When the folder cannot be made or a file cannot be written.
+    OutputError: the folder cannot be made or a file cannot be written.
     """
     document = run_document(run)
     page = render(upsample_page(run, document, album))
@@ -183,10 +169,8 @@ def format_run(run: RunSummary, report: str) -> str:
 def parse_run(text: str, report: str) -> RunSummary:
     """Read run.json back.
 
-    Raises
-    ------
-    ValueError, TypeError, LookupError, AttributeError, RecursionError
-        When it holds something else, or belongs to another report.json than `report`.
+    ValueError, TypeError, LookupError, AttributeError or RecursionError: it holds something else,
+    or belongs to another report.json than `report`.
     """
     document = json.loads(text)
     digest = sha256(report.encode()).hexdigest()

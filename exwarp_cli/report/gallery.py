@@ -263,21 +263,10 @@ def merge_albums(
 ) -> tuple[Album, list[Path]]:
     """Return the album of a joined run, of no more frames and bytes than that of a single one.
 
-    Parameters
-    ----------
-    files
-        The album.json of each report that was joined. One is in memory at a time.
-    numbers
-        The frames that each report is asked for.
-    run
-        What the reports were joined into; its key intervals are chosen as for one gallery.
-
-    Returns
-    -------
-    album : Album
-        Without facts.
-    unreadable : list of Path
-        Files that are missing or damaged.
+    `files` are the album.json of each report that was joined, one of which is in memory at a time;
+    `numbers` the frames that each report is asked for. Key intervals of `run`, what the reports
+    were joined into, are chosen as for one gallery. The album has no facts. Returned beside it are
+    the files that are missing or damaged.
     """
     file_of: dict[int, Path] = {}
     unreadable = []

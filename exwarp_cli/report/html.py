@@ -94,10 +94,7 @@ class Page:
 def render(page: Page) -> str:
     """Write a page as HTML; the same page gives the same text.
 
-    Returns
-    -------
-    str
-        Valid Unicode: bytes of a file name that are none are spelled out as ``\\udcff``.
+    It is valid Unicode: bytes of a file name that are none are spelled out as ``\\udcff``.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 

@@ -69,50 +69,47 @@ def merge_reports(
 ) -> Merged:
     """Merge reports into one, and write it.
 
-    Parameters
-    ----------
-    folders
-        Of reports, or of what chunks reported to: a folder without a report of its own stands for
-        those in its ``chunks``, of which the newest count.
-    output
-        The folder to write to; None for the only one of `folders`, whose ``chunks`` are merged.
-    replace
-        True if a report in it may be replaced.
+    `folders` are those of reports, or what chunks reported to: a folder without a report of its own
+    stands for those in its ``chunks``, of which the newest count. `output` is the folder to write
+    to; None for the only one of `folders`, whose ``chunks`` are merged. `replace` is True if a
+    report in it may be replaced.
 
-    Raises
-    ------
-    UsageError
-        When nothing says where to write.
-    InputError
-        When a report cannot be read, or they do not belong together.
-    OutputError
-        When the report cannot be written; OutputExistsError when `output` holds one.
+    UsageError: nothing says where to write. InputError: a report cannot be read, or they do not
+    belong together. OutputError: the report cannot be written; OutputExistsError: there is one.
     """
-    if output is None:
-        if len(folders) > 1:
-            raise UsageError("several reports are named; say with -o where the joined one goes")
-        target = folders[0]
-        chunks = chunk_reports(target)
-        if not chunks:
+    if output is None and len(folders) > 1:
+        raise UsageError("several reports are named; say with -o where the joined one goes")
+    selected: Selection = {}
+    superseded: list[Path] = []
+    for folder in {folder.resolve(): folder for folder in folders}.values():
+        # Without -o, a report of the folder's own is the one to write.
+        if output is not None and (folder / REPORT_FILE).exists():
+            selected[folder] = None
+            continue
+        chunks = chunk_reports(folder)
+        if not chunks and output is None:
             raise InputError(
-                f"{target} holds no {CHUNKS}/*/{REPORT_FILE}, as upsample --report {target} "
+                f"{folder} holds no {CHUNKS}/*/{REPORT_FILE}, as upsample --report {folder} "
                 "--as-chunk writes it; name the folders of the reports themselves, and with -o "
                 "where to write"
             )
-        selected, superseded = _select_newest(chunks)
-    else:
-        target = output
-        selected, superseded = _select_reports(folders)
-        if output.resolve() in {folder.resolve() for folder in selected}:
-            raise UsageError(
-                f"-o {output} is one of the reports that are joined; name another folder"
+        if not chunks:
+            raise InputError(
+                f"{folder} holds no {REPORT_FILE}; name folders that upsample --report wrote"
             )
-    runs = {folder: _read_run(folder) for folder in selected}
-    for folder, keys in selected.items():
-        if keys is not None:
-            runs[folder] = part_of_run(runs[folder], keys)
+        newest, older = _select_newest(chunks)
+        selected |= newest
+        superseded += older
+    unique = {folder.resolve(): folder for folder in selected}
+    if output is not None and output.resolve() in unique:
+        raise UsageError(f"-o {output} is one of the reports that are joined; name another folder")
+    runs: dict[Path, RunSummary] = {}
+    for folder in unique.values():
+        run, keys = _read_run(folder), selected[folder]
+        runs[folder] = run if keys is None else part_of_run(run, keys)
 
     run = merge_runs({str(folder): run for folder, run in runs.items()})
+    target = output or folders[0]
     prepare_report(target, replace, "-o")
     numbers = [{frame.number for frame in part.frames} for part in runs.values()]
     album, unreadable = merge_albums([folder / ALBUM_FILE for folder in runs], numbers, run)
@@ -123,26 +120,6 @@ def merge_reports(
 
 # Of each report, the key frames that are taken from it; None for all.
 Selection = dict[Path, frozenset[int] | None]
-
-
-def _select_reports(folders: Sequence[Path]) -> tuple[Selection, list[Path]]:
-    """Return the reports that folders stand for, each once: their own, else those of chunks."""
-    selected: Selection = {}
-    superseded: list[Path] = []
-    for folder in {folder.resolve(): folder for folder in folders}.values():
-        if (folder / REPORT_FILE).exists():
-            selected[folder] = None
-            continue
-        chunks = chunk_reports(folder)
-        if not chunks:
-            raise InputError(
-                f"{folder} holds no {REPORT_FILE}; name folders that upsample --report wrote"
-            )
-        newest, older = _select_newest(chunks)
-        selected |= newest
-        superseded += older
-    unique = {folder.resolve(): folder for folder in selected}
-    return {folder: selected[folder] for folder in unique.values()}, superseded
 
 
 def _select_newest(folders: Sequence[Path]) -> tuple[Selection, list[Path]]:
@@ -270,25 +247,13 @@ def missing_keys(run: RunSummary) -> list[int]:
 
 
 def merge_runs(runs: Mapping[str, RunSummary]) -> RunSummary:
-    """Merge what chunks of one run found out.
+    """Merge what chunks of one run found out into what the run that does all their frames would.
 
-    Parameters
-    ----------
-    runs
-        In any order, at least one, by what messages call them, such as the folders of their
-        reports. No frame may be in two of them.
+    `runs` are at least one, in any order, by what messages call them, such as the folders of their
+    reports. The `wall_seconds` are the sum: the time that machines spent, not the time that passed.
+    Where machines may differ, as in paths, the value is that of the part with the first frames.
 
-    Returns
-    -------
-    RunSummary
-        That of the run that does all their frames. Its `wall_seconds` is the sum: the time that
-        machines spent, not the time that passed. Where machines may differ, as in paths, it has the
-        value of the part with the first frames.
-
-    Raises
-    ------
-    InputError
-        When they are no parts of one run, or two have the same frame.
+    InputError: they are no parts of one run, or two have the same frame.
     """
     parts = sorted(runs.items(), key=lambda part: (part[1].selected, part[1].input.pattern))
     ordered = [run for _, run in parts]

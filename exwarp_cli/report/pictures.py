@@ -51,10 +51,7 @@ class Picture:
     def from_plain(cls, plain: Mapping[str, Any]) -> Picture:
         """Return the picture that `to_plain` described.
 
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            When it describes none.
+        KeyError, TypeError or ValueError: it describes none.
         """
         media, _, text = plain["url"].removeprefix("data:").partition(";base64,")
         if media not in (WEBP, PNG):
