@@ -237,7 +237,7 @@ def add_baseline(album: Album, result: Comparison, baseline: Comparison) -> None
 def compare_page(
     result: Comparison,
     document: dict[str, Any],
-    album: Album | None = None,
+    album: Album,
     baseline: Comparison | None = None,
 ) -> Page:
     """Build the page of a comparison.
@@ -246,17 +246,16 @@ def compare_page(
     its frames, and gets facts and the frame rate.
     """
     base_scores = {f.reference: f.score for f in baseline.frames} if baseline else {}
-    if album is not None:
-        album.fps = result.fps
-        for frame in result.frames:
-            facts = score_facts(frame.score, frame.hole_score)
-            base = score_facts(base_scores.get(frame.reference), None)
-            facts |= {f"{name} of the {BASELINE}": text for name, text in base.items()}
-            if frame.reference != frame.test:
-                facts["reference frame"] = str(frame.reference)
-            if frame.hole_fraction is not None:
-                facts["holes"] = str(format_percent(frame.hole_fraction))
-            album.set_facts(frame.test, "", facts)
+    album.fps = result.fps
+    for frame in result.frames:
+        facts = score_facts(frame.score, frame.hole_score)
+        base = score_facts(base_scores.get(frame.reference), None)
+        facts |= {f"{name} of the {BASELINE}": text for name, text in base.items()}
+        if frame.reference != frame.test:
+            facts["reference frame"] = str(frame.reference)
+        if frame.hole_fraction is not None:
+            facts["holes"] = str(format_percent(frame.hole_fraction))
+        album.set_facts(frame.test, "", facts)
     test, reference = document["test"]["pattern"], document["reference"]["pattern"]
     numbers = [
         Number("Frames", f"{document['frames']:,}", f"matched by {document['matched_by']}"),
@@ -284,7 +283,7 @@ def compare_page(
         subtitle,
         numbers,
         (
-            Section("frames", "Frames", [Viewer(album)] if album and album.frames else []),
+            Section("frames", "Frames", [Viewer(album)] if album.frames else []),
             Section("quality", "Quality", _quality(result, document, album, base_scores)),
             Section("input", "Input", [_input(document)]),
         ),
@@ -294,7 +293,7 @@ def compare_page(
 def _quality(
     result: Comparison,
     document: dict[str, Any],
-    album: Album | None,
+    album: Album,
     base_scores: Mapping[int, Score],
 ) -> list[Block]:
     """Write tables and plots; `base_scores` are the baseline's by the reference's number."""

@@ -33,7 +33,7 @@ from exwarp_cli.report.comparison import (
     comparison_document,
     format_comparison_csv,
 )
-from exwarp_cli.report.gallery import Album, format_album
+from exwarp_cli.report.gallery import Album
 from exwarp_cli.report.html import render
 from exwarp_cli.report.review import places_worth_a_look
 from exwarp_cli.report.schema import (
@@ -118,7 +118,7 @@ def prepare_comparison(folder: Path) -> None:
     remove_leftovers(folder)
 
 
-def write_report(folder: Path, run: RunSummary, album: Album | None = None) -> None:
+def write_report(folder: Path, run: RunSummary, album: Album) -> None:
     """Write, or replace, all files of the report of a run; `album` has the page's pictures.
 
     OutputError: the folder cannot be made or a file cannot be written.
@@ -132,7 +132,7 @@ def write_report(folder: Path, run: RunSummary, album: Album | None = None) -> N
         PLACES_FILE: format_review_csv(places_worth_a_look(run)),
         RENDER_FILE: f"{render_list}\n" if render_list else "",
         RUN_FILE: format_run(run, report),
-        ALBUM_FILE: format_album(album),
+        ALBUM_FILE: to_json(album.to_plain(), compact=True),
         PAGE_FILE: page,
         REPORT_FILE: report,
     }
@@ -140,10 +140,7 @@ def write_report(folder: Path, run: RunSummary, album: Album | None = None) -> N
 
 
 def write_comparison(
-    folder: Path,
-    result: Comparison,
-    album: Album | None = None,
-    baseline: Comparison | None = None,
+    folder: Path, result: Comparison, album: Album, baseline: Comparison | None = None
 ) -> None:
     """Write the files of a comparison; as `write_report` does."""
     document = comparison_document(result, baseline)
@@ -163,7 +160,7 @@ def format_run(run: RunSummary, report: str) -> str:
     """Write run.json; `report` is the text of the report.json beside it."""
     digest = sha256(report.encode()).hexdigest()
     document = {"schema": RUN_SCHEMA, "report_sha256": digest, "run": to_plain(run, lossless=True)}
-    return json.dumps(document, allow_nan=False, separators=(",", ":")) + "\n"
+    return to_json(document, compact=True)
 
 
 def parse_run(text: str, report: str) -> RunSummary:

@@ -252,12 +252,6 @@ class Gallery:
             added.pictures[KEY] = self._key[1]
 
 
-def format_album(album: Album | None) -> str:
-    """Write album.json."""
-    plain = {"frames": [], "images": []} if album is None else album.to_plain()
-    return json.dumps(plain, allow_nan=False, separators=(",", ":")) + "\n"
-
-
 def merge_albums(
     files: Sequence[Path], numbers: Sequence[Collection[int]], run: RunSummary
 ) -> tuple[Album, list[Path]]:

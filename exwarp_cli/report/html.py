@@ -247,7 +247,7 @@ def metric_plots(
 def worst_tables(
     numbers: Sequence[int],
     scores: Sequence[Score | None],
-    album: Album | None,
+    album: Album,
     makers: Sequence[str] = (),
 ) -> list[Table]:
     """List the worst frames by the first metric that was measured; no table where none was.
@@ -267,7 +267,6 @@ def worst_tables(
     return [Table(f"Worst frames by {metric.name}", columns, rows)]
 
 
-def frame_cell(number: int, album: Album | None) -> Cell:
+def frame_cell(number: int, album: Album) -> Cell:
     """Write a frame's number; it leads to the viewer if that has the frame."""
-    shown = album is not None and number in album.frames
-    return Link(str(number), f"#viewer:{number}") if shown else str(number)
+    return Link(str(number), f"#viewer:{number}") if number in album.frames else str(number)

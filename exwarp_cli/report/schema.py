@@ -159,9 +159,11 @@ def to_plain(value: Any, lossless: bool = False) -> Any:
     return value
 
 
-def to_json(document: dict[str, Any]) -> str:
+def to_json(document: dict[str, Any], compact: bool = False) -> str:
     """Write a document as JSON text; floats keep all their digits, and `to_plain` is applied."""
-    return json.dumps(to_plain(document), indent=2, allow_nan=False) + "\n"
+    indent, separators = (None, (",", ":")) if compact else (2, None)
+    plain = to_plain(document)
+    return json.dumps(plain, indent=indent, separators=separators, allow_nan=False) + "\n"
 
 
 def mean(values: Iterable[float]) -> float | None:

@@ -98,32 +98,31 @@ MAX_PLACES = 20  # of the list on the page; review.csv has more
 MAX_ROWS = 200  # of a table on the page; report.json has them all
 
 
-def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None = None) -> Page:
+def upsample_page(run: RunSummary, document: dict[str, Any], album: Album) -> Page:
     """Build the page of a run.
 
     `document` is what `schema.run_document` returned: tables and headline. `album` has pictures of
     the run's frames, and gets facts and the worst frame as its start.
     """
-    if album is not None:
-        for frame in run.frames:
-            facts = {"slot": f"{frame.slot} after key frame {frame.key}"}
-            if frame.path is not None:
-                facts["path"] = frame.path
-            if frame.decision is not None:
-                facts["decision"] = f"{frame.decision.node} = {frame.decision.choice}"
-            facts |= score_facts(frame.score, frame.hole_score)
-            if frame.key_pulse is not None:
-                metric = BY_FIELD["pulse"]
-                facts[f"{metric.name} against {KEY_FRAMES}"] = metric.with_unit(frame.key_pulse)
-            if frame.risk is not None:
-                facts["predicted error"] = f"{frame.risk.error:.1f} of 255"
-            if frame.has_holes:
-                facts["holes"] = str(format_percent(frame.hole_fraction))
-            album.set_facts(frame.number, frame_maker(frame), facts, frame.risk)
-        # VMAF and flicker are known only now.
-        if (worst := worst_frame(run.frames)) in album.frames:
-            album.start = worst
-        album.fps = document["fps"]["output"]
+    for frame in run.frames:
+        facts = {"slot": f"{frame.slot} after key frame {frame.key}"}
+        if frame.path is not None:
+            facts["path"] = frame.path
+        if frame.decision is not None:
+            facts["decision"] = f"{frame.decision.node} = {frame.decision.choice}"
+        facts |= score_facts(frame.score, frame.hole_score)
+        if frame.key_pulse is not None:
+            metric = BY_FIELD["pulse"]
+            facts[f"{metric.name} against {KEY_FRAMES}"] = metric.with_unit(frame.key_pulse)
+        if frame.risk is not None:
+            facts["predicted error"] = f"{frame.risk.error:.1f} of 255"
+        if frame.has_holes:
+            facts["holes"] = str(format_percent(frame.hole_fraction))
+        album.set_facts(frame.number, frame_maker(frame), facts, frame.risk)
+    # VMAF and flicker are known only now.
+    if (worst := worst_frame(run.frames)) in album.frames:
+        album.start = worst
+    album.fps = document["fps"]["output"]
     source = document["input"]
     return Page(
         file_name(source["pattern"]),
@@ -131,7 +130,7 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None
         f"{source['width']}x{source['height']}",
         headline(document),
         (
-            Section("frames", "Frames", [Viewer(album)] if album and album.frames else []),
+            Section("frames", "Frames", [Viewer(album)] if album.frames else []),
             Section("review", "Worth a look", _review(run, document, album)),
             Section("quality", "Quality", _quality(run, document, album)),
             Section("decisions", "Decisions", _decisions(run, document["decisions"])),
@@ -201,7 +200,7 @@ def headline(document: dict[str, Any]) -> list[Number]:
     return numbers
 
 
-def _review(run: RunSummary, document: dict[str, Any], album: Album | None) -> list[Block]:
+def _review(run: RunSummary, document: dict[str, Any], album: Album) -> list[Block]:
     """List what is most worth a look, and draw the predicted error of the new frames."""
     review = document["review"]
     if review is None:
@@ -243,7 +242,7 @@ def _after_cuts(run: RunSummary) -> list[int]:
     return [first[cut.number] for cut in run.cuts or () if cut.number in first]
 
 
-def _quality(run: RunSummary, document: dict[str, Any], album: Album | None) -> list[Block]:
+def _quality(run: RunSummary, document: dict[str, Any], album: Album) -> list[Block]:
     blocks: list[Block] = []
     scored = [frame for frame in run.frames if frame.score is not None]
     if scored:

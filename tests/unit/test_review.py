@@ -18,7 +18,7 @@ from exwarp_cli.report.review import (
 from exwarp_cli.report.schema import format_review_csv
 from exwarp_cli.report.sentences import describe_review
 from tests.plots import leave_plots_out
-from tests.unit.sample_runs import record, run
+from tests.unit.sample_runs import no_pictures, record, run
 
 COLUMNS = 16
 SIZE = 64, 32
@@ -82,7 +82,8 @@ def test_frames_that_are_right_are_not_named():
 @pytest.mark.parametrize(("error", "text"), [(9.0, "1-2\n"), (1.0, "")])
 def test_named_frames_are_a_list_that_farms_take(tmp_path, monkeypatch, error, text):
     leave_plots_out(monkeypatch)
-    write_report(tmp_path, run([risky(number, error, {}) for number in range(1, 17)]))
+    frames = [risky(number, error, {}) for number in range(1, 17)]
+    write_report(tmp_path, run(frames), no_pictures())
     assert (tmp_path / "review.txt").read_text() == text
 
 
