@@ -87,9 +87,9 @@ def summary_of_files() -> Iterator[None]:
 
 def print_json(document: dict[str, Any]) -> None:
     """Print a document; numbers that are none become null, as JSON has no word for them."""
-    from exwarp_cli.report.schema import replace_nonfinite, to_json
+    from exwarp_cli.report.schema import to_json
 
-    click.echo(to_json(replace_nonfinite(document)), nl=False)
+    click.echo(to_json(document), nl=False)
 
 
 # The command takes `as_json`, and prints one document on stdout, and no more.

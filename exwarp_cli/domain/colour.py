@@ -27,10 +27,6 @@ class TransferCurve:
     to_code: Callable[[Float32], Float32]  # its inverse; light without a code gets the nearest
 
 
-def _identity(values: Float32) -> Float32:
-    return values
-
-
 def _srgb_to_linear(code: Float32) -> Float32:
     # IEC 61966-2-1, odd: below 0 as above.
     size = np.abs(code)
@@ -64,7 +60,7 @@ def _film_to_code(linear: Float32) -> Float32:
     return code
 
 
-LINEAR = TransferCurve("linear", _identity, _identity)
+LINEAR = TransferCurve("linear", lambda values: values, lambda values: values)
 SRGB = TransferCurve("sRGB", _srgb_to_linear, _srgb_to_code)
 # Printing density as film scanners write it, with the usual black of 95 and white of 685. Kennel
 # and Snider, "Gray-Scale Transformations of Cineon Digital Film Data", SMPTE Journal, 1993.

@@ -6,7 +6,7 @@ The gate lets a network make frames only where it improves this shot's own key f
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 # Names of the features, in the order of `Features.values`
@@ -138,18 +138,14 @@ class Plan:
         return next((d for d in self.decisions if NODE_SLOTS[d.node] == slot), None)
 
 
-def find_path(choices: Mapping[str, str]) -> str:
-    """Return the name of the path with exactly these choices."""
-    return next(name for name, path in PATHS.items() if path.choices == dict(choices))
-
-
-def walk_tree(choose: Callable[[str], str]) -> Iterator[tuple[str, str]]:
-    """Walk the tree from d1 on; yield every node with the choice of `choose`."""
+def walk_tree(choose: Callable[[str], str]) -> str:
+    """Walk the tree from d1 on by the choices of `choose`; return the name of the path."""
+    choices: dict[str, str] = {}
     node: str | None = FIRST_NODE
     while node is not None:
-        choice = choose(node)
-        yield node, choice
-        node = NEXT_NODE.get((node, choice))
+        choices[node] = choose(node)
+        node = NEXT_NODE.get((node, choices[node]))
+    return next(name for name, path in PATHS.items() if path.choices == choices)
 
 
 SOFTSPLAT = "softsplat"  # both key frames splatted to the slot and blended by depth and time
@@ -162,11 +158,6 @@ KEY = "key"  # a renderer
 
 # The step on which a maker's time is booked, where it has another name.
 TIMING_STEPS = {SOFTSPLAT: WARP, BLEND: WARP}
-
-
-def timing_step(maker: str) -> str:
-    """Return the step on which the time of a frame's maker is booked."""
-    return TIMING_STEPS.get(maker, maker)
 
 
 def infer_maker(made_by: str | None, method: str | None) -> str | None:

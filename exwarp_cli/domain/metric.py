@@ -113,9 +113,7 @@ class Threshold:
 
     def passes(self, value: float) -> bool:
         """Return whether a value is good enough; the limit itself is."""
-        if self.metric.signed:
-            return abs(value) <= self.limit
-        return value >= self.limit if self.metric.more_is_better else value <= self.limit
+        return self.metric.badness(value) <= self.metric.badness(self.limit)
 
     def failure(self, value: float) -> str:
         """Return by which value it is broken."""

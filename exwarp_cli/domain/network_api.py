@@ -178,8 +178,16 @@ def cut_tiles(
     cut alike.
     """
     margin = -(-reach // stride)
-    rows, columns = (list(_tile_lengths(n // stride, margin)) for n in size)
-    pairs = [(a, b) for a in rows for b in columns]
+    cells = [n // stride for n in size]
+    # By axis, every number of tiles with their length in strides.
+    options: list[list[tuple[int, int]]] = []
+    for total in cells:
+        options.append([(1, total)])
+        for count in range(2, total - 2 * margin + 1):
+            length = -(-(total - 2 * margin) // count) + 2 * margin
+            if length < options[-1][-1][1]:
+                options[-1].append((count, length))
+    pairs = [(a, b) for a in options[0] for b in options[1]]
     fitting = [pair for pair in pairs if pair[0][1] * pair[1][1] * stride**2 <= most]
     if fitting:
         # The coarsest pixels computed in all, then the number of tiles
@@ -188,31 +196,18 @@ def cut_tiles(
         )
     else:
         chosen = min(pairs, key=lambda pair: pair[0][1] * pair[1][1])
-    down, across = (
-        _spread_tiles(n // stride, count, length, margin, stride)
-        for n, (count, length) in zip(size, chosen, strict=True)
-    )
-    return tuple((row, column) for row in down for column in across)
-
-
-def _tile_lengths(cells: int, margin: int) -> list[tuple[int, int]]:
-    """Return every number of tiles along an axis, with their length in strides."""
-    lengths = [(1, cells)]
-    for count in range(2, cells - 2 * margin + 1):
-        length = -(-(cells - 2 * margin) // count) + 2 * margin
-        if length < lengths[-1][1]:
-            lengths.append((count, length))
-    return lengths
-
-
-def _spread_tiles(cells: int, count: int, length: int, margin: int, stride: int) -> list[TileSpan]:
-    starts = [i * (cells - length) // max(count - 1, 1) for i in range(count)]
-    firsts = [0, *(start + margin for start in starts[1:])]
-    lasts = [*firsts[1:], cells]
-    return [
-        TileSpan(start * stride, (start + length) * stride, first * stride, last * stride)
-        for start, first, last in zip(starts, firsts, lasts, strict=True)
-    ]
+    axes: list[list[TileSpan]] = []
+    for total, (count, length) in zip(cells, chosen, strict=True):
+        starts = [i * (total - length) // max(count - 1, 1) for i in range(count)]
+        firsts = [0, *(start + margin for start in starts[1:])]
+        lasts = [*firsts[1:], total]
+        axes.append(
+            [
+                TileSpan(start * stride, (start + length) * stride, first * stride, last * stride)
+                for start, first, last in zip(starts, firsts, lasts, strict=True)
+            ]
+        )
+    return tuple((row, column) for row in axes[0] for column in axes[1])
 
 
 class Interpolator(NetworkModel, Protocol):

@@ -36,7 +36,7 @@ class Risk:
     @property
     def levels(self) -> tuple[float, ...]:
         """Predicted RMS error of each tile, display levels of 0 to 255."""
-        return tuple(decode_level(code) for code in self.codes)
+        return tuple(float(2 ** (code / CODE_STEPS) - 1) for code in self.codes)
 
     @property
     def text(self) -> str:
@@ -58,13 +58,11 @@ class Risk:
 
 
 def encode_level(level: float) -> int:
-    """Return a tile's error, 0 to 255, as an integer number of steps, 0 to 128."""
+    """Return a tile's error, 0 to 255, as an integer number of steps, 0 to 128.
+
+    `Risk.levels` inverts it, except for rounding.
+    """
     return round(CODE_STEPS * math.log2(1 + min(max(level, 0.0), 255.0)))
-
-
-def decode_level(code: int) -> float:
-    """Invert `encode_level`, except for rounding."""
-    return float(2 ** (code / CODE_STEPS) - 1)
 
 
 def count_columns(width: int, height: int) -> int:
@@ -86,8 +84,9 @@ MAKER_LETTERS = {WARP: "w", EXTRAPOLATE: "e", REWARP: "r", SOFTSPLAT: "s", LOOKA
 # Those that run a network.
 DEAR_MAKERS = (EXTRAPOLATE, LOOKAHEAD)
 
-# Paths of tiles, S3 to S6: d1 warps, as a repeated frame gains nothing.
-TILE_PATHS = tuple(name for name, path in PATHS.items() if path.made_by[0] == WARP)
+# Paths of tiles, and the letters of their makers in slots 1 to 3. d1 warps, as a repeated frame
+# gains nothing.
+TILE_PATHS = {"S3": "wee", "S4": "wer", "S5": "wwe", "S6": "www"}
 
 TILE_STATE = "tiles/1"  # version of the inputs of a tile policy; ``state`` in its metadata
 
@@ -176,20 +175,12 @@ class TilePlan:
 
     def makers(self, slot: int) -> TileMakers:
         """Return the makers of the tiles of a slot, 1 to 3."""
-        letters = {name: MAKER_LETTERS[_tile_maker(name, slot)] for name in TILE_PATHS}
-        return TileMakers(self.columns, self.rows, "".join(letters[name] for name in self.paths))
-
-
-def _tile_maker(path: str, slot: int) -> str:
-    makers = PATHS[path].made_by
-    if slot == 3 and makers[1:] == (EXTRAPOLATE, WARP):
-        return REWARP
-    return makers[slot - 1]
+        letters = (TILE_PATHS[name][slot - 1] for name in self.paths)
+        return TileMakers(self.columns, self.rows, "".join(letters))
 
 
 def paths_from_makers(second: TileMakers, third: TileMakers) -> tuple[str, ...]:
     """Return the path of each tile by the makers of slots 2 and 3; KeyError for no path."""
-    pairs = {
-        (MAKER_LETTERS[_tile_maker(p, 2)], MAKER_LETTERS[_tile_maker(p, 3)]): p for p in TILE_PATHS
-    }
-    return tuple(pairs[pair] for pair in zip(second.letters, third.letters, strict=True))
+    path_of = {letters[1:]: name for name, letters in TILE_PATHS.items()}
+    pairs = zip(second.letters, third.letters, strict=True)
+    return tuple(path_of[a + b] for a, b in pairs)

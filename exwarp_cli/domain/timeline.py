@@ -63,8 +63,14 @@ class Timeline:
             raise MissingFrameError("the sequence has no frames; check the path or pattern")
         step = number_step(ordered)
         if gaps := [(a, b) for a, b in pairwise(ordered) if b - a != step]:
+            # By their ends: a list could be as long as the largest number.
+            ends = [
+                (before + step, before + (after - before - 1) // step * step)
+                for before, after in gaps
+            ]
+            missing = ",".join(f"{a}-{b}" if b > a else str(a) for a, b in ends)
             raise MissingFrameError(
-                f"frame {_name_missing(gaps, step)} is missing from the sequence "
+                f"frame {missing} is missing from the sequence "
                 f"{ranges(ordered)}; render it, or move the frames on one side of the gap "
                 "elsewhere"
             )
@@ -187,16 +193,6 @@ def ranges(numbers: Collection[int]) -> str:
     from fileseq.frameset import FrameSet
 
     return str(FrameSet(ordered))
-
-
-def _name_missing(gaps: list[tuple[int, int]], step: int) -> str:
-    # By their ends: a list could be as long as the largest number.
-    named = []
-    for before, after in gaps:
-        count = (after - before - 1) // step
-        first, last = before + step, before + count * step
-        named.append(f"{first}-{last}" if count > 1 else str(first))
-    return ",".join(named)
 
 
 # Relative distance at which a rate counts as a standard one: 23.98 is 24000/1001, not 24.

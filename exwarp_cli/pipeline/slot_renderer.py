@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.decision import Decision, Features, Plan, Trial, infer_maker, timing_step
+from exwarp_cli.domain.decision import TIMING_STEPS, Decision, Features, Plan, Trial, infer_maker
 from exwarp_cli.domain.frame import Bool, Image, place_on_canvas
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.tiles import Risk, TileMakers, TilePlan
@@ -79,7 +79,7 @@ class SlotRenderer:
             predicted = self._predict(around, plan, index)
         if part is not None:
             around.forget(index)
-        timing[timing_step(predicted.made_by)] = timing.pop("render")
+        timing[TIMING_STEPS.get(predicted.made_by, predicted.made_by)] = timing.pop("render")
         image = Image(predicted.pixels, interval.key.image.data_window, self.source.keys.display)
         template, layers = inputs.template, {}
         if self.layers.any:

@@ -29,7 +29,6 @@ from exwarp_cli.domain.decision import (
     Decision,
     Features,
     Plan,
-    find_path,
     walk_tree,
 )
 from exwarp_cli.domain.frame import Bool, GBuffer, Int32
@@ -252,7 +251,7 @@ class LearnedPolicy:
             )
             return CHOICES[chosen]
 
-        return Plan(find_path(dict(walk_tree(choose))), tuple(decisions))
+        return Plan(walk_tree(choose), tuple(decisions))
 
 
 # Nodes that decide about a tile; d1 always warps, as repeated frames are not wanted.

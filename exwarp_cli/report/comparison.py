@@ -39,13 +39,14 @@ from exwarp_cli.report.plots import Labels, draw_lines
 from exwarp_cli.report.schema import (
     FIRST_SCORES,
     LATER_COLUMNS,
+    LATER_HOLE_SCORES,
+    LATER_SCORES,
     escape_formula,
-    first_score_cells,
     format_csv,
-    later_score_cells,
     mean_scores,
-    replace_nonfinite,
+    score_cells,
     score_values,
+    to_plain,
 )
 from exwarp_cli.report.sentences import format_percent
 
@@ -72,7 +73,7 @@ def comparison_document(result: Comparison, baseline: Comparison | None = None) 
     ``baseline`` is there only if there is one, compared with the same reference.
     """
     worst, frames = result.worst, result.frames
-    document: dict[str, Any] = replace_nonfinite(
+    document: dict[str, Any] = to_plain(
         {
             "schema": SCHEMA,
             "version": __version__,
@@ -98,7 +99,7 @@ def comparison_document(result: Comparison, baseline: Comparison | None = None) 
         }
     )
     if baseline is not None:
-        quality = replace_nonfinite(_summarise_quality(baseline.frames))
+        quality = to_plain(_summarise_quality(baseline.frames))
         document[BASELINE] = _describe_sequence(baseline.test) | {"quality": quality}
     return document
 
@@ -126,9 +127,10 @@ def format_comparison_csv(result: Comparison) -> str:
     rows = (
         (
             *(frame.test, frame.reference, escape_formula(frame.file), frame.hole_fraction),
-            *first_score_cells(frame.score),
-            *first_score_cells(frame.hole_score),
-            *later_score_cells(frame.score, frame.hole_score),
+            *score_cells(frame.score, FIRST_SCORES),
+            *score_cells(frame.hole_score, FIRST_SCORES),
+            *score_cells(frame.score, LATER_SCORES),
+            *score_cells(frame.hole_score, LATER_HOLE_SCORES),
             *(escape_formula(frame.origin.kind), escape_formula(frame.origin.made_by)),
             frame.score.pulse,
         )
@@ -189,12 +191,8 @@ def _judge_limits(result: Comparison) -> list[dict[str, Any]]:
 def require_quality(result: Comparison) -> None:
     """Raise what a comparison fails by.
 
-    Raises
-    ------
-    UsageError
-        When a limit is on something that was not measured: nothing passes unseen.
-    QualityError
-        When a value is worse than its limit.
+    UsageError: a limit is on something that was not measured: nothing passes unseen. QualityError:
+    a value is worse than its limit.
     """
     verdicts = zip(result.measuring.thresholds, _judge_limits(result), strict=True)
     failed = [(limit, verdict["value"]) for limit, verdict in verdicts if not verdict["passed"]]
@@ -239,7 +237,7 @@ def add_baseline(album: Album, result: Comparison, baseline: Comparison) -> None
 def compare_page(
     result: Comparison,
     document: dict[str, Any],
-    album: Album | None = None,
+    album: Album,
     baseline: Comparison | None = None,
 ) -> Page:
     """Build the page of a comparison.
@@ -248,17 +246,16 @@ def compare_page(
     its frames, and gets facts and the frame rate.
     """
     base_scores = {f.reference: f.score for f in baseline.frames} if baseline else {}
-    if album is not None:
-        album.fps = result.fps
-        for frame in result.frames:
-            facts = score_facts(frame.score, frame.hole_score)
-            base = score_facts(base_scores.get(frame.reference), None)
-            facts |= {f"{name} of the {BASELINE}": text for name, text in base.items()}
-            if frame.reference != frame.test:
-                facts["reference frame"] = str(frame.reference)
-            if frame.hole_fraction is not None:
-                facts["holes"] = str(format_percent(frame.hole_fraction))
-            album.set_facts(frame.test, "", facts)
+    album.fps = result.fps
+    for frame in result.frames:
+        facts = score_facts(frame.score, frame.hole_score)
+        base = score_facts(base_scores.get(frame.reference), None)
+        facts |= {f"{name} of the {BASELINE}": text for name, text in base.items()}
+        if frame.reference != frame.test:
+            facts["reference frame"] = str(frame.reference)
+        if frame.hole_fraction is not None:
+            facts["holes"] = str(format_percent(frame.hole_fraction))
+        album.set_facts(frame.test, "", facts)
     test, reference = document["test"]["pattern"], document["reference"]["pattern"]
     numbers = [
         Number("Frames", f"{document['frames']:,}", f"matched by {document['matched_by']}"),
@@ -286,7 +283,7 @@ def compare_page(
         subtitle,
         numbers,
         (
-            Section("frames", "Frames", [Viewer(album)] if album and album.frames else []),
+            Section("frames", "Frames", [Viewer(album)] if album.frames else []),
             Section("quality", "Quality", _quality(result, document, album, base_scores)),
             Section("input", "Input", [_input(document)]),
         ),
@@ -296,7 +293,7 @@ def compare_page(
 def _quality(
     result: Comparison,
     document: dict[str, Any],
-    album: Album | None,
+    album: Album,
     base_scores: Mapping[int, Score],
 ) -> list[Block]:
     """Write tables and plots; `base_scores` are the baseline's by the reference's number."""

@@ -13,19 +13,14 @@ those of `exwarp_cli.domain.results.RunSummary` and the dataclasses in it.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
-from enum import Enum
-from fractions import Fraction
+from dataclasses import is_dataclass
 from functools import cache
 from hashlib import sha256
 from itertools import repeat
 from pathlib import Path
 from types import UnionType
 from typing import Any, get_args, get_origin, get_type_hints
-
-import numpy as np
 
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.timeline import ranges
@@ -38,22 +33,22 @@ from exwarp_cli.report.comparison import (
     comparison_document,
     format_comparison_csv,
 )
-from exwarp_cli.report.gallery import Album, format_album
+from exwarp_cli.report.gallery import Album
 from exwarp_cli.report.html import render
 from exwarp_cli.report.review import places_worth_a_look
 from exwarp_cli.report.schema import (
     format_frames_csv,
     format_review_csv,
-    format_review_txt,
     run_document,
     to_json,
+    to_plain,
 )
 from exwarp_cli.report.upsample_page import upsample_page
 
 REPORT_FILE = "report.json"
 FRAMES_FILE = "frames.csv"
 PLACES_FILE = "review.csv"
-RENDER_FILE = "review.txt"
+RENDER_FILE = "review.txt"  # frames most worth rendering, as farms take them: 12,15-18; or nothing
 PAGE_FILE = "report.html"
 # What `exwarp merge-reports` reads: the run without loss, and its pictures.
 RUN_FILE = "run.json"
@@ -87,14 +82,8 @@ def chunk_reports(report: Path) -> list[Path]:
 def prepare_report(folder: Path, replace: bool, option: str = "--report") -> None:
     """Make the folder of a report before the work, and refuse to replace one unless asked.
 
-    `option` names the folder on the command line.
-
-    Raises
-    ------
-    OutputExistsError
-        When it holds a report and `replace` is False.
-    OutputError
-        When the folder cannot be made.
+    `option` names the folder on the command line. OutputExistsError: it holds a report and
+    `replace` is False. OutputError: it cannot be made.
     """
     refuse_report(folder, replace, option)
     make_folder(folder)
@@ -112,12 +101,7 @@ def refuse_report(folder: Path, replace: bool, option: str = "--report") -> None
 def prepare_comparison(folder: Path) -> None:
     """Make the folder before the work; a comparison replaces the one before it and nothing else.
 
-    Raises
-    ------
-    OutputExistsError
-        When it holds a report of another kind.
-    OutputError
-        When the folder cannot be made.
+    OutputExistsError: it holds a report of another kind. OutputError: it cannot be made.
     """
     report = folder / REPORT_FILE
     if path_exists(report):
@@ -134,23 +118,21 @@ def prepare_comparison(folder: Path) -> None:
     remove_leftovers(folder)
 
 
-def write_report(folder: Path, run: RunSummary, album: Album | None = None) -> None:
+def write_report(folder: Path, run: RunSummary, album: Album) -> None:
     """Write, or replace, all files of the report of a run; `album` has the page's pictures.
 
-    Raises
-    ------
-    OutputError
-        When the folder cannot be made or a file cannot be written.
+    OutputError: the folder cannot be made or a file cannot be written.
     """
     document = run_document(run)
     page = render(upsample_page(run, document, album))
     report = to_json(document)
+    render_list = document["review"]["render"] if document["review"] else ""
     texts = {
         FRAMES_FILE: format_frames_csv(run.frames),
         PLACES_FILE: format_review_csv(places_worth_a_look(run)),
-        RENDER_FILE: format_review_txt(run.frames),
+        RENDER_FILE: f"{render_list}\n" if render_list else "",
         RUN_FILE: format_run(run, report),
-        ALBUM_FILE: format_album(album),
+        ALBUM_FILE: to_json(album.to_plain(), compact=True),
         PAGE_FILE: page,
         REPORT_FILE: report,
     }
@@ -158,10 +140,7 @@ def write_report(folder: Path, run: RunSummary, album: Album | None = None) -> N
 
 
 def write_comparison(
-    folder: Path,
-    result: Comparison,
-    album: Album | None = None,
-    baseline: Comparison | None = None,
+    folder: Path, result: Comparison, album: Album, baseline: Comparison | None = None
 ) -> None:
     """Write the files of a comparison; as `write_report` does."""
     document = comparison_document(result, baseline)
@@ -180,17 +159,15 @@ def _write_files(folder: Path, texts: Mapping[str, str]) -> None:
 def format_run(run: RunSummary, report: str) -> str:
     """Write run.json; `report` is the text of the report.json beside it."""
     digest = sha256(report.encode()).hexdigest()
-    document = {"schema": RUN_SCHEMA, "report_sha256": digest, "run": _encode(run)}
-    return json.dumps(document, allow_nan=False, separators=(",", ":")) + "\n"
+    document = {"schema": RUN_SCHEMA, "report_sha256": digest, "run": to_plain(run, lossless=True)}
+    return to_json(document, compact=True)
 
 
 def parse_run(text: str, report: str) -> RunSummary:
     """Read run.json back.
 
-    Raises
-    ------
-    ValueError, TypeError, LookupError, AttributeError, RecursionError
-        When it holds something else, or belongs to another report.json than `report`.
+    ValueError, TypeError, LookupError, AttributeError or RecursionError: it holds something else,
+    or belongs to another report.json than `report`.
     """
     document = json.loads(text)
     digest = sha256(report.encode()).hexdigest()
@@ -200,27 +177,11 @@ def parse_run(text: str, report: str) -> RunSummary:
     return run
 
 
-def _encode(value: Any) -> Any:
-    if is_dataclass(value):
-        return {field.name: _encode(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, dict):
-        return {key: _encode(item) for key, item in value.items()}
-    if isinstance(value, tuple):
-        return [_encode(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, Fraction) or (isinstance(value, float) and not math.isfinite(value)):
-        return str(value)
-    return value
-
-
 _type_hints = cache(get_type_hints)
 
 
 def _decode(kind: Any, value: Any) -> Any:
-    """Return a value of an annotated type from what `_encode` returned; refuse other types."""
+    """Return a value of an annotated type from what `to_plain` returned; refuse other types."""
     if kind in (int, str, bool):
         if type(value) is not kind:
             raise TypeError(f"{value!r} is no {kind.__name__}")

@@ -252,32 +252,15 @@ class Gallery:
             added.pictures[KEY] = self._key[1]
 
 
-def format_album(album: Album | None) -> str:
-    """Write album.json."""
-    plain = {"frames": [], "images": []} if album is None else album.to_plain()
-    return json.dumps(plain, allow_nan=False, separators=(",", ":")) + "\n"
-
-
 def merge_albums(
     files: Sequence[Path], numbers: Sequence[Collection[int]], run: RunSummary
 ) -> tuple[Album, list[Path]]:
     """Return the album of a joined run, of no more frames and bytes than that of a single one.
 
-    Parameters
-    ----------
-    files
-        The album.json of each report that was joined. One is in memory at a time.
-    numbers
-        The frames that each report is asked for.
-    run
-        What the reports were joined into; its key intervals are chosen as for one gallery.
-
-    Returns
-    -------
-    album : Album
-        Without facts.
-    unreadable : list of Path
-        Files that are missing or damaged.
+    `files` are the album.json of each report that was joined, one of which is in memory at a time;
+    `numbers` the frames that each report is asked for. Key intervals of `run`, what the reports
+    were joined into, are chosen as for one gallery. The album has no facts. Returned beside it are
+    the files that are missing or damaged.
     """
     file_of: dict[int, Path] = {}
     unreadable = []
@@ -290,7 +273,18 @@ def merge_albums(
         else:
             file_of |= dict.fromkeys((number for number in there if number in asked), file)
 
-    chosen = _choose_frames(run, file_of)
+    # Whole key intervals, as a gallery chooses them, and the worst frame.
+    intervals: dict[int, list[int]] = {}
+    for frame in run.frames:
+        intervals.setdefault(frame.key, []).append(frame.number)
+    groups = list(intervals.values())
+    worst = worst_frame(frame for frame in run.frames if frame.number in file_of)
+    chosen = set() if worst is None else {worst}
+    complete = [i for i, group in enumerate(groups) if all(n in file_of for n in group)]
+    for choice in choose_groups(groups) if complete else ():
+        # Albums of long chunks lack intervals, so that the nearest one has to do.
+        chosen.update(groups[min(complete, key=lambda i: abs(i - choice))])
+
     room, longest = limit_pictures(len(chosen))
     frames: dict[int, Shown] = {}
     for file in dict.fromkeys(file_of[number] for number in sorted(chosen)):
@@ -337,22 +331,6 @@ def _read_frames(
     ]
 
 
-def _choose_frames(run: RunSummary, available: Collection[int]) -> set[int]:
-    """Choose whole key intervals, as a gallery does, and the worst frame."""
-    intervals: dict[int, list[int]] = {}
-    for frame in run.frames:
-        intervals.setdefault(frame.key, []).append(frame.number)
-    groups = list(intervals.values())
-    worst = worst_frame(frame for frame in run.frames if frame.number in available)
-    chosen = set() if worst is None else {worst}
-    complete = [i for i, group in enumerate(groups) if all(n in available for n in group)]
-    if complete:
-        for wanted in choose_groups(groups):
-            # Albums of long chunks lack intervals, so that the nearest one has to do.
-            chosen.update(groups[min(complete, key=lambda i: abs(i - wanted))])
-    return chosen
-
-
 def worst_frame(frames: Iterable[FrameRecord]) -> int | None:
     """Return the number of the worst frame, the first of equally bad ones.
 
@@ -379,7 +357,8 @@ def choose_groups(groups: Sequence[Sequence[int]]) -> list[int]:
         return list(range(count))
     spread = min(max(round(SPREAD_SHARE * limit), 2), limit)
     first = (count - (limit - spread)) // 2
-    return sorted({*evenly_spaced(count, spread), *range(first, first + limit - spread)})
+    evenly = (round(i * (count - 1) / max(spread - 1, 1)) for i in range(spread))
+    return sorted({*evenly, *range(first, first + limit - spread)})
 
 
 def limit_pictures(frames: int, sources: int = 2) -> tuple[int, int]:
@@ -389,12 +368,3 @@ def limit_pictures(frames: int, sources: int = 2) -> tuple[int, int]:
     """
     room = min(PICTURE_BYTES, int(BUDGET / ((1.5 * sources - 0.5) * (frames + 1))))
     return room, LONGEST_OF_MANY if frames > MANY_FRAMES else LONGEST
-
-
-def evenly_spaced(count: int, limit: int) -> list[int]:
-    """Return at most `limit` indices out of `count`, evenly, with the first and the last."""
-    if count <= limit:
-        return list(range(count))
-    if limit == 1:
-        return [0]
-    return sorted({round(i * (count - 1) / (limit - 1)) for i in range(limit)})

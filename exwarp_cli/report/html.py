@@ -10,9 +10,8 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from markupsafe import Markup
 
@@ -23,9 +22,6 @@ from exwarp_cli.report.gallery import Album
 from exwarp_cli.report.plots import ROLES, SERIES, Figure, Labels, Values, draw_lines, quiet
 from exwarp_cli.report.schema import score_values
 from exwarp_cli.report.sentences import format_number
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
 
 HEAT_STEPS = 24  # colours that the error map is interpolated from
 
@@ -98,27 +94,8 @@ class Page:
 def render(page: Page) -> str:
     """Write a page as HTML; the same page gives the same text.
 
-    Returns
-    -------
-    str
-        Valid Unicode: bytes of a file name that are none are spelled out as ``\\udcff``.
+    It is valid Unicode: bytes of a file name that are none are spelled out as ``\\udcff``.
     """
-    text = (
-        _environment()
-        .get_template("page.html")
-        .render(
-            page=page,
-            sections=[section for section in page.sections if section.blocks],
-            version=__version__,
-            roles=ROLES,
-            series=range(SERIES),
-        )
-    )
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")
-
-
-@cache
-def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -134,7 +111,14 @@ def _environment() -> Environment:
         "kind_of": lambda block: type(block).__name__.lower(),
         "viewer_data": viewer_data,
     }
-    return environment
+    text = environment.get_template("page.html").render(
+        page=page,
+        sections=[section for section in page.sections if section.blocks],
+        version=__version__,
+        roles=ROLES,
+        series=range(SERIES),
+    )
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def viewer_data(album: Album) -> Markup:
@@ -142,21 +126,17 @@ def viewer_data(album: Album) -> Markup:
 
     It can stand inside a script element: no ``<``, only ASCII.
     """
-    plain = album.to_plain() | {"heat": heat_colours(), "fps": album.fps}
+    with quiet():
+        from matplotlib import colormaps
+
+    # Colours of the error map, dark for none.
+    magma = colormaps["magma"]([i / (HEAT_STEPS - 1) for i in range(HEAT_STEPS)])
+    heat = [[round(255 * float(part)) for part in colour[:3]] for colour in magma]
+    plain = album.to_plain() | {"heat": heat, "fps": album.fps}
     text = json.dumps(plain, allow_nan=False, separators=(",", ":"))
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
     return Markup(text)
-
-
-@cache
-def heat_colours() -> list[list[int]]:
-    """Return the colours of the error map, dark for none: matplotlib's magma."""
-    with quiet():
-        from matplotlib import colormaps
-
-    steps = [i / (HEAT_STEPS - 1) for i in range(HEAT_STEPS)]
-    return [[round(255 * part) for part in colormaps["magma"](s)[:3]] for s in steps]
 
 
 _NUMBER = re.compile(r"[-+]?[0-9][0-9,]*([.][0-9]+)?( ?(%|dB|ms|s|fps|min|h|MB|KB))?")
@@ -267,7 +247,7 @@ def metric_plots(
 def worst_tables(
     numbers: Sequence[int],
     scores: Sequence[Score | None],
-    album: Album | None,
+    album: Album,
     makers: Sequence[str] = (),
 ) -> list[Table]:
     """List the worst frames by the first metric that was measured; no table where none was.
@@ -287,7 +267,6 @@ def worst_tables(
     return [Table(f"Worst frames by {metric.name}", columns, rows)]
 
 
-def frame_cell(number: int, album: Album | None) -> Cell:
+def frame_cell(number: int, album: Album) -> Cell:
     """Write a frame's number; it leads to the viewer if that has the frame."""
-    shown = album is not None and number in album.frames
-    return Link(str(number), f"#viewer:{number}") if shown else str(number)
+    return Link(str(number), f"#viewer:{number}") if number in album.frames else str(number)

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.results import FrameRecord, RunSummary, join_cuts
+from exwarp_cli.domain.results import RunSummary, join_cuts
 from exwarp_cli.domain.timeline import list_numbers, ranges
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.report.comparison import SCHEMA as COMPARISON
@@ -37,6 +37,9 @@ from exwarp_cli.report.schema import SCHEMA, run_document
 MAX_VALUE = 120
 
 _AGAIN = "do its key frames again with --report, or leave it out"
+
+# What reading a report raises that holds something else.
+_NO_RUN = (AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
 @dataclass(frozen=True)
@@ -66,50 +69,47 @@ def merge_reports(
 ) -> Merged:
     """Merge reports into one, and write it.
 
-    Parameters
-    ----------
-    folders
-        Of reports, or of what chunks reported to: a folder without a report of its own stands for
-        those in its ``chunks``, of which the newest count.
-    output
-        The folder to write to; None for the only one of `folders`, whose ``chunks`` are merged.
-    replace
-        True if a report in it may be replaced.
+    `folders` are those of reports, or what chunks reported to: a folder without a report of its own
+    stands for those in its ``chunks``, of which the newest count. `output` is the folder to write
+    to; None for the only one of `folders`, whose ``chunks`` are merged. `replace` is True if a
+    report in it may be replaced.
 
-    Raises
-    ------
-    UsageError
-        When nothing says where to write.
-    InputError
-        When a report cannot be read, or they do not belong together.
-    OutputError
-        When the report cannot be written; OutputExistsError when `output` holds one.
+    UsageError: nothing says where to write. InputError: a report cannot be read, or they do not
+    belong together. OutputError: the report cannot be written; OutputExistsError: there is one.
     """
-    if output is None:
-        if len(folders) > 1:
-            raise UsageError("several reports are named; say with -o where the joined one goes")
-        target = folders[0]
-        chunks = chunk_reports(target)
-        if not chunks:
+    if output is None and len(folders) > 1:
+        raise UsageError("several reports are named; say with -o where the joined one goes")
+    selected: Selection = {}
+    superseded: list[Path] = []
+    for folder in {folder.resolve(): folder for folder in folders}.values():
+        # Without -o, a report of the folder's own is the one to write.
+        if output is not None and (folder / REPORT_FILE).exists():
+            selected[folder] = None
+            continue
+        chunks = chunk_reports(folder)
+        if not chunks and output is None:
             raise InputError(
-                f"{target} holds no {CHUNKS}/*/{REPORT_FILE}, as upsample --report {target} "
+                f"{folder} holds no {CHUNKS}/*/{REPORT_FILE}, as upsample --report {folder} "
                 "--as-chunk writes it; name the folders of the reports themselves, and with -o "
                 "where to write"
             )
-        selected, superseded = _select_newest(chunks)
-    else:
-        target = output
-        selected, superseded = _select_reports(folders)
-        if output.resolve() in {folder.resolve() for folder in selected}:
-            raise UsageError(
-                f"-o {output} is one of the reports that are joined; name another folder"
+        if not chunks:
+            raise InputError(
+                f"{folder} holds no {REPORT_FILE}; name folders that upsample --report wrote"
             )
-    runs = {folder: _read_run(folder) for folder in selected}
-    for folder, keys in selected.items():
-        if keys is not None:
-            runs[folder] = part_of_run(runs[folder], keys)
+        newest, older = _select_newest(chunks)
+        selected |= newest
+        superseded += older
+    unique = {folder.resolve(): folder for folder in selected}
+    if output is not None and output.resolve() in unique:
+        raise UsageError(f"-o {output} is one of the reports that are joined; name another folder")
+    runs: dict[Path, RunSummary] = {}
+    for folder in unique.values():
+        run, keys = _read_run(folder), selected[folder]
+        runs[folder] = run if keys is None else part_of_run(run, keys)
 
-    run = merge_runs(list(runs.values()), [str(folder) for folder in runs])
+    run = merge_runs({str(folder): run for folder, run in runs.items()})
+    target = output or folders[0]
     prepare_report(target, replace, "-o")
     numbers = [{frame.number for frame in part.frames} for part in runs.values()]
     album, unreadable = merge_albums([folder / ALBUM_FILE for folder in runs], numbers, run)
@@ -122,54 +122,34 @@ def merge_reports(
 Selection = dict[Path, frozenset[int] | None]
 
 
-def _select_reports(folders: Sequence[Path]) -> tuple[Selection, list[Path]]:
-    """Return the reports that folders stand for, each once: their own, else those of chunks."""
-    selected: Selection = {}
-    superseded: list[Path] = []
-    for folder in {folder.resolve(): folder for folder in folders}.values():
-        if (folder / REPORT_FILE).exists():
-            selected[folder] = None
-            continue
-        chunks = chunk_reports(folder)
-        if not chunks:
-            raise InputError(
-                f"{folder} holds no {REPORT_FILE}; name folders that upsample --report wrote"
-            )
-        newest, older = _select_newest(chunks)
-        selected |= newest
-        superseded += older
-    unique = {folder.resolve(): folder for folder in selected}
-    return {folder: selected[folder] for folder in unique.values()}, superseded
-
-
 def _select_newest(folders: Sequence[Path]) -> tuple[Selection, list[Path]]:
     """Assign each key frame to the newest report that has it.
 
-    Returns
-    -------
-    selected : dict
-        Reports of which anything counts, in the order of `folders`.
-    superseded : list of Path
-        Reports with key frames of which newer ones count.
+    Return what counts, in the order of `folders`, and the reports with key frames of which newer
+    ones count.
     """
-
-    def finished_ns(folder: Path) -> int:
+    finished_ns: dict[Path, int] = {}
+    keys: dict[Path, frozenset[int]] = {}
+    for folder in folders:
         path = folder / REPORT_FILE
         try:
-            return path.stat().st_mtime_ns
+            finished_ns[folder] = path.stat().st_mtime_ns
         except OSError as error:
             raise InputError(f"cannot read {path}: {error.strerror or error}; {_AGAIN}") from error
+        _, document = _read_report(folder)
+        try:
+            numbers = list_numbers(document["input"]["selected"] or "")
+            keys[folder] = frozenset(map(int, numbers))
+        except _NO_RUN as error:
+            raise _unusable(folder, document) from error
 
     covered: frozenset[int] = frozenset()
-    keys: dict[Path, frozenset[int]] = {}
     remaining: dict[Path, frozenset[int]] = {}
-    newest_first = sorted(folders, key=finished_ns, reverse=True)
-    for _, group in groupby(newest_first, key=finished_ns):
+    newest_first = sorted(folders, key=finished_ns.__getitem__, reverse=True)
+    for _, group in groupby(newest_first, key=finished_ns.__getitem__):
         # Of the same moment none is newer: merging refuses frames that are in two of them.
         same_moment = list(group)
-        for folder in same_moment:
-            keys[folder] = _read_keys(folder)
-            remaining[folder] = keys[folder] - covered
+        remaining |= {folder: keys[folder] - covered for folder in same_moment}
         covered = covered.union(*(keys[folder] for folder in same_moment))
     selected = {
         folder: None if remaining[folder] == keys[folder] else remaining[folder]
@@ -179,25 +159,8 @@ def _select_newest(folders: Sequence[Path]) -> tuple[Selection, list[Path]]:
     return selected, [folder for folder in folders if remaining[folder] != keys[folder]]
 
 
-def _read_keys(folder: Path) -> frozenset[int]:
-    """Read the input numbers of a report's key frames from report.json, which is small."""
-    _, document = _read_report(folder)
-    try:
-        return frozenset(map(int, list_numbers(document["input"]["selected"] or "")))
-    except (AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
-        raise _unusable(folder, document) from error
-
-
 def _read_run(folder: Path) -> RunSummary:
-    """Read what `write_report` wrote.
-
-    Raises
-    ------
-    InputError
-        When a file cannot be read, or the report is one of another kind.
-    DamagedFileError
-        When a file is damaged or was changed, or is of a version that wrote something else.
-    """
+    """Read what `write_report` wrote; InputError or DamagedFileError if it is something else."""
     report, document = _read_report(folder)
     if not (folder / RUN_FILE).exists():
         raise InputError(
@@ -207,7 +170,7 @@ def _read_run(folder: Path) -> RunSummary:
     text = _read_text(folder / RUN_FILE)
     try:
         return parse_run(text, report)
-    except (AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+    except _NO_RUN as error:
         raise _unusable(folder, document) from error
 
 
@@ -283,36 +246,20 @@ def missing_keys(run: RunSummary) -> list[int]:
     return sorted(set(run.input.numbers) - set(run.selected))
 
 
-def merge_runs(runs: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSummary:
-    """Merge what chunks of one run found out.
+def merge_runs(runs: Mapping[str, RunSummary]) -> RunSummary:
+    """Merge what chunks of one run found out into what the run that does all their frames would.
 
-    Parameters
-    ----------
-    runs
-        In any order, at least one. No frame may be in two of them.
-    names
-        What messages call them, such as the folders of their reports; by default their key frames.
+    `runs` are at least one, in any order, by what messages call them, such as the folders of their
+    reports. The `wall_seconds` are the sum: the time that machines spent, not the time that passed.
+    Where machines may differ, as in paths, the value is that of the part with the first frames.
 
-    Returns
-    -------
-    RunSummary
-        That of the run that does all their frames. Its `wall_seconds` is the sum: the time that
-        machines spent, not the time that passed. Where machines may differ, as in paths, it has the
-        value of the part with the first frames.
-
-    Raises
-    ------
-    InputError
-        When they are no parts of one run, or two have the same frame.
+    InputError: they are no parts of one run, or two have the same frame.
     """
-    names = names or [f"the run of key frames {ranges(run.selected) or 'none'}" for run in runs]
-    parts = sorted(
-        zip(runs, names, strict=True), key=lambda part: (part[0].selected, part[0].input.pattern)
-    )
-    ordered = [run for run, _ in parts]
-    first, first_name = parts[0]
+    parts = sorted(runs.items(), key=lambda part: (part[1].selected, part[1].input.pattern))
+    ordered = [run for _, run in parts]
+    first_name, first = parts[0]
     common = _common_facts(first)
-    for run, name in parts[1:]:
+    for name, run in parts[1:]:
         for fact, value in _common_facts(run).items():
             if value != common[fact]:
                 raise InputError(
@@ -320,12 +267,20 @@ def merge_runs(runs: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSumm
                     f"{_format_value(common[fact])} in the one and {_format_value(value)} in the "
                     "other; join only what one command did in chunks"
                 )
+    frames = [(frame, name) for name, run in parts for frame in run.frames]
+    frames.sort(key=lambda entry: entry[0].number)
+    for (frame, name), (later, later_name) in pairwise(frames):
+        if frame.number == later.number:
+            raise InputError(
+                f"frame {frame.number} is in {name} and again in {later_name}; leave one of them "
+                "out"
+            )
     files = dict.fromkeys(file for run in ordered for file in run.files)
     left_out = [interval for run in ordered for interval in run.left_out]
     verified = [run.verified for run in ordered]
     return replace(
         first,
-        frames=_merge_frames(parts),
+        frames=tuple(frame for frame, _ in frames),
         keys=tuple(sorted({key for run in ordered for key in run.selected})),
         cuts=join_cuts(run.cuts for run in ordered),
         wall_seconds=sum(run.wall_seconds for run in ordered),
@@ -335,18 +290,6 @@ def merge_runs(runs: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSumm
         verified=None if None in verified else sum(count or 0 for count in verified),
         nonfinite=tuple(pixels for run in ordered for pixels in run.nonfinite),
     )
-
-
-def _merge_frames(parts: Sequence[tuple[RunSummary, str]]) -> tuple[FrameRecord, ...]:
-    frames = [(frame, name) for run, name in parts for frame in run.frames]
-    frames.sort(key=lambda entry: entry[0].number)
-    for (frame, name), (later, later_name) in pairwise(frames):
-        if frame.number == later.number:
-            raise InputError(
-                f"frame {frame.number} is in {name} and again in {later_name}; leave one of them "
-                "out"
-            )
-    return tuple(frame for frame, _ in frames)
 
 
 def _format_value(value: Any) -> str:

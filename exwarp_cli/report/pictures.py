@@ -51,10 +51,7 @@ class Picture:
     def from_plain(cls, plain: Mapping[str, Any]) -> Picture:
         """Return the picture that `to_plain` described.
 
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            When it describes none.
+        KeyError, TypeError or ValueError: it describes none.
         """
         media, _, text = plain["url"].removeprefix("data:").partition(";base64,")
         if media not in (WEBP, PNG):
@@ -81,16 +78,8 @@ class Picture:
 def shrink(pixels: Float32, longest: int = LONGEST) -> Float32:
     """Shrink an image so that its longest side is at most `longest` pixels.
 
-    Parameters
-    ----------
-    pixels
-        float32 [H, W, 3] or more, scene-linear; NaN and negative values become 0, infinities
-        HIGHEST.
-
-    Returns
-    -------
-    float32 [H', W', 3]
-        The mean over the area of each pixel, 0 to HIGHEST.
+    From float32 [H, W, 3] or more, scene-linear, to float32 [H', W', 3], 0 to HIGHEST: the mean
+    over the area of each pixel. NaN and negative values become 0, infinities HIGHEST.
     """
     colour = np.nan_to_num(pixels[..., :3].astype(np.float32), nan=0.0, posinf=HIGHEST, neginf=0.0)
     return np.stack([_shrink_plane(colour[..., c].clip(0, HIGHEST), longest) for c in range(3)], -1)

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import numpy.typing as npt
 from markupsafe import Markup, escape
 
 if TYPE_CHECKING:
@@ -101,6 +103,7 @@ class Labels:
     x: str = ""  # axes, with units; empty for none
     y: str = ""
     description: str = ""  # what it shows in a sentence, for those who do not see it
+    note: str = ""  # a line below it
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,6 @@ class Figure:
 
     labels: Labels
     svg: str  # with `IDS` before every id
-    note: str = ""  # a line below it
 
     def numbered(self, name: str) -> Markup:
         """Return the SVG with ids that begin with a name, which has to be unique in the page."""
@@ -138,17 +140,18 @@ def draw_lines(
     """
     with _canvas(2.3) as canvas:
         axes = _add_axes(canvas, labels)
+        at = np.asarray(x)
         for i, (name, values) in enumerate(series.items()):
-            points = thin_out(values)
+            points, y = thin_out(values), _to_floats(values)
             marker = MARKERS[i % len(MARKERS)] if len(points) <= 60 else None
             axes.plot(
-                *_select(x, values, points), color=_series_colour(i), label=name, marker=marker,
+                at[points], y[points], color=_series_colour(i), label=name, marker=marker,
                 markersize=3.5,
             )  # fmt: skip
             rings = [j for j in marked if values[j] is not None]
             if rings:
                 axes.plot(
-                    *_select(x, values, rings), linestyle="none", marker="o", markersize=9,
+                    at[rings], y[rings], linestyle="none", marker="o", markersize=9,
                     markerfacecolor="none", markeredgecolor=COLOURS["mark"], zorder=5,
                     markeredgewidth=1.6,
                 )  # fmt: skip
@@ -167,13 +170,13 @@ def draw_points(
     """Draw one value a frame, coloured by what made the frame, a word out of KINDS each."""
     with _canvas(2.5) as canvas:
         axes = _add_axes(canvas, labels)
-        points = thin_out(values)
-        axes.plot(*_select(x, values, points), color=COLOURS["grid"], linewidth=1)
+        at, points, y = np.asarray(x), thin_out(values), _to_floats(values)
+        axes.plot(at[points], y[points], color=COLOURS["grid"], linewidth=1)
         for kind in dict.fromkeys(kinds):
             of_kind = [j for j in points if kinds[j] == kind and values[j] is not None]
             if of_kind:
                 axes.plot(
-                    *_select(x, values, of_kind), linestyle="none", color=COLOURS[kind_role(kind)],
+                    at[of_kind], y[of_kind], linestyle="none", color=COLOURS[kind_role(kind)],
                     marker=KINDS.get(kind, "."), markersize=4, label=kind,
                 )  # fmt: skip
         _mark_frames(axes, x, cuts)
@@ -187,16 +190,9 @@ def draw_bars(
     series: Mapping[str, Values],
     references: Mapping[str, Values] | None = None,
 ) -> Figure:
-    """Draw a group of bars for each name.
+    """Draw groups of bars with their names below: in each, a bar of every series.
 
-    Parameters
-    ----------
-    groups
-        Names below the groups.
-    series
-        A value for each group; a bar of each in every group.
-    references
-        By series, values that are marked across its bars: the paper's.
+    `references` are, by series, values that are marked across its bars: the paper's.
     """
     width = 0.8 / max(len(series), 1)
     is_in_legend = False  # the first mark stands for all
@@ -231,20 +227,10 @@ def draw_stacked_bars(
     groups: Sequence[str],
     parts: Mapping[str, Values],
     kinds: bool = False,
-    note: str = "",
 ) -> Figure:
-    """Draw one horizontal bar a group, made of parts.
+    """Draw one horizontal bar a group, made of parts: a length for each group, None counts as 0.
 
-    Parameters
-    ----------
-    groups
-        Names beside the bars.
-    parts
-        A length for each group; None counts as 0.
-    kinds
-        True if the parts are named out of KINDS and coloured so.
-    note
-        A line below it.
+    `kinds` is True if the parts are named out of KINDS and coloured so.
     """
     with _canvas(1.1 + 0.34 * len(groups)) as canvas:
         axes = _add_axes(canvas, labels)
@@ -262,7 +248,7 @@ def draw_stacked_bars(
         axes.invert_yaxis()
         axes.grid(False, axis="y")
         _draw_legend(axes, max(len(parts), 2))
-        return _finish(canvas, labels, note)
+        return _finish(canvas, labels)
 
 
 def draw_histogram(
@@ -307,7 +293,8 @@ def draw_series_panels(labels: Labels, x: Sequence[float], series: Mapping[str, 
     with _canvas(0.5 + 0.75 * max(len(series), 1)) as canvas:
         grid = canvas.subplots(len(series), 1, sharex=True, squeeze=False)
         for axes, (name, values) in zip(grid.flat, series.items(), strict=True):
-            axes.plot(*_select(x, values, thin_out(values)), color=_series_colour(0))
+            points = thin_out(values)
+            axes.plot(np.asarray(x)[points], _to_floats(values)[points], color=_series_colour(0))
             axes.set_ylabel(name, rotation=0, ha="right", va="center")
             axes.locator_params(axis="y", nbins=3)
             _mark_frames(axes, x)
@@ -321,17 +308,11 @@ def draw_timeline(
     columns: Sequence[Sequence[TimelineCell | None]],
     kinds: Sequence[str],
 ) -> Figure:
-    """Draw coloured cells: a row a slot, a column a key interval.
+    """Draw coloured cells: a row a slot, from the top, and a column a key interval.
 
-    Parameters
-    ----------
-    rows
-        Names of the rows, from the top.
-    columns
-        For each column a cell a row; None stays empty. Of more than TIMELINE_COLUMNS, neighbours
-        share a column: its colour is the most frequent, and its hint counts the others.
-    kinds
-        The kinds that appear, for the legend.
+    Cells that are None stay empty. Of more than TIMELINE_COLUMNS, neighbours share a column: its
+    colour is the most frequent, and its hint counts the others. `kinds` are those that appear, for
+    the legend.
     """
     shared = columns
     if len(columns) > TIMELINE_COLUMNS:
@@ -402,14 +383,8 @@ def _series_colour(index: int) -> str:
     return COLOURS[f"c{index % SERIES}"]
 
 
-def _to_floats(values: Values) -> list[float]:
-    return [math.nan if value is None else float(value) for value in values]
-
-
-def _select(
-    x: Sequence[float], values: Values, indices: Sequence[int]
-) -> tuple[list[float], list[float]]:
-    return [x[j] for j in indices], _to_floats([values[j] for j in indices])
+def _to_floats(values: Values) -> npt.NDArray[np.float64]:
+    return np.array(values, np.float64)  # None becomes NaN
 
 
 def _mark_frames(axes: Axes, x: Sequence[float], cuts: Sequence[float] = ()) -> None:
@@ -454,7 +429,7 @@ def _add_axes(canvas: Canvas, labels: Labels) -> Axes:
     return axes
 
 
-def _finish(canvas: Canvas, labels: Labels, note: str = "") -> Figure:
+def _finish(canvas: Canvas, labels: Labels) -> Figure:
     """Turn a canvas into an SVG element for HTML; the same input gives the same text.
 
     Letters that matplotlib's fonts lack do not matter, as the browser writes the text.
@@ -476,7 +451,7 @@ def _finish(canvas: Canvas, labels: Labels, note: str = "") -> Figure:
         body = body.replace(colour, f"var(--{name})")
     body = re.sub(r"\s*\n\s*", " ", body)
     opening = _svg_opening(box[1] if box else "0 0 1 1", labels)
-    return Figure(labels, opening + body.rstrip(), note)
+    return Figure(labels, opening + body.rstrip())
 
 
 @contextmanager

@@ -7,7 +7,7 @@ records alone, so that joined chunks have the lists of a single run.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -73,7 +73,17 @@ def frames_worth_rendering(frames: Iterable[FrameRecord]) -> list[int]:
     for _, frame in ranked:
         intervals.setdefault(frame.key, []).append(frame)
     squares = {frame.number: error**2 for error, frame in ranked}
-    gains = {frame.number: _gains(frame, intervals[frame.key]) for _, frame in ranked}
+    # Of each frame, the share of other frames' squared error that goes once it is rendered.
+    gains: dict[int, dict[int, float]] = {}
+    for _, frame in ranked:
+        gains[frame.number] = {frame.number: 1.0}
+        if frame.made_by in LOOKING_AHEAD:
+            interval = intervals[frame.key]
+            count = max(other.slot for other in interval) + 1
+            for other in interval:
+                if other is not frame:
+                    away = abs(other.slot - frame.slot) / count
+                    gains[frame.number][other.number] = max(GAIN_BESIDE - GAIN_FALLS * away, 0.0)
 
     def value(number: int) -> float:
         if squares[number] < RENDERED_FROM**2:
@@ -91,18 +101,6 @@ def frames_worth_rendering(frames: Iterable[FrameRecord]) -> list[int]:
             squares[number] *= 1 - share
         values |= {number: value(number) for number in gains[best]}
     return sorted(chosen)
-
-
-def _gains(rendered: FrameRecord, interval: Sequence[FrameRecord]) -> Mapping[int, float]:
-    """Return the share of each frame's squared error that goes once `rendered` is rendered."""
-    gains = {rendered.number: 1.0}
-    if rendered.made_by in LOOKING_AHEAD:
-        count = max(frame.slot for frame in interval) + 1
-        for frame in interval:
-            if frame is not rendered:
-                away = abs(frame.slot - rendered.slot) / count
-                gains[frame.number] = max(GAIN_BESIDE - GAIN_FALLS * away, 0.0)
-    return gains
 
 
 def places_worth_a_look(run: RunSummary) -> list[Place]:

@@ -11,7 +11,9 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -30,12 +32,7 @@ from exwarp_cli.domain.metric import GROUND_TRUTH, KEY_FRAMES, METRICS
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary, Score
 from exwarp_cli.domain.tiles import paths_from_makers
 from exwarp_cli.domain.timeline import ranges
-from exwarp_cli.report.review import (
-    PLACE_COLUMNS,
-    Place,
-    frames_worth_rendering,
-    summarise_review,
-)
+from exwarp_cli.report.review import PLACE_COLUMNS, Place, summarise_review
 
 SCHEMA = "exwarp.report/1"
 
@@ -110,20 +107,18 @@ def run_document(run: RunSummary) -> dict[str, Any]:
             "step": source.step,
             "selected": ranges(run.selected) or None,
         },
-        "frames": _count_frames(run.frames),
-        "fps": _frame_rates(run),
+        **_count_frames(run),
         "holes": _summarise_holes(between),
         "decisions": _summarise_decisions(run),
-        "quality": _summarise_quality(run.decides, between),
-        "pulse": _summarise_pulse(between),
+        **_summarise_quality(run.decides, between),
         "review": summarise_review(run),
         "timing_ms": {
             step: mean(f.timing_ms[step] for f in run.frames if step in f.timing_ms)
             for step in timed_steps(run.frames)
         },
-        "extrapolator": None if run.extrapolator is None else asdict(run.extrapolator),
-        "policy": None if run.policy is None else asdict(run.policy),
-        "interpolator": None if run.interpolator is None else asdict(run.interpolator),
+        "extrapolator": run.extrapolator,
+        "policy": run.policy,
+        "interpolator": run.interpolator,
         "render_time": render_time_saved(run),
         "cuts": None
         if run.cuts is None
@@ -131,33 +126,44 @@ def run_document(run: RunSummary) -> dict[str, Any]:
         "held": run.held,
         "views": run.views,
         "layers": run.layers,
-        "left_out": [asdict(interval) for interval in run.left_out],
-        "files": [asdict(file) for file in run.files],
+        "left_out": run.left_out,
+        "files": run.files,
         "verified": run.verified,
-        "nonfinite": [asdict(pixels) for pixels in run.nonfinite],
+        "nonfinite": run.nonfinite,
         "view_transform": run.view_transform,
         "wall_s": run.wall_seconds,
     }
-    plain: dict[str, Any] = replace_nonfinite(document)
+    plain: dict[str, Any] = to_plain(document)
     return plain
 
 
-def replace_nonfinite(value: Any) -> Any:
-    """Return nested dictionaries and lists with plain numbers; NaN and infinities become None."""
+def to_plain(value: Any, lossless: bool = False) -> Any:
+    """Return dataclasses, dictionaries and sequences as JSON has them; so are Enums and Fractions.
+
+    NaN and infinities become None, or, if nothing may be lost, their names.
+    """
+    if is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in fields(value)}
     if isinstance(value, dict):
-        return {key: replace_nonfinite(item) for key, item in value.items()}
+        return {key: to_plain(item, lossless) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [replace_nonfinite(item) for item in value]
+        return [to_plain(item, lossless) for item in value]
     if isinstance(value, np.generic):
-        return replace_nonfinite(value.item())
+        value = value.item()
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, Fraction):
+        return str(value)
     if isinstance(value, float) and not math.isfinite(value):
-        return None
+        return str(value) if lossless else None
     return value
 
 
-def to_json(document: dict[str, Any]) -> str:
-    """Write a report as JSON text; floats keep all their digits."""
-    return json.dumps(document, indent=2, allow_nan=False) + "\n"
+def to_json(document: dict[str, Any], compact: bool = False) -> str:
+    """Write a document as JSON text; floats keep all their digits, and `to_plain` is applied."""
+    indent, separators = (None, (",", ":")) if compact else (2, None)
+    plain = to_plain(document)
+    return json.dumps(plain, indent=indent, separators=separators, allow_nan=False) + "\n"
 
 
 def mean(values: Iterable[float]) -> float | None:
@@ -172,13 +178,9 @@ def score_values(score: Score | None) -> dict[str, float | None]:
 
 
 def mean_scores(scores: Iterable[Score | None]) -> dict[str, float | int | None]:
-    """Average the scores that are there.
+    """Average the scores that are there, by metric; None where no frame has a value.
 
-    Returns
-    -------
-    dict
-        By metric the mean over the frames that have a value, or None. ``frames``: how many frames
-        were scored.
+    ``frames`` counts the frames that were scored.
     """
     rows = [score_values(score) for score in scores if score is not None]
     means = {
@@ -202,23 +204,10 @@ def _complete_intervals(run: RunSummary) -> list[list[FrameRecord]]:
     return [group for group in groups.values() if len({f.slot for f in group}) >= least]
 
 
-def _count_frames(frames: tuple[FrameRecord, ...]) -> dict[str, int]:
-    resumed, replaced = sum(f.resumed for f in frames), sum(f.replaced for f in frames)
-    kinds = [frame.kind for frame in frames]
-    return {
-        "key": kinds.count(FrameKind.KEY),
-        "written": len(frames),  # of an earlier run too
-        "generated": kinds.count(FrameKind.GENERATED),
-        "dropped": kinds.count(FrameKind.DROPPED),
-        "rendered": kinds.count(FrameKind.RENDERED),
-        # These three add up to "written".
-        "resumed": resumed,
-        "made": len(frames) - resumed - replaced,
-        "replaced": replaced,
-    }
-
-
-def _frame_rates(run: RunSummary) -> dict[str, Any]:
+def _count_frames(run: RunSummary) -> dict[str, Any]:
+    """Return the blocks ``frames`` and ``fps``."""
+    resumed, replaced = sum(f.resumed for f in run.frames), sum(f.replaced for f in run.frames)
+    kinds = [frame.kind for frame in run.frames]
     # A repeated frame is not new. At the paper's factor this is base x (1 + mean number of
     # generated frames per key interval).
     new = mean(
@@ -226,15 +215,28 @@ def _frame_rates(run: RunSummary) -> dict[str, Any]:
         for interval in _complete_intervals(run)
         for frame in interval
     )
-    fresh = sum(not frame.resumed for frame in run.frames)
+    fresh = len(kinds) - resumed
     return {
-        "base": run.base_fps,
-        "effective": None if new is None else run.output_fps * new,
-        "output": run.output_fps,
-        # Of joined runs, per second of all their machines.
-        "throughput": fresh / run.wall_seconds if fresh and run.wall_seconds > 0 else None,
-        "source": run.fps_source,
-        "factor": str(run.factor),  # a fraction such as 5/2, which loses no digits
+        "frames": {
+            "key": kinds.count(FrameKind.KEY),
+            "written": len(kinds),  # of an earlier run too
+            "generated": kinds.count(FrameKind.GENERATED),
+            "dropped": kinds.count(FrameKind.DROPPED),
+            "rendered": kinds.count(FrameKind.RENDERED),
+            # These three add up to "written".
+            "resumed": resumed,
+            "made": fresh - replaced,
+            "replaced": replaced,
+        },
+        "fps": {
+            "base": run.base_fps,
+            "effective": None if new is None else run.output_fps * new,
+            "output": run.output_fps,
+            # Of joined runs, per second of all their machines.
+            "throughput": fresh / run.wall_seconds if fresh and run.wall_seconds > 0 else None,
+            "source": run.fps_source,
+            "factor": run.factor,  # a fraction such as 5/2, which loses no digits
+        },
     }
 
 
@@ -259,24 +261,30 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
     softsplat and the network made, in parts where tiles were chosen; ``cost``: the networks' share
     of the new frames' area.
     """
+    # Makers of the frames for each of whose tiles the decision tree was walked.
+    tiles = {f.number: f.tiles for f in run.frames if f.tiles and not f.tiles.looks_ahead}
+    decides = run.decides or bool(tiles)
     paths: list[str] = []
-    decides = run.decides or any(map(_is_decided_by_tile, run.frames))
     for interval in _complete_intervals(run) if decides else ():
         taken = [frame.path for frame in interval if frame.path]
-        tiles = {f.slot: f.tiles for f in interval if _is_decided_by_tile(f)}
-        second, third = tiles.get(2), tiles.get(3)
+        by_slot = {f.slot: tiles[f.number] for f in interval if f.number in tiles}
         if taken:
             paths.append(taken[-1])
-        elif second is not None and third is not None:
-            paths += paths_from_makers(second, third)
+        elif 2 in by_slot and 3 in by_slot:
+            paths += paths_from_makers(by_slot[2], by_slot[3])
     block = count_decisions(paths if decides else None)
 
     keys: dict[tuple[Trial, bool], dict[int, None]] = {}
+    shares: dict[int, float] = {}  # of each frame that something chose the maker of, the network's
     for frame in run.frames:
         if frame.trial is not None:
             # After the last key frame look-ahead methods go by the decision tree, tile by tile.
-            looks_ahead = run.lookahead and not _is_decided_by_tile(frame)
+            looks_ahead = run.lookahead and frame.number not in tiles
             keys.setdefault((frame.trial, looks_ahead), {})[frame.key] = None
+        if frame.tiles is not None:
+            shares[frame.number] = frame.tiles.dear_share
+        elif run.lookahead and frame.kind is FrameKind.GENERATED:
+            shares[frame.number] = float(frame.made_by == LOOKAHEAD)
     trials = []
     for (trial, looks_ahead), intervals in keys.items():
         cheap, dear = (SOFTSPLAT, LOOKAHEAD) if looks_ahead else CHOICES
@@ -289,44 +297,24 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
                 "keys": list(intervals),
             }
         )
-    ahead = [frame for frame in run.frames if frame.made_by in (SOFTSPLAT, LOOKAHEAD)]
-    made = [share for f in ahead if (share := _network_share(f, run)) is not None]
+    chooses = bool(trials) or any(frame.tiles is not None for frame in run.frames)
+    ahead = {frame.number for frame in run.frames if frame.made_by in (SOFTSPLAT, LOOKAHEAD)}
+    made = [share for number, share in shares.items() if number in ahead]
     dear_frames = round(sum(made), 3)
     counts = {"cheap": round(len(made) - dear_frames, 3), "dear": dear_frames}
-    chooses = bool(trials) or any(frame.tiles is not None for frame in run.frames)
+    cost = mean(shares.values()) if chooses or decides else None
     block |= {"gate": trials or None, "look_ahead": counts if chooses and run.lookahead else None}
-
-    cost = None
-    if chooses or decides:
-        cost = mean(share for f in run.frames if (share := _network_share(f, run)) is not None)
     block["cost"] = cost
     if cost is not None:
         block["warp_share"] = 1 - cost
     return block
 
 
-def _is_decided_by_tile(frame: FrameRecord) -> bool:
-    """Return True if the decision tree was walked for each tile of a frame."""
-    return frame.tiles is not None and not frame.tiles.looks_ahead
-
-
-def _network_share(frame: FrameRecord, run: RunSummary) -> float | None:
-    """Return the share of a frame that a network made; None where nothing chose it."""
-    if frame.tiles is not None:
-        return frame.tiles.dear_share
-    if run.lookahead and frame.kind is FrameKind.GENERATED:
-        return float(frame.made_by == LOOKAHEAD)
-    return None
-
-
 def count_decisions(paths: Iterable[str] | None) -> dict[str, Any]:
     """Count the decisions of a run.
 
-    Parameters
-    ----------
-    paths
-        S1 to S6 of each key interval with all its slots, or of each of its tiles; None for a
-        method outside the paper's decision tree, whose counts are all None.
+    `paths` are S1 to S6 of each key interval with all its slots, or of each of its tiles; None for
+    a method outside the paper's decision tree, whose counts are all None.
     """
     if paths is None:
         return {
@@ -348,52 +336,48 @@ def count_decisions(paths: Iterable[str] | None) -> dict[str, Any]:
 
 
 def _summarise_quality(decides: bool, between: Sequence[FrameRecord]) -> dict[str, Any]:
-    """Average scores over the frames that were not rendered, repeats included."""
+    """Return the blocks ``quality`` and ``pulse``, of the frames that were not rendered.
+
+    Quality is the mean of the scores, repeats included. Pulse is that of the generated frames, in
+    per cent; None where none was measured. Softer and sharper frames cancel out in its ``mean``;
+    ``worst`` has the largest magnitude.
+    """
     frames = [frame for frame in between if frame.kind is not FrameKind.RENDERED]
-    generated = [f for f in frames if decides and f.kind is FrameKind.GENERATED]
-    return {
+    generated = [frame for frame in frames if frame.kind is FrameKind.GENERATED]
+    decided = generated if decides else []
+    quality = {
         "all": mean_scores(f.score for f in frames),
         "holes": mean_scores(f.hole_score for f in frames),
         "by_decision": {
-            choice: mean_scores(f.score for f in generated if f.made_by == choice)
+            choice: mean_scores(f.score for f in decided if f.made_by == choice)
             for choice in CHOICES
         },
         "dropped": mean_scores(f.score for f in frames if f.kind is FrameKind.DROPPED),
     }
-
-
-def _summarise_pulse(between: Sequence[FrameRecord]) -> dict[str, Any] | None:
-    """Return the pulse of the generated frames, in per cent; None where none was measured.
-
-    Softer and sharper frames cancel out in ``mean``; ``worst`` has the largest magnitude. Frames
-    without ground truth are left out where others have it.
-    """
-    generated = [frame for frame in between if frame.kind is FrameKind.GENERATED]
+    pulse = None
+    # Frames without ground truth are left out where others have it.
     scored = [frame for frame in generated if frame.score is not None]
     pulses = [(f, f.pulse) for f in scored or generated if f.pulse is not None]
-    if not pulses:
-        return None
-    worst, value = max(pulses, key=lambda entry: abs(entry[1]))
-    return {
-        "mean": mean(pulse for _, pulse in pulses),
-        "worst": value,
-        "worst_frame": worst.number,
-        "frames": len(pulses),
-        "against": GROUND_TRUTH if scored else KEY_FRAMES,
-    }
+    if pulses:
+        worst, value = max(pulses, key=lambda entry: abs(entry[1]))
+        pulse = {
+            "mean": mean(pulse for _, pulse in pulses),
+            "worst": value,
+            "worst_frame": worst.number,
+            "frames": len(pulses),
+            "against": GROUND_TRUTH if scored else KEY_FRAMES,
+        }
+    return {"quality": quality, "pulse": pulse}
 
 
 def render_time_saved(run: RunSummary) -> dict[str, Any] | None:
     """Return what a run saved, from the render times in the headers of its key frames.
 
-    Returns
-    -------
-    dict or None
-        ``key_frame_s``, mean render time of a key frame; ``key_frames``, how many headers state it;
-        ``source``, the attribute; ``generated_frame_s``, this run's time for each generated frame,
-        reading and writing included, scoring not; ``saved_s``, what rendering the generated frames
-        would have taken beyond the key frames, less the run's time; ``saved_share``, that as a
-        share of rendering all frames. None where no header says it, or nothing was generated.
+    ``key_frame_s``: mean render time of a key frame; ``key_frames``: how many headers state it;
+    ``source``: the attribute; ``generated_frame_s``: this run's time for each generated frame,
+    reading and writing included, scoring not; ``saved_s``: what rendering the generated frames
+    would have taken beyond the key frames, less the run's time; ``saved_share``: that as a share of
+    rendering all frames. None where no header says it, or nothing was generated.
     """
     render_times = [frame.render for frame in run.frames if frame.render is not None]
     # This run spent no time on resumed frames, nor on key frames of intervals that it kept.
@@ -430,7 +414,34 @@ def format_frames_csv(frames: tuple[FrameRecord, ...]) -> str:
     between.
     """
     steps = timed_steps(frames)
-    rows = ([*_frame_cells(frame), *map(frame.timing_ms.get, steps)] for frame in frames)
+    rows: list[list[Any]] = []
+    for frame in frames:
+        decision, score, holes = frame.decision, frame.score, frame.hole_score
+        features = None if decision is None else decision.features
+        rows.append(
+            [
+                *(frame.number, escape_formula(frame.file), frame.key, frame.slot),
+                *(frame.kind, frame.method, " ".join(map(str, frame.sources))),
+                *(frame.hole_fraction, frame.nonfinite_pixels),
+                *score_cells(score, FIRST_SCORES),
+                *score_cells(holes, FIRST_SCORES),
+                *(frame.resumed, frame.made_by, frame.path),
+                *((decision.node, decision.choice) if decision else (None, None)),
+                *((decision.outputs if decision else None) or (None, None)),
+                *(features.values if features else (None,) * len(FEATURES)),
+                (" ".join(map(str, decision.inputs)) or None) if decision else None,
+                *score_cells(score, LATER_SCORES),
+                *score_cells(holes, LATER_HOLE_SCORES),
+                *(frame.render or (None, None)),
+                *((features.width, features.height, features.distance) if features else [None] * 3),
+                *(score is not None, holes is not None, frame.replaced, frame.pulse),
+                *((frame.risk.error, frame.risk.text) if frame.risk else (None, None)),
+                frame.trial.text if frame.trial else None,
+                frame.tiles.text if frame.tiles else None,
+                " ".join(map(str, frame.rendered_sources)) or None,
+                *map(frame.timing_ms.get, steps),
+            ]
+        )
     return format_csv([*COLUMNS, *(f"{step}_ms" for step in steps)], rows)
 
 
@@ -438,12 +449,6 @@ def format_review_csv(places: Sequence[Place]) -> str:
     """Write places as CSV, a row each; the error with one decimal."""
     rows = ((p.frame, round(p.error, 1), p.x, p.y, p.width, p.height, p.reason) for p in places)
     return format_csv(PLACE_COLUMNS, rows)
-
-
-def format_review_txt(frames: Iterable[FrameRecord]) -> str:
-    """Write which frames are most worth rendering, as farms take them: ``12,15-18``, or nothing."""
-    numbers = ranges(frames_worth_rendering(frames))
-    return f"{numbers}\n" if numbers else ""
 
 
 def format_csv(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
@@ -460,7 +465,7 @@ def format_csv(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 def format_cell(value: Any) -> str:
     """Write a cell: empty for None, NaN and infinities; ``true`` and ``false`` in words."""
-    value = replace_nonfinite(value)
+    value = to_plain(value)
     if value is None:
         return ""
     return str(value).lower() if isinstance(value, bool) else str(value)
@@ -471,44 +476,7 @@ def escape_formula(name: str | None) -> str | None:
     return f"'{name}" if name is not None and name.startswith(_FORMULA) else name
 
 
-def first_score_cells(score: Score | None) -> list[float | None]:
-    """Return the cells of `FIRST_SCORES`."""
-    return [score_values(score)[name] for name in FIRST_SCORES]
-
-
-def later_score_cells(score: Score | None, holes: Score | None) -> list[float | None]:
-    """Return the cells of `LATER_COLUMNS`."""
-    frame, inside = score_values(score), score_values(holes)
-    return [
-        *(frame[name] for name in LATER_SCORES),
-        *(inside[name] for name in LATER_HOLE_SCORES),
-    ]
-
-
-def _frame_cells(frame: FrameRecord) -> list[Any]:
-    decision = frame.decision
-    features = None if decision is None else decision.features
-    return [
-        *(frame.number, escape_formula(frame.file), frame.key, frame.slot),
-        *(frame.kind.value, frame.method, _join(frame.sources)),
-        *(frame.hole_fraction, frame.nonfinite_pixels),
-        *first_score_cells(frame.score),
-        *first_score_cells(frame.hole_score),
-        *(frame.resumed, frame.made_by, frame.path),
-        *((None, None) if decision is None else (decision.node, decision.choice)),
-        *((decision.outputs if decision else None) or (None, None)),
-        *((None,) * len(FEATURES) if features is None else features.values),
-        (_join(decision.inputs) or None) if decision else None,
-        *later_score_cells(frame.score, frame.hole_score),
-        *(frame.render or (None, None)),
-        *((features.width, features.height, features.distance) if features else (None,) * 3),
-        *(frame.score is not None, frame.hole_score is not None, frame.replaced, frame.pulse),
-        *((frame.risk.error, frame.risk.text) if frame.risk else (None, None)),
-        frame.trial.text if frame.trial else None,
-        frame.tiles.text if frame.tiles else None,
-        _join(frame.rendered_sources) or None,
-    ]
-
-
-def _join(numbers: Iterable[int]) -> str:
-    return " ".join(map(str, numbers))
+def score_cells(score: Score | None, names: Sequence[str]) -> list[float | None]:
+    """Return the cells of some metrics, by their names in `Score`."""
+    values = score_values(score)
+    return [values[name] for name in names]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from exwarp_cli.domain.decision import CHOICES, FEATURES, HOLD, LOOKAHEAD, NODES, SOFTSPLAT
@@ -99,19 +98,31 @@ MAX_PLACES = 20  # of the list on the page; review.csv has more
 MAX_ROWS = 200  # of a table on the page; report.json has them all
 
 
-def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None = None) -> Page:
+def upsample_page(run: RunSummary, document: dict[str, Any], album: Album) -> Page:
     """Build the page of a run.
 
     `document` is what `schema.run_document` returned: tables and headline. `album` has pictures of
     the run's frames, and gets facts and the worst frame as its start.
     """
-    if album is not None:
-        for frame in run.frames:
-            album.set_facts(frame.number, frame_maker(frame), _facts(frame), frame.risk)
-        # VMAF and flicker are known only now.
-        if (worst := worst_frame(run.frames)) in album.frames:
-            album.start = worst
-        album.fps = document["fps"]["output"]
+    for frame in run.frames:
+        facts = {"slot": f"{frame.slot} after key frame {frame.key}"}
+        if frame.path is not None:
+            facts["path"] = frame.path
+        if frame.decision is not None:
+            facts["decision"] = f"{frame.decision.node} = {frame.decision.choice}"
+        facts |= score_facts(frame.score, frame.hole_score)
+        if frame.key_pulse is not None:
+            metric = BY_FIELD["pulse"]
+            facts[f"{metric.name} against {KEY_FRAMES}"] = metric.with_unit(frame.key_pulse)
+        if frame.risk is not None:
+            facts["predicted error"] = f"{frame.risk.error:.1f} of 255"
+        if frame.has_holes:
+            facts["holes"] = str(format_percent(frame.hole_fraction))
+        album.set_facts(frame.number, frame_maker(frame), facts, frame.risk)
+    # VMAF and flicker are known only now.
+    if (worst := worst_frame(run.frames)) in album.frames:
+        album.start = worst
+    album.fps = document["fps"]["output"]
     source = document["input"]
     return Page(
         file_name(source["pattern"]),
@@ -119,14 +130,13 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None
         f"{source['width']}x{source['height']}",
         headline(document),
         (
-            Section("frames", "Frames", [Viewer(album)] if album and album.frames else []),
+            Section("frames", "Frames", [Viewer(album)] if album.frames else []),
             Section("review", "Worth a look", _review(run, document, album)),
             Section("quality", "Quality", _quality(run, document, album)),
             Section("decisions", "Decisions", _decisions(run, document["decisions"])),
             Section("holes", "Holes and features", _holes_and_features(run, document)),
             Section("timing", "Time", _timing(run, document["timing_ms"])),
-            Section("left-out", "Left out", _left_out(document["left_out"])),
-            Section("nonfinite", "NaN and infinities", _nonfinite(document["nonfinite"])),
+            *_unused_input(document),
             Section("input", "Input and settings", [_settings(document)]),
         ),
     )
@@ -145,7 +155,15 @@ def headline(document: dict[str, Any]) -> list[Number]:
     """Return the numbers on top: the saved time first, where the headers state it."""
     frames, fps, holes = document["frames"], document["fps"], document["holes"]
     decisions, pulse = document["decisions"], document["pulse"]
-    numbers = _render_time_numbers(document["render_time"])
+    numbers = []
+    if (saved := document["render_time"]) is not None:
+        share = f"{format_percent(saved['saved_share'], 0)} of rendering all"
+        for label, value, note in (
+            ("Render time saved", saved["saved_s"], share),
+            ("Rendered frame", saved["key_frame_s"], "by the headers, on average"),
+            ("Generated frame", saved["generated_frame_s"], "reading and writing included"),
+        ):
+            numbers.append(Number(label, str(format_time(value)), note))
     kinds = f"{format_rendered(frames)}, {frames['generated']} generated"
     if frames["dropped"]:
         kinds += f", {frames['dropped']} repeated"
@@ -182,37 +200,7 @@ def headline(document: dict[str, Any]) -> list[Number]:
     return numbers
 
 
-def _render_time_numbers(saved: dict[str, Any] | None) -> list[Number]:
-    if saved is None:
-        return []
-    share = f"{format_percent(saved['saved_share'], 0)} of rendering all"
-    values = (
-        ("Render time saved", saved["saved_s"], share),
-        ("Rendered frame", saved["key_frame_s"], "by the headers, on average"),
-        ("Generated frame", saved["generated_frame_s"], "reading and writing included"),
-    )
-    return [Number(label, str(format_time(value)), note) for label, value, note in values]
-
-
-def _facts(frame: FrameRecord) -> dict[str, str]:
-    """Return what is written beside a frame in the viewer."""
-    facts = {"slot": f"{frame.slot} after key frame {frame.key}"}
-    if frame.path is not None:
-        facts["path"] = frame.path
-    if frame.decision is not None:
-        facts["decision"] = f"{frame.decision.node} = {frame.decision.choice}"
-    facts |= score_facts(frame.score, frame.hole_score)
-    if frame.key_pulse is not None:
-        metric = BY_FIELD["pulse"]
-        facts[f"{metric.name} against {KEY_FRAMES}"] = metric.with_unit(frame.key_pulse)
-    if frame.risk is not None:
-        facts["predicted error"] = f"{frame.risk.error:.1f} of 255"
-    if frame.has_holes:
-        facts["holes"] = str(format_percent(frame.hole_fraction))
-    return facts
-
-
-def _review(run: RunSummary, document: dict[str, Any], album: Album | None) -> list[Block]:
+def _review(run: RunSummary, document: dict[str, Any], album: Album) -> list[Block]:
     """List what is most worth a look, and draw the predicted error of the new frames."""
     review = document["review"]
     if review is None:
@@ -254,7 +242,7 @@ def _after_cuts(run: RunSummary) -> list[int]:
     return [first[cut.number] for cut in run.cuts or () if cut.number in first]
 
 
-def _quality(run: RunSummary, document: dict[str, Any], album: Album | None) -> list[Block]:
+def _quality(run: RunSummary, document: dict[str, Any], album: Album) -> list[Block]:
     blocks: list[Block] = []
     scored = [frame for frame in run.frames if frame.score is not None]
     if scored:
@@ -320,8 +308,8 @@ def _slot_plots(frames: Sequence[FrameRecord]) -> list[Figure]:
             slots = [0, *slots, slots[-1] + 1]
             series = {name: [0.0, *row, 0.0] for name, row in series.items()}
             x_label = f"slot, with the key frames at 0 and {slots[-1]}"
-        labels = Labels(title, x_label, metric.title, f"{metric.title} by slot. {note}")
-        figures.append(replace(draw_lines(labels, slots, series), note=note))
+        labels = Labels(title, x_label, metric.title, f"{metric.title} by slot. {note}", note)
+        figures.append(draw_lines(labels, slots, series))
     return figures
 
 
@@ -439,45 +427,44 @@ def _timing(run: RunSummary, timing_ms: dict[str, float | None]) -> list[Block]:
     labels = Labels(
         "Time per frame by what made it", "ms",
         description="Mean milliseconds of each step for each kind of frame, end to end.",
+        note="Steps overlap on several threads: reading runs ahead and writing behind.",
     )  # fmt: skip
-    note = "Steps overlap on several threads: reading runs ahead and writing behind."
     rows = [(step, format_number(timing_ms[step])) for step in steps]
     return [
-        draw_stacked_bars(labels, list(groups), parts, note=note),
+        draw_stacked_bars(labels, list(groups), parts),
         Table("Mean of the frames that had the step", ("step", "ms"), rows),
     ]
 
 
-def _left_out(left_out: list[dict[str, Any]]) -> list[Block]:
-    if not left_out:
-        return []
-    rows = [
-        (
-            str(interval["key"]),
-            *(ranges(interval[name]) for name in ("frames", "scores", "rendered")),
-            interval["reason"],
-        )
-        for interval in left_out
-    ]
-    title = "Not scored"
-    if any(interval["frames"] for interval in left_out):
-        title = "Key intervals left out"
-    elif any(interval["rendered"] for interval in left_out):
-        title = "Rendered frames that are not used"
-    return [Table(title, ("key frame", "frames", "not scored", "rendered, not used", "why"), rows)]
-
-
-def _nonfinite(nonfinite: list[dict[str, Any]]) -> list[Block]:
-    if not nonfinite:
-        return []
-    view = ("view",) if nonfinite[0]["view"] else ()
-    rows = [
-        [*(str(entry[name]) for name in ("key", "slot", *view, "channels")),
-         format_number(entry["pixels"], 0)]
-        for entry in nonfinite[:MAX_ROWS]
-    ]  # fmt: skip
-    columns = ("key frame", "slot", *view, "channels", "pixels")
-    return [Table("Not finite in the input", columns, rows, describe_nonfinite(nonfinite))]
+def _unused_input(document: dict[str, Any]) -> Iterator[Section]:
+    """Yield the sections of what was left out, and of what is not finite, if there is any."""
+    if left_out := document["left_out"]:
+        rows: list[list[Cell]] = [
+            [
+                str(interval["key"]),
+                *(ranges(interval[name]) for name in ("frames", "scores", "rendered")),
+                interval["reason"],
+            ]
+            for interval in left_out
+        ]
+        title = "Not scored"
+        if any(interval["frames"] for interval in left_out):
+            title = "Key intervals left out"
+        elif any(interval["rendered"] for interval in left_out):
+            title = "Rendered frames that are not used"
+        columns = ("key frame", "frames", "not scored", "rendered, not used", "why")
+        yield Section("left-out", "Left out", [Table(title, columns, rows)])
+    if nonfinite := document["nonfinite"]:
+        view = ("view",) if nonfinite[0]["view"] else ()
+        rows = [
+            [*(str(entry[name]) for name in ("key", "slot", *view, "channels")),
+             format_number(entry["pixels"], 0)]
+            for entry in nonfinite[:MAX_ROWS]
+        ]  # fmt: skip
+        columns = ("key frame", "slot", *view, "channels", "pixels")
+        note = describe_nonfinite(nonfinite)
+        table = Table("Not finite in the input", columns, rows, note)
+        yield Section("nonfinite", "NaN and infinities", [table])
 
 
 def _settings(document: dict[str, Any]) -> Table:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from exwarp_cli.domain.results import FrameKind, FrameRecord, InputSummary, RunSummary, Score
+from exwarp_cli.report.gallery import Album
 
 INPUT = InputSummary(
     "/in/shot.####.exr", 1001, 1002, 64, 32, "Blender", "calibrated", "measured on one pair"
@@ -16,6 +17,10 @@ SLOTS = {"S1": "dgd", "S2": "dgg", "S3": "ggg", "S4": "ggg", "S5": "ggg", "S6": 
 # What made it: the (h)eld frame before, (w)arping or (e)xtrapolation.
 MAKERS = {"S1": "heh", "S2": "hew", "S3": "wee", "S4": "wew", "S5": "wwe", "S6": "www"}
 WORDS = {"h": "hold", "w": "warp", "e": "extrapolate"}
+
+
+def no_pictures() -> Album:
+    return Album((), "", "")
 
 
 def record(number: int, key: int, slot: int, kind: FrameKind, **more: Any) -> FrameRecord:

@@ -18,6 +18,7 @@ from exwarp_cli.pipeline import evaluation
 from exwarp_cli.pipeline.evaluation import Comparison, evaluate
 from exwarp_cli.report.comparison import compare_page, comparison_document, require_quality
 from exwarp_cli.report.html import render
+from tests.unit.sample_runs import no_pictures
 from tests.unit.test_compare import picture, sequence
 
 SIZE = (16, 24)
@@ -118,17 +119,18 @@ def test_table_rows_and_columns(shots: tuple[str, str], tmp_path: Path) -> None:
 def test_the_page_has_rows_and_a_number_of_generated_frames(
     compared: Comparison, shots: tuple[str, str]
 ) -> None:
-    text = render(compare_page(compared, comparison_document(compared)))
+    text = render(compare_page(compared, comparison_document(compared), no_pictures()))
     for name in ("generated", "repeated", "made by warp", "made by extrapolate"):
         assert text.count(f">{name}<") == 1, name
     assert "PSNR, generated" in text and "of 4 frames alone" in text
     assert "pulse, generated" in text
     assert f"{mean(compared, 2, 3, 4, 7):.2f} dB" in text
     plain = evaluate(shots[0], shots[0])
-    page = render(compare_page(plain, comparison_document(plain)))
+    page = render(compare_page(plain, comparison_document(plain), no_pictures()))
     assert ", generated" not in page and "made by" not in page and ">repeated<" not in page
     only = evaluate(*shots, frames="2-4")
-    assert "PSNR, generated" not in render(compare_page(only, comparison_document(only)))
+    page = render(compare_page(only, comparison_document(only), no_pictures()))
+    assert "PSNR, generated" not in page
 
 
 def limited(shots: tuple[str, str], text: str, frames: str | None = None) -> Comparison:

@@ -22,10 +22,10 @@ from exwarp_cli.report.gallery import (
     TRUTH,
     Album,
     Gallery,
-    format_album,
     merge_albums,
 )
 from exwarp_cli.report.pictures import Picture, encode_colour, encode_mask
+from exwarp_cli.report.schema import to_json
 from tests.unit.sample_runs import interval, run
 
 TINY = (9, 16)
@@ -49,7 +49,7 @@ def file(folder: Path, keys: Sequence[int], size: tuple[int, int] = TINY) -> Pat
             mask = None if is_key else truth[..., 0] > 0.5
             gallery.frame(frame.number, shown, None if is_key else truth, mask, is_key)
     path = folder / f"{keys[0]}.json"
-    path.write_text(format_album(gallery.album))
+    path.write_text(to_json(gallery.album.to_plain(), compact=True))
     return path
 
 

@@ -16,7 +16,7 @@ from exwarp_cli.domain.results import Score
 from exwarp_cli.errors import OutputError
 from exwarp_cli.report.folder import write_report
 from exwarp_cli.report.schema import format_cell, format_frames_csv
-from tests.unit.sample_runs import interval, path_run, run
+from tests.unit.sample_runs import interval, no_pictures, path_run, run
 
 COLUMNS = [
     *("frame", "file", "key", "slot", "kind", "method", "sources"),
@@ -159,7 +159,7 @@ def test_no_spreadsheet_takes_a_file_name_for_a_formula(name: str) -> None:
 
 def test_folder_is_made_and_files_are_whole(tmp_path: Path) -> None:
     folder = tmp_path / "new" / "report"
-    write_report(folder, path_run("S6", 2))
+    write_report(folder, path_run("S6", 2), no_pictures())
     names = [
         *("album.json", "frames.csv", "report.html", "report.json"),
         *("review.csv", "review.txt", "run.json"),
@@ -167,11 +167,11 @@ def test_folder_is_made_and_files_are_whole(tmp_path: Path) -> None:
     assert sorted(p.name for p in folder.iterdir()) == names
     assert json.loads((folder / "report.json").read_text())["frames"]["written"] == 8
     assert len(rows_of((folder / "frames.csv").read_text())) == 8
-    write_report(folder, run([]))
+    write_report(folder, run([]), no_pictures())
     assert json.loads((folder / "report.json").read_text())["frames"]["written"] == 0
 
 
 def test_folder_that_cannot_be_made_is_an_output_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError):
-        write_report(tmp_path / "file", run([]))
+        write_report(tmp_path / "file", run([]), no_pictures())

@@ -13,7 +13,7 @@ import pytest
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.results import FrameKind, NetworkSummary, PolicySummary, RunSummary, Score
-from exwarp_cli.report.schema import replace_nonfinite, run_document, to_json
+from exwarp_cli.report.schema import run_document, to_json, to_plain
 from tests.unit.sample_runs import interval, path_run, record, run
 
 METRICS = ("psnr_db", "ssim", "flip", "hdr_flip", "vmaf", "flicker", "pulse")
@@ -323,5 +323,5 @@ def test_no_number_is_nan_or_infinite() -> None:
 
 def test_floats_keep_their_digits() -> None:
     value = 0.1 + 0.2
-    assert json.loads(to_json(replace_nonfinite({"a": value})))["a"] == value
-    assert replace_nonfinite((np.int64(3), [np.float32(0.5)], -math.inf)) == [3, [0.5], None]
+    assert json.loads(to_json({"a": value}))["a"] == value
+    assert to_plain((np.int64(3), [np.float32(0.5)], -math.inf)) == [3, [0.5], None]

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.tiles import REASONS, TILE_ROWS, Risk, encode_level
+from exwarp_cli.report.folder import write_report
 from exwarp_cli.report.review import (
     frames_worth_rendering,
     places_of_frame,
     places_worth_a_look,
     summarise_review,
 )
-from exwarp_cli.report.schema import format_review_csv, format_review_txt
+from exwarp_cli.report.schema import format_review_csv
 from exwarp_cli.report.sentences import describe_review
-from tests.unit.sample_runs import record, run
+from tests.plots import leave_plots_out
+from tests.unit.sample_runs import no_pictures, record, run
 
 COLUMNS = 16
 SIZE = 64, 32
@@ -54,7 +58,6 @@ def test_a_frame_without_visible_error_has_no_place():
 def test_the_worst_tenth_is_named_for_rendering():
     frames = [risky(number, number / 2, {}) for number in range(1, 31)]
     assert frames_worth_rendering(frames) == [28, 29, 30]
-    assert format_review_txt(frames) == "28-30\n"
     assert frames_worth_rendering([replace(f, risk=None) for f in frames]) == []
 
 
@@ -73,7 +76,15 @@ def test_the_middle_of_an_interval_is_rendered_for_those_beside_it():
 
 
 def test_frames_that_are_right_are_not_named():
-    assert format_review_txt([risky(number, 1.0, {}) for number in range(1, 31)]) == ""
+    assert frames_worth_rendering([risky(number, 1.0, {}) for number in range(1, 31)]) == []
+
+
+@pytest.mark.parametrize(("error", "text"), [(9.0, "1-2\n"), (1.0, "")])
+def test_named_frames_are_a_list_that_farms_take(tmp_path, monkeypatch, error, text):
+    leave_plots_out(monkeypatch)
+    frames = [risky(number, error, {}) for number in range(1, 17)]
+    write_report(tmp_path, run(frames), no_pictures())
+    assert (tmp_path / "review.txt").read_text() == text
 
 
 def test_the_list_begins_with_the_worst_place():

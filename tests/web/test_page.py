@@ -29,7 +29,7 @@ from exwarp_cli.report.gallery import (
 from exwarp_cli.report.html import Link, Page, Section, Table, is_number, render, viewer_data
 from exwarp_cli.report.schema import run_document as document_of
 from exwarp_cli.report.upsample_page import frame_maker, headline, upsample_page
-from tests.unit.sample_runs import INPUT, path_run, run
+from tests.unit.sample_runs import INPUT, no_pictures, path_run, run
 
 VOID = {"meta", "input", "br", "hr", "img", "link"}
 NAMES = [
@@ -88,7 +88,7 @@ def data_of(text: str) -> dict:
 
 
 def page_of(made: RunSummary) -> str:
-    return render(upsample_page(made, document_of(made)))
+    return render(upsample_page(made, document_of(made), no_pictures()))
 
 
 def long_run(intervals: int) -> RunSummary:
@@ -253,7 +253,7 @@ def test_the_same_run_gives_the_same_page() -> None:
 
 
 def test_a_run_without_anything_has_a_page(tmp_path: Path) -> None:
-    write_report(tmp_path, run([]))
+    write_report(tmp_path, run([]), no_pictures())
     checker = check((tmp_path / PAGE_FILE).read_text())
     assert "shot.####.exr" in checker.text
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from exwarp_cli.report.gallery import Album, evenly_spaced
+from exwarp_cli.report.gallery import MAX_FRAMES, Album, choose_groups
 from exwarp_cli.report.pictures import (
     HIGHEST,
     SLOPE,
@@ -122,7 +122,7 @@ def test_equal_pictures_appear_once_and_in_order_of_frames() -> None:
 
 @pytest.mark.parametrize(("count", "limit"), [(0, 5), (3, 5), (100, 7), (10_000, 24), (9, 1)])
 def test_spread(count: int, limit: int) -> None:
-    found = evenly_spaced(count, limit)
-    assert len(found) == min(count, limit) and sorted(set(found)) == found
+    found = choose_groups([range(MAX_FRAMES // limit)] * count)
+    assert sorted(set(found)) == found and min(count, 2, limit) <= len(found) <= limit
     if count and limit > 1:
         assert found[0] == 0 and found[-1] == count - 1

@@ -81,7 +81,8 @@ def test_settings_of_the_user_do_not_show() -> None:
 def test_matplotlib_says_nothing_of_folders_that_it_cannot_write(tmp_path) -> None:
     (tmp_path / "file").write_text("")
     code = (
-        "from exwarp_cli.report.html import heat_colours; heat_colours()\n"
+        "from exwarp_cli.report.html import Album, viewer_data\n"
+        "viewer_data(Album(('a',), 'a', 'a'))\n"
         "from exwarp_cli.report import plots\n"
         "plots.draw_lines(plots.Labels('🎬'), [1], {'🎬 $': [2]})"
     )

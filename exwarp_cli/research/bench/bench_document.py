@@ -17,7 +17,7 @@ from exwarp_cli.accelerator.mac_array import Schedule
 from exwarp_cli.domain.decision import CHOICES, FEATURES, HOLD, PATHS
 from exwarp_cli.domain.results import Score
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.report.schema import count_decisions, mean, mean_scores, replace_nonfinite
+from exwarp_cli.report.schema import count_decisions, mean, mean_scores, to_plain
 from exwarp_cli.research.bench import paper
 from exwarp_cli.research.bench.benchmark import GBUFFERS_OF, Benchmark, Measured
 from exwarp_cli.research.bench.real_time import BASE_FPS, REFRESH_HZ, SLOT_MS, clocked_row
@@ -99,7 +99,7 @@ def bench_document(benchmark: Benchmark, predictor: Schedule, clock_hz: float) -
                 for row in rows
             ],
         }
-    plain: Document = replace_nonfinite(document)
+    plain: Document = to_plain(document)
     return plain
 
 

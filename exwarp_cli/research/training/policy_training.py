@@ -26,7 +26,6 @@ from exwarp_cli.domain.decision import (
     NODES,
     PATHS,
     WARP,
-    find_path,
     walk_tree,
 )
 from exwarp_cli.domain.settings import DEFAULT_FPS
@@ -274,7 +273,7 @@ def greedy_paths(values: npt.NDArray[Any]) -> Paths:
     paths = []
     for row in np.where(values[..., 1] > values[..., 0], EXTRAPOLATE, WARP).tolist():
         choices = dict(zip(NODES, row, strict=True))
-        paths.append(NAMES.index(find_path(dict(walk_tree(choices.__getitem__)))))
+        paths.append(NAMES.index(walk_tree(choices.__getitem__)))
     return np.array(paths, np.intp)
 
 
