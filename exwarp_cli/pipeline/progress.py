@@ -144,11 +144,14 @@ class Progress:
     line.
     """
 
-    def __init__(self, stream: TextIO | None = None) -> None:
+    def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
         self._stream = stream or sys.stderr
+        self._estimate = Estimate(clock)
 
     def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
         """Begin work on `total` frames; see `Estimate.start` for the other parameters."""
+        self._estimate.start(total, kinds, at_once)
+        self._show()
 
     def advance(
         self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
@@ -158,6 +161,11 @@ class Progress:
         `note` is a word about it, such as "skipped", `kind` one of those that `start` received.
         `made` is False where no work was done.
         """
+        self._estimate.advance(kind, made)
+        self._show(frame, note)
+
+    def _show(self, frame: int | None = None, note: str | None = None) -> None:
+        """Show a frame that is done; without one, at the start, what there is to do."""
 
     def message(self, text: str) -> None:
         """Show the user one line."""
@@ -204,29 +212,7 @@ class FrameListener(Protocol):
         """
 
 
-class _Counting(Progress):
-    """A reporter that shows how many frames are done, and the time left."""
-
-    def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
-        super().__init__(stream)
-        self._estimate = Estimate(clock)
-
-    def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
-        self._estimate.start(total, kinds, at_once)
-        self._show()
-
-    def advance(
-        self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
-    ) -> None:
-        self._estimate.advance(kind, made)
-        self._show(frame, note)
-
-    def _show(self, frame: int | None = None, note: str | None = None) -> None:
-        """Show a frame that is done; without one, at the start, what there is to do."""
-        raise NotImplementedError
-
-
-class PlainProgress(_Counting):
+class PlainProgress(Progress):
     """Lines such as ``exwarp:  25% 10/40, frame 1010, 1:20 left``, for logs."""
 
     def _show(self, frame: int | None = None, note: str | None = None) -> None:
@@ -272,7 +258,7 @@ class OpenJdProgress(PlainProgress):
         _print_line(self._stream, f"openjd_status: {status}")
 
 
-class JsonProgress(_Counting):
+class JsonProgress(Progress):
     """One JSON object a line, flushed, for machines.
 
     Keys: ``event`` ("start", "frame", "message", "finish" or "fail"), ``done``, ``total``; with
@@ -305,7 +291,7 @@ class JsonProgress(_Counting):
         _write_line(self._stream, json.dumps(record | more))
 
 
-class BarProgress(_Counting):
+class BarProgress(Progress):
     """A bar with the time left, for a terminal."""
 
     _bar: RichProgress | None = None
