@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,12 +22,10 @@ from exwarp_cli.pipeline.extra_layers import Content, contents_of
 from exwarp_cli.pipeline.ground_truth import find_truth, require_truth_size
 from exwarp_cli.pipeline.messages import (
     Models,
-    announce,
-    announce_contents,
-    announce_models,
-    announce_truth,
-    announce_video,
+    input_messages,
     input_summary,
+    model_messages,
+    output_messages,
 )
 from exwarp_cli.pipeline.output_plan import OutputPlan, require_own
 from exwarp_cli.pipeline.rendered_frames import find_rendered, require_rendered_size
@@ -82,11 +81,6 @@ class Job:
         return self.reported or self.settings.verify
 
     @property
-    def is_gated(self) -> bool:
-        """True if the network makes frames only where trials show that it pays."""
-        return self.method.gated and self.settings.gate
-
-    @property
     def measures_key_pulse(self) -> bool:
         """True if new frames without ground truth are compared with their key frames."""
         asked = self.reported or self.settings.metrics is not None
@@ -122,10 +116,6 @@ class Job:
             policy = f"{self.policy.checksum}{effort}"
         return self.models.extrapolator, policy, self.models.interpolator
 
-    def of(self, keys: tuple[int, ...]) -> Job:
-        """Return the same job for other key frames."""
-        return replace(self, keys=keys)
-
     def refuse(self) -> None:
         """Refuse frames of several sizes, and to overwrite; touch nothing.
 
@@ -147,15 +137,8 @@ class Job:
 
     def announce(self, progress: Progress) -> None:
         """Say what was found, and what is going to happen."""
-        announce(progress, self.settings, self.source, self.method, self.keys)
-        if self.rendered is not None:
-            progress.message(self.rendered.note)
-        if self.truth is not None:
-            announce_truth(progress, *self.truth, self.source)
-        if self.targets.video is not None:
-            announce_video(progress, self.source, self.keys)
-        announce_contents(progress, self.contents)
-        announce_models(progress, self.models, self.source)
+        for text in chain(input_messages(self), output_messages(self), model_messages(self)):
+            progress.message(text)
 
     def close(self) -> None:
         """Close what reading left open; a later read opens it again."""
@@ -212,22 +195,24 @@ def open_job(settings: UpsampleSettings) -> Job:
     use_threads(settings.threads)
     method = _find_method(settings)
     sources = open_sources(settings.source, method.needs_motion, pictures=True)
-    method = _with_tail(method, sources, settings.layers)
+    source = sources[0]
+    # The default makes what has no next key frame as `causal` does, where it can.
+    is_alone = len(sources) == 1 and settings.layers == BEAUTY
+    has_vectors = source.finding is not None and source.slots is None
+    if method.weighs and method.gated and is_alone and has_vectors and source.allows_decisions:
+        method = replace(method, tail=METHODS[CAUSAL])
     if method.last.extrapolates:
         scratch = ScratchFrames(LARGE_PIXELS)
         sources = tuple(replace(each, scratch=scratch) for each in sources)
-    source = sources[0]
+        source = sources[0]
     network = find_network(settings, method)
     interpolator = _find_interpolator(settings, method)
-    policy = _find_policy(settings, method)
-    look_ahead_policy = _find_look_ahead_policy(settings, method)
-    method = _with_policy(method, policy, settings)
-    _require_usable(settings, method, source)
-    _require_factor(source, method, interpolator)
+    policy, look_ahead_policy = _find_policies(settings, method)
+    if policy is not None and not policy.of_tiles:
+        method = FRAMEWISE
+    _require_usable(settings, method, source, interpolator)
     contents = contents_of(sources, settings.layers)
-    models = Models.of(source, network, interpolator, policy)
-    if look_ahead_policy is not None:
-        models = models.with_effort(look_ahead_policy, settings.spent)
+    models = Models.of(source, network, interpolator, policy, look_ahead_policy, settings.spent)
     keys = source.timeline.select(settings.frames)
     targets = OutputPlan.from_settings(settings, source.keys.sequence, compression)
     truth = None
@@ -260,15 +245,6 @@ def _find_method(settings: UpsampleSettings) -> Method:
             "out one of the two"
         )
     return METHODS[name]
-
-
-def _with_tail(method: Method, sources: tuple[Source, ...], layers: str) -> Method:
-    """Let the default make what has no next key frame as `causal` does, where it can."""
-    source, is_alone = sources[0], len(sources) == 1 and layers == BEAUTY
-    has_vectors = source.finding is not None and source.slots is None
-    if method.weighs and method.gated and is_alone and has_vectors and source.allows_decisions:
-        return replace(method, tail=METHODS[CAUSAL])
-    return method
 
 
 def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator | None:
@@ -329,34 +305,43 @@ def _path(text: str | None) -> Path | None:
     return None if text is None else Path(text)
 
 
-def _find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None:
-    """Load the policy that a method asks; None for methods that ask none."""
+def _find_policies(
+    settings: UpsampleSettings, method: Method
+) -> tuple[PolicyFile | None, PolicyFile | None]:
+    """Load the policy that a method asks, and what chooses tiles between key frames.
+
+    None for a method that asks no policy, and where a network makes all tiles.
+    """
+    from exwarp_cli.models.policy_files import (
+        PAPER,
+        SHIPPED_LOOK_AHEAD_POLICY,
+        SHIPPED_POLICY,
+        SHIPPED_TILE_POLICY,
+        load_policy,
+    )
+
     if settings.policy is not None and method.judge is not DecisionSource.TILES:
         raise UsageError(
             f"--policy is for --causal, and --method {method.name} asks no policy; leave it out"
         )
-    if method.last.judge is DecisionSource.TILES:
-        from exwarp_cli.models.policy_files import (
-            PAPER,
-            SHIPPED_POLICY,
-            SHIPPED_TILE_POLICY,
-            load_policy,
+    policy = look_ahead_policy = None
+    if method.last.judge is DecisionSource.TILES and settings.policy == PAPER:
+        policy = require_state(load_policy(None, SHIPPED_POLICY))
+    elif method.last.judge is DecisionSource.TILES:
+        policy = require_state(load_policy(_path(settings.policy), SHIPPED_TILE_POLICY))
+    if method.weighs and method.gated and settings.spent != 1:
+        look_ahead_policy = load_policy(None, SHIPPED_LOOK_AHEAD_POLICY)
+        require_state(look_ahead_policy, LOOK_AHEAD_STATE)
+    by_tiles = policy is not None and policy.of_tiles
+    if settings.effort is not None and not (by_tiles or method.name == EXWARP):
+        chooser = (
+            "--policy chooses for whole frames" if policy else f"{method.name} chooses nothing"
         )
-
-        if settings.policy == PAPER:
-            return require_state(load_policy(None, SHIPPED_POLICY))
-        return require_state(load_policy(_path(settings.policy), SHIPPED_TILE_POLICY))
-    return None
-
-
-def _find_look_ahead_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None:
-    """Load what chooses the tiles between key frames that a network makes; None for all."""
-    if not (method.weighs and method.gated) or settings.spent == 1:
-        return None
-    from exwarp_cli.models.policy_files import SHIPPED_LOOK_AHEAD_POLICY, load_policy
-
-    policy = load_policy(None, SHIPPED_LOOK_AHEAD_POLICY)
-    return require_state(policy, LOOK_AHEAD_STATE)
+        raise UsageError(
+            f"--effort is for exwarp, and for --causal with a policy of tiles, and {chooser}; "
+            "leave it out"
+        )
+    return policy, look_ahead_policy
 
 
 def require_state(policy: PolicyFile, *versions: str | int) -> PolicyFile:
@@ -375,25 +360,13 @@ def require_state(policy: PolicyFile, *versions: str | int) -> PolicyFile:
     return policy
 
 
-def _with_policy(method: Method, policy: PolicyFile | None, settings: UpsampleSettings) -> Method:
-    """Return a method as its policy decides: for whole frames, or tile by tile.
-
-    Raises UsageError for ``--effort`` where no policy decides tile by tile.
-    """
-    by_tiles = policy is not None and policy.of_tiles
-    if settings.effort is not None and not (by_tiles or method.name == EXWARP):
-        chooser = (
-            "--policy chooses for whole frames" if policy else f"{method.name} chooses nothing"
-        )
-        raise UsageError(
-            f"--effort is for exwarp, and for --causal with a policy of tiles, and {chooser}; "
-            "leave it out"
-        )
-    return method if policy is None or by_tiles else FRAMEWISE
-
-
-def _require_usable(settings: UpsampleSettings, method: Method, source: Source) -> None:
-    """Refuse what a method cannot do with these options, or with this input."""
+def _require_usable(
+    settings: UpsampleSettings,
+    method: Method,
+    source: Source,
+    interpolator: OnnxInterpolator | OnnxLookAhead | None,
+) -> None:
+    """Refuse what a method cannot do with these options, with this input, or at its factor."""
     if method.needs_truth and settings.ground_truth is None:
         raise UsageError(
             f"--method {method.name} decides by ground truth; give it with --ground-truth, or use "
@@ -407,23 +380,16 @@ def _require_usable(settings: UpsampleSettings, method: Method, source: Source) 
     pattern, plain = source.keys.sequence.pattern, is_plain(source.keys.sequence)
     if plain and settings.layers != BEAUTY:
         raise UsageError(f"--layers is for EXR, and {pattern} has colour alone; leave it out")
-    if not (source.estimated and method.extrapolates):
-        return
-    if not plain:
+    if source.estimated and method.extrapolates and not plain:
         raise LayoutError(
             f"{pattern} has no motion vectors that are recognised; render the motion pass, or use "
             "--method softsplat, for which it is estimated"
         )
-    raise LayoutError(
-        f"--method {method.name} goes by depth, normals and materials, and {pattern} has colour "
-        "alone; use --method softsplat or s6"
-    )
-
-
-def _require_factor(
-    source: Source, method: Method, interpolator: OnnxInterpolator | OnnxLookAhead | None
-) -> None:
-    """Refuse a factor at which a method makes no frames; raises UsageError."""
+    if source.estimated and method.extrapolates:
+        raise LayoutError(
+            f"--method {method.name} goes by depth, normals and materials, and {pattern} has "
+            "colour alone; use --method softsplat or s6"
+        )
     timeline = source.timeline
     if not (method.any_factor or source.allows_decisions):
         names = ", ".join(each.name for each in METHODS.values() if each.any_factor)
