@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.tiles import LOOK_AHEAD_STATE, TILE_STATE
-from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.footage import close_sequences, is_plain
 from exwarp_cli.io.generated_frames import parse_compression
@@ -30,7 +30,7 @@ from exwarp_cli.pipeline.messages import (
 from exwarp_cli.pipeline.output_plan import OutputPlan, require_own
 from exwarp_cli.pipeline.rendered_frames import find_rendered, require_rendered_size
 from exwarp_cli.pipeline.scoring import require_measurable
-from exwarp_cli.pipeline.source import open_sources, require_one_size_of
+from exwarp_cli.pipeline.source import open_sources, require_one_size
 from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
 from exwarp_cli.synthesis.methods import (
     CAUSAL,
@@ -44,7 +44,6 @@ from exwarp_cli.synthesis.methods import (
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.results import RunOutcome
-    from exwarp_cli.domain.timeline import Slot
     from exwarp_cli.io.sequences import Sequence
     from exwarp_cli.models.interpolator import OnnxInterpolator
     from exwarp_cli.models.picture_network import OnnxExtrapolator, OnnxLookAhead
@@ -122,7 +121,16 @@ class Job:
         See `require_one_size`, `OutputPlan.check_conflicts` and `require_own`.
         """
         for source in self.sources:
-            require_one_size_of(source, self.keys, self.method.lookahead)
+            timeline, last = source.timeline, len(source.timeline.numbers) - 1
+            # A cut before the next key frame is looked for in both, whatever the method.
+            reads_next = self.method.lookahead or source.cuts.detect
+            ends = {min(key + 1, last) for key in self.keys} if reads_next else set()
+            keys = sorted(ends.union(self.keys))
+            require_one_size(source.keys, [timeline.numbers[key] for key in keys])
+            if source.slots is not None:
+                slots = [s for key in self.keys for s in (Slot(key, 0), *timeline.between(key))]
+                numbers = map(source.slot_number, slots)
+                require_one_size(source.slots, [n for n in numbers if n is not None])
         if self.truth is not None and (
             self.method.needs_truth or not self.settings.source.keep_going
         ):
@@ -205,8 +213,7 @@ def open_job(settings: UpsampleSettings) -> Job:
         scratch = ScratchFrames(LARGE_PIXELS)
         sources = tuple(replace(each, scratch=scratch) for each in sources)
         source = sources[0]
-    network = find_network(settings, method)
-    interpolator = _find_interpolator(settings, method)
+    network, interpolator = find_networks(settings, method)
     policy, look_ahead_policy = _find_policies(settings, method)
     if policy is not None and not policy.of_tiles:
         method = FRAMEWISE
@@ -247,15 +254,19 @@ def _find_method(settings: UpsampleSettings) -> Method:
     return METHODS[name]
 
 
-def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator | None:
-    """Load the network that a method needs; None for methods that do not extrapolate.
+def find_networks(
+    settings: UpsampleSettings, method: Method
+) -> tuple[OnnxExtrapolator | None, OnnxInterpolator | OnnxLookAhead | None]:
+    """Load the network that a method extrapolates with, and the one that it interpolates with.
+
+    The second may weigh both key frames. None for those that the method does without.
 
     Raises
     ------
     UsageError
-        When options ask for a network that the method would not use.
+        When options ask for a network that the method would not use, or name none that it needs.
     InputError, MissingExtraError
-        When the network cannot be used.
+        When a network cannot be used.
     """
     other_device = settings.device != UpsampleSettings.device
     rules: tuple[tuple[str, bool, str, Callable[[Method], bool]], ...] = (
@@ -274,31 +285,28 @@ def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator
                 f"{option} is for methods that {what}, and --method {method.name} does not; "
                 f"leave it out, or use {'one of ' if len(users) > 1 else ''}{names}"
             )
-    if not method.last.extrapolates:
-        return None
-    from exwarp_cli.models.picture_network import load_extrapolator
+    network: OnnxExtrapolator | None = None
+    interpolator: OnnxInterpolator | OnnxLookAhead | None = None
+    if method.last.extrapolates:
+        from exwarp_cli.models.picture_network import load_extrapolator
 
-    return load_extrapolator(_path(settings.extrapolator), settings.threads, settings.device)
-
-
-def _find_interpolator(
-    settings: UpsampleSettings, method: Method
-) -> OnnxInterpolator | OnnxLookAhead | None:
-    """Load the network that a method interpolates with, or weighs key frames with; None without."""
+        network = load_extrapolator(_path(settings.extrapolator), settings.threads, settings.device)
     if method.weighs:
         from exwarp_cli.models.picture_network import load_lookahead
 
-        return load_lookahead(_path(settings.interpolator), settings.threads, settings.device)
-    if not method.interpolates:
-        return None
-    if settings.interpolator is None:
+        path = _path(settings.interpolator)
+        interpolator = load_lookahead(path, settings.threads, settings.device)
+    elif method.interpolates and settings.interpolator is None:
         raise UsageError(
             f"--method {method.name} has no network of its own; name an ONNX file with "
             "--interpolator, or use --method softsplat"
         )
-    from exwarp_cli.models.interpolator import load_interpolator
+    elif method.interpolates and settings.interpolator is not None:
+        from exwarp_cli.models.interpolator import load_interpolator
 
-    return load_interpolator(Path(settings.interpolator), settings.threads, settings.device)
+        path = Path(settings.interpolator)
+        interpolator = load_interpolator(path, settings.threads, settings.device)
+    return network, interpolator
 
 
 def _path(text: str | None) -> Path | None:

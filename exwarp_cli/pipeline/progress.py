@@ -66,7 +66,7 @@ class Estimate:
         self._counts: Counter[str] = Counter()
         self._first_s: dict[str, float] = defaultdict(float)
         self._later_s: dict[str, float] = defaultdict(float)
-        self._last = self._logged_at = self._clock()
+        self.last = self._clock()  # when the newest frame was done
 
     def advance(self, kind: str = ANY, made: bool = True) -> None:
         """Count one frame; `made` is False for frames of an earlier run and for skipped ones."""
@@ -77,8 +77,8 @@ class Estimate:
         if made:
             self._counts[kind] += 1
             seconds = self._first_s if self._counts[kind] <= self._at_once else self._later_s
-            seconds[kind] += now - self._last
-        self._last = now
+            seconds[kind] += now - self.last
+        self.last = now
 
     @property
     def tenths(self) -> float:
@@ -111,14 +111,6 @@ class Estimate:
         hours, minutes = divmod(minutes, 60)
         text = f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
         return f"{text} left"
-
-    def is_log_due(self) -> bool:
-        """Return whether a log shows the newest frame: the first, the last, and some between."""
-        now = self._clock()
-        if self.done not in (1, self.total) and now - self._logged_at < INTERVAL_S:
-            return False
-        self._logged_at = now
-        return True
 
 
 def _frame_text(frame: int, note: str | None) -> str:
@@ -215,11 +207,16 @@ class FrameListener(Protocol):
 class PlainProgress(Progress):
     """Lines such as ``exwarp:  25% 10/40, frame 1010, 1:20 left``, for logs."""
 
+    _logged_at = 0.0
+
     def _show(self, frame: int | None = None, note: str | None = None) -> None:
         estimate = self._estimate
+        is_due = estimate.last - self._logged_at >= INTERVAL_S
         if frame is None:
+            self._logged_at = estimate.last
             self._print_status(f"{pluralise(estimate.total, 'frame')} to do")
-        elif estimate.is_log_due():
+        elif is_due or estimate.done in (1, estimate.total):
+            self._logged_at = estimate.last
             done = f"{estimate.done}/{estimate.total}"
             self._print_status(f"{done}, {_frame_text(frame, note)}, {estimate.left}")
 
