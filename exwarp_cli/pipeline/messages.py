@@ -285,14 +285,6 @@ def _dynamic(source: Source) -> tuple[str, ...] | None:
     return None if ids is None or ids.dynamic is None else ids.dynamic.names
 
 
-def skipped_interval(
-    timeline: Timeline, key: int, slots: abc.Sequence[Slot], reason: str
-) -> LeftOut:
-    """Return the record of an interval, by its index, that lacks some slots."""
-    frames = tuple(timeline.number(slot) for slot in slots)
-    return LeftOut(timeline.numbers[key], frames, reason)
-
-
 def skipped_slots(
     timeline: Timeline, key: int, unscored: Mapping[int, str], unusable: Mapping[int, str]
 ) -> Iterator[LeftOut]:
