@@ -8,10 +8,10 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary, RunSummary
+from exwarp_cli.domain.results import InputSummary, InterpolatorSummary, NetworkSummary, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.tiles import LOOK_AHEAD_STATE, TILE_STATE
-from exwarp_cli.domain.timeline import FACTOR, Slot
+from exwarp_cli.domain.timeline import FACTOR, Slot, number_step
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.footage import close_sequences, is_plain
 from exwarp_cli.io.generated_frames import parse_compression
@@ -23,7 +23,6 @@ from exwarp_cli.pipeline.ground_truth import find_truth, require_truth_size
 from exwarp_cli.pipeline.messages import (
     Models,
     input_messages,
-    input_summary,
     model_messages,
     output_messages,
 )
@@ -155,21 +154,27 @@ class Job:
             close_sequences(self.rendered.sequence)
 
     def summary(self, outcome: RunOutcome, seconds: float) -> RunSummary:
-        """Put together what a run of this job did.
-
-        Parameters
-        ----------
-        outcome
-            What became of its key frames.
-        seconds
-            Wall time of the streaming part.
-        """
-        source = self.source
+        """Put together what a run of this job did, in `seconds` of wall time of streaming."""
+        source, geometry = self.source, self.source.slots or self.source.keys
+        numbers, motion = source.timeline.numbers, source.motion_origin
+        by_name = None if geometry.ids is None else geometry.ids.dynamic
         return RunSummary(
             method=self.method.name,
             setting=source.setting,
             lookahead=self.method.lookahead,
-            input=input_summary(source),
+            input=InputSummary(
+                pattern=source.keys.sequence.pattern,
+                first=numbers[0],
+                last=numbers[-1],
+                width=source.keys.display.width,
+                height=source.keys.display.height,
+                producer=geometry.layout.producer,
+                motion_source=None if motion is None else motion[0],
+                motion_evidence=None if motion is None else motion[1],
+                dynamic=None if by_name is None else by_name.names,
+                step=number_step(numbers),
+                depth=geometry.depth.evidence or None,
+            ),
             base_fps=float(source.fps),
             fps_source=source.fps_source,
             wall_seconds=seconds,
@@ -202,7 +207,7 @@ def open_job(settings: UpsampleSettings) -> Job:
     compression = parse_compression(settings.compression)
     use_threads(settings.threads)
     method = _find_method(settings)
-    sources = open_sources(settings.source, method.needs_motion, pictures=True)
+    sources = open_sources(settings.source, method.needs_motion)
     source = sources[0]
     # The default makes what has no next key frame as `causal` does, where it can.
     is_alone = len(sources) == 1 and settings.layers == BEAUTY

@@ -1,4 +1,4 @@
-"""Messages of a run at its start and end, and summaries of its input and models for the report."""
+"""Messages of a run at its start and end, and summaries of its models for the report."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import math
 from collections import abc
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from exwarp_cli.domain.results import (
-    InputSummary,
     InterpolatorSummary,
     LeftOut,
     NetworkSummary,
@@ -259,24 +257,6 @@ def output_messages(job: Job) -> Iterator[str]:
             f"layers in files of their own are not written: {', '.join(apart)}; generated frames "
             "hold those of the file with the colour"
         )
-
-
-def input_summary(source: Source) -> InputSummary:
-    """Return the input as the report names it."""
-    motion = source.motion_origin
-    return InputSummary(
-        pattern=source.keys.sequence.pattern,
-        first=source.timeline.numbers[0],
-        last=source.timeline.numbers[-1],
-        width=source.keys.display.width,
-        height=source.keys.display.height,
-        producer=(source.slots or source.keys).layout.producer,
-        motion_source=None if motion is None else motion[0],
-        motion_evidence=None if motion is None else motion[1],
-        dynamic=_dynamic(source),
-        step=next((b - a for a, b in pairwise(source.timeline.numbers)), 1),
-        depth=(source.slots or source.keys).depth.evidence or None,
-    )
 
 
 def _dynamic(source: Source) -> tuple[str, ...] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import pairwise, takewhile
+from itertools import takewhile
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +14,7 @@ from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Image, UInt8, Window
 from exwarp_cli.domain.metric import WITHOUT_TRUTH
 from exwarp_cli.domain.results import BrokenPixels, FrameRecord, Score
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import FACTOR, Slot
+from exwarp_cli.domain.timeline import FACTOR, Slot, number_step
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.display_colour import to_display
 from exwarp_cli.io.ffmpeg import VmafStream, compute_vmaf, require_vmaf_size
@@ -290,8 +290,7 @@ class SequenceMotion:
     def __init__(self, shot: Shot, convention: MotionConvention) -> None:
         self._shot = shot
         self._convention = convention
-        numbers = shot.sequence.numbers
-        self._step = min((b - a for a, b in pairwise(numbers)), default=1)
+        self._step = number_step(shot.sequence.numbers)
         self._previous: tuple[int, GBuffer] | None = None
 
     def into(self, number: int) -> tuple[Float32, Bool] | None:

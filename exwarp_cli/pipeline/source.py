@@ -233,14 +233,13 @@ def _with_motion(
     )
 
 
-def open_sources(
-    settings: SourceSettings, motion_needed: bool, pictures: bool = False
-) -> tuple[Source, ...]:
+def open_sources(settings: SourceSettings, motion_needed: bool) -> tuple[Source, ...]:
     """Open the view that is asked for; of all views every one, the hero first; see `open_source`.
 
-    Raises UsageError when all views are asked for, and each has files of its own.
+    Pictures are taken, too. Raises UsageError when all views are asked for, and each has files of
+    its own.
     """
-    sources = tuple(open_source(view, motion_needed, pictures) for view in each_view(settings))
+    sources = tuple(open_source(view, motion_needed, pictures=True) for view in each_view(settings))
     leader = sources[0].keys.sequence
     for source in sources:
         if source.keys.sequence.files != leader.files:
