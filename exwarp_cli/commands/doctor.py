@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from exwarp_cli import __version__
 from exwarp_cli.commands.options import json_option
 from exwarp_cli.domain.wording import printable
 
@@ -76,7 +77,10 @@ def _check_configuration(ctx: click.Context) -> CheckResult:
 
 def _print_report(report: DoctorReport, verbose: bool) -> None:
     """Print a page: a row for each check, in colour and wrapped on a terminal."""
-    heading = report.heading()
+    facts = report.checks["machine"].facts if "machine" in report.checks else {}
+    machine = " ".join(facts[name] for name in ("system", "architecture") if facts.get(name))
+    python = f", {facts['implementation']} {facts['python']}" if "python" in facts else ""
+    heading = f"exwarp {__version__}{' on ' if machine else ''}{machine}{python}"
     page = [(name.replace("_", " "), check) for name, check in report.checks.items()]
     # Where checks failed, it is the error.
     verdict = "" if report.outcome == "failed" else report.verdict()

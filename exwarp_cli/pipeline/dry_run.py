@@ -60,12 +60,8 @@ class DryRun:
 def foresee(job: Job) -> DryRun:
     """Return what a job would write, and refuse what it would refuse.
 
-    Raises
-    ------
-    OutputExistsError
-        When frames are in the way.
-    OutputError
-        When a folder could not be made or written to.
+    Raises OutputExistsError when frames are in the way; OutputError when a folder could not be made
+    or written to.
     """
     targets = job.targets
     job.refuse()
@@ -93,10 +89,7 @@ def foresee(job: Job) -> DryRun:
 def require_writable(folders: Iterable[Path]) -> None:
     """Refuse folders that could not be made or written to, as far as permissions show it.
 
-    Raises
-    ------
-    OutputError
-        For the first of them.
+    Raises OutputError for the first of them.
     """
     for folder in folders:
         parent = next(path for path in (folder, *folder.absolute().parents) if path_exists(path))

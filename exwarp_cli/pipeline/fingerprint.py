@@ -49,7 +49,7 @@ class Fingerprinter:
     key_rate: Fraction | None = None  # frame rate that written key frames get; None: as they are
     # Of files that were digested; views share them, which may be of the same files.
     digests: OrderedDict[FrameFiles, str] = field(default_factory=OrderedDict, init=False)
-    _rewritten: OrderedDict[Path, str] = field(default_factory=OrderedDict, init=False)
+    _rewritten: dict[Path, str] = field(default_factory=dict, init=False)
 
     def digest(self, slot: Slot) -> None:
         """Digest all files of a slot's frame ahead; raises InputError where one cannot be read."""
@@ -143,14 +143,9 @@ class Fingerprinter:
             if path not in self._rewritten:
                 file = plan_key_file(path, self.key_rate)
                 copied = json.loads(digest)[""]
-                self._remember_rewritten(path, file.digest() if file.head else copied)
+                self._rewritten[path] = file.digest() if file.head else copied
             written[number] = self._rewritten[path]
         return written
-
-    def _remember_rewritten(self, path: Path, digest: str) -> None:
-        self._rewritten[path] = digest
-        while len(self._rewritten) > DIGESTS:
-            self._rewritten.popitem(last=False)
 
     def _digest(self, shot: Shot, number: int) -> str:
         """Digest all files of one frame; kept for the interval that shares it."""
@@ -168,7 +163,7 @@ class Fingerprinter:
                 rate = self.key_rate if is_key else None
                 by_aov[aov], rewritten = digests(path, rate, None if aov else shot.headers)
                 if is_key and rewritten is not None:
-                    self._remember_rewritten(path, rewritten)
+                    self._rewritten[path] = rewritten
             digest = json.dumps(by_aov, sort_keys=True)
         self.digests[frame] = digest
         while len(self.digests) > DIGESTS:

@@ -119,10 +119,8 @@ class Inspection:
 def inspect(settings: SourceSettings) -> Inspection:
     """Read the first frame of a sequence and measure its motion convention.
 
-    Raises
-    ------
-    InputError
-        When the sequence is absent, has gaps or frames of several sizes, or cannot be read.
+    Raises InputError when the sequence is absent, has gaps or frames of several sizes, or cannot be
+    read.
     """
     plain = open_plain(settings)
     if plain is not None:
@@ -156,14 +154,9 @@ def inspect(settings: SourceSettings) -> Inspection:
 def save_channel_map(inspection: Inspection, path: Path, overwrite: bool) -> None:
     """Write an inspection as a channel map.
 
-    A motion convention that was not measured, as vectors were too short, is left out.
-
-    Raises
-    ------
-    OutputError
-        When the file exists and is not to be replaced, or cannot be written.
-    UsageError
-        For videos and stills.
+    A motion convention that was not measured, as vectors were too short, is left out. Raises
+    OutputError when the file exists and is not to be replaced, or cannot be written; UsageError for
+    videos and stills.
     """
     shot, finding = inspection.shot, inspection.finding
     if inspection.pictures is not None:

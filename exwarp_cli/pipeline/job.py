@@ -199,10 +199,7 @@ class Job:
 def open_job(settings: UpsampleSettings) -> Job:
     """Open all that settings name; nothing is written.
 
-    Raises
-    ------
-    ExwarpError
-        For anything that a user can cause, but for what is in the way of the output.
+    Raises ExwarpError for anything that a user can cause, but for what is in the way of the output.
     """
     compression = parse_compression(settings.compression)
     use_threads(settings.threads)
@@ -264,14 +261,9 @@ def find_networks(
 ) -> tuple[OnnxExtrapolator | None, OnnxInterpolator | OnnxLookAhead | None]:
     """Load the network that a method extrapolates with, and the one that it interpolates with.
 
-    The second may weigh both key frames. None for those that the method does without.
-
-    Raises
-    ------
-    UsageError
-        When options ask for a network that the method would not use, or name none that it needs.
-    InputError, MissingExtraError
-        When a network cannot be used.
+    The second may weigh both key frames. None for those that the method does without. Raises
+    UsageError when options ask for a network that the method would not use, or name none that it
+    needs; InputError or MissingExtraError when a network cannot be used.
     """
     other_device = settings.device != UpsampleSettings.device
     rules: tuple[tuple[str, bool, str, Callable[[Method], bool]], ...] = (

@@ -132,7 +132,9 @@ def model_messages(job: Job) -> Iterator[str]:
         yield policy.note
     if policy.objects_from == "motion":
         yield "no object ids: what moves otherwise than the camera counts as an object"
-    if policy.objects_from == "cryptomatte" and _dynamic(job.source) is None:
+    ids = (job.source.slots or job.source.keys).ids
+    is_named = ids is not None and ids.dynamic is not None
+    if policy.objects_from == "cryptomatte" and not is_named:
         yield (
             "of the Cryptomatte's objects those count as moving that move otherwise than the camera"
         )
@@ -202,12 +204,13 @@ def input_messages(job: Job) -> Iterator[str]:
         yield "motion {}: {}".format(*source.motion_origin)
     if depth := (source.slots or source.keys).depth.evidence:
         yield f"depth {depth}"
-    names = _dynamic(source)
-    if names is not None:
+    ids = (source.slots or source.keys).ids
+    if ids is not None and ids.dynamic is not None:
+        names = ids.dynamic.names
         listed = ", ".join(quote_name(name) for name in names[:MAX_NAMES])
         more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
         yield f"moving by name: {listed}{more}"
-    elif (source.slots or source.keys).ids is not None and method.needs_motion:
+    elif ids is not None and method.needs_motion:
         yield (
             "the only ids are a Cryptomatte's: objects of which a tenth moves otherwise than the "
             "camera count as moving; --dynamic says by name what does"
@@ -257,12 +260,6 @@ def output_messages(job: Job) -> Iterator[str]:
             f"layers in files of their own are not written: {', '.join(apart)}; generated frames "
             "hold those of the file with the colour"
         )
-
-
-def _dynamic(source: Source) -> tuple[str, ...] | None:
-    """Return the names of moving objects that the user gave, if any."""
-    ids = (source.slots or source.keys).ids
-    return None if ids is None or ids.dynamic is None else ids.dynamic.names
 
 
 def skipped_slots(

@@ -131,13 +131,6 @@ class DoctorReport:
             },
         }
 
-    def heading(self) -> str:
-        """Return the page's first line: ExWarp's version, the system and Python's."""
-        facts = self.checks["machine"].facts if "machine" in self.checks else {}
-        machine = [facts[name] for name in ("system", "architecture") if facts.get(name)]
-        python = f", {facts['implementation']} {facts['python']}" if "python" in facts else ""
-        return f"exwarp {__version__}{' on ' if machine else ''}{' '.join(machine)}{python}"
-
     def verdict(self) -> str:
         """Sum up the examination, whether checks failed or not."""
         failed, warnings, skipped = (
@@ -155,19 +148,13 @@ class DoctorReport:
         return "everything that was tried works" if skipped else "everything works"
 
 
-def run_checks(
-    self_test: bool = True, more: dict[str, Callable[[], CheckResult]] | None = None
-) -> DoctorReport:
+def run_checks(self_test: bool, more: dict[str, Callable[[], CheckResult]]) -> DoctorReport:
     """Check this machine and this installation; failed checks are part of the result.
 
-    Parameters
-    ----------
-    self_test
-        Whether to upsample a shot.
-    more
-        Checks of the caller, by name, that are made first.
+    `self_test` says whether to upsample a shot. `more` are checks of the caller, by name, that are
+    made first.
     """
-    functions: dict[str, str | Callable[[], CheckResult]] = {**(more or {}), **CHECKS}
+    functions: dict[str, str | Callable[[], CheckResult]] = {**more, **CHECKS}
     checks, seconds = {}, {}
     for name, function in functions.items():
         begin = time.perf_counter()
