@@ -110,9 +110,7 @@ class Fingerprinter:
             numbers = [frame_of(slot) for slot in timeline.made_of(key)]
             facts["truth"] = [file_digest(sequence.files[n]) for n in numbers if n is not None]
         return {
-            slot.index: digest_json(
-                facts | {"slot": slot.index, "time": str(timeline.time(slot))},
-            )
+            slot.index: digest_json(facts | {"slot": slot.index, "time": str(timeline.time(slot))})
             for slot in timeline.made_of(key)
         }
 

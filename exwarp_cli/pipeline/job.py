@@ -293,12 +293,12 @@ def find_networks(
 
         path = _path(settings.interpolator)
         interpolator = load_lookahead(path, settings.threads, settings.device)
-    elif method.interpolates and settings.interpolator is None:
-        raise UsageError(
-            f"--method {method.name} has no network of its own; name an ONNX file with "
-            "--interpolator, or use --method softsplat"
-        )
-    elif method.interpolates and settings.interpolator is not None:
+    elif method.interpolates:
+        if settings.interpolator is None:
+            raise UsageError(
+                f"--method {method.name} has no network of its own; name an ONNX file with "
+                "--interpolator, or use --method softsplat"
+            )
         from exwarp_cli.models.interpolator import load_interpolator
 
         path = Path(settings.interpolator)
