@@ -156,18 +156,25 @@ class Progress:
         self._estimate.advance(kind, made)
         self._show(frame, note)
 
-    def _show(self, frame: int | None = None, note: str | None = None) -> None:
-        """Show a frame that is done; without one, at the start, what there is to do."""
-
     def message(self, text: str) -> None:
         """Show the user one line."""
-        _print_line(self._stream, f"exwarp: {text}")
+        self._write_line(one_line(f"exwarp: {text}"))
 
     def finish(self) -> None:
         """Stop reporting."""
 
     def fail(self, text: str, exit_code: int) -> None:
         """Send a watching program the reason why the command fails, and its exit code."""
+
+    def _show(self, frame: int | None = None, note: str | None = None) -> None:
+        """Show a frame that is done; without one, at the start, what there is to do."""
+
+    def _write_line(self, line: str) -> None:
+        """Write text without line ends in what the stream can encode."""
+        encoding = getattr(self._stream, "encoding", None) or "utf-8"
+        with suppress(OSError, OutputError):  # a stream that fails must not end the work
+            self._stream.write(line.encode(encoding, "backslashreplace").decode(encoding) + "\n")
+            self._stream.flush()
 
 
 class Silence(Progress):
@@ -242,17 +249,18 @@ class OpenJdProgress(PlainProgress):
     def fail(self, text: str, exit_code: int) -> None:
         """Print the reason; the runner gets the exit code from the process."""
         if exit_code == IncompleteError.exit_code:
-            _print_line(self._stream, f"openjd_status: {text}")
+            self._write_line(one_line(f"openjd_status: {text}"))
             return
         # Never empty: runners ignore a line that ends with the colon.
-        _print_line(self._stream, f"openjd_fail: {one_line(text) or f'exit code {exit_code}'}")
+        reason = one_line(text) or f"exit code {exit_code}"
+        self._write_line(one_line(f"openjd_fail: {reason}"))
 
     def _print_status(self, status: str) -> None:
         estimate = self._estimate
         if estimate.done and estimate.done == estimate.total:
             status = f"{pluralise(estimate.total, 'frame')} done"
-        _print_line(self._stream, f"openjd_progress: {estimate.tenths}")
-        _print_line(self._stream, f"openjd_status: {status}")
+        self._write_line(f"openjd_progress: {estimate.tenths}")
+        self._write_line(one_line(f"openjd_status: {status}"))
 
 
 class JsonProgress(Progress):
@@ -285,7 +293,7 @@ class JsonProgress(Progress):
     def _write(self, event: str, **more: object) -> None:
         record = {"event": event, "done": self._estimate.done, "total": self._estimate.total}
         # JSON escapes line ends itself, and a line that is cut would be no JSON.
-        _write_line(self._stream, json.dumps(record | more))
+        self._write_line(json.dumps(record | more))
 
 
 class BarProgress(Progress):
@@ -375,15 +383,3 @@ def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterato
             text = f"unexpected {type(error).__name__}: {error}"
             progress.fail(text, ExwarpError.exit_code)
         raise
-
-
-def _print_line(stream: TextIO, text: str) -> None:
-    """Write one line in what the stream can encode."""
-    encoding = getattr(stream, "encoding", None) or "utf-8"
-    _write_line(stream, one_line(text).encode(encoding, "backslashreplace").decode(encoding))
-
-
-def _write_line(stream: TextIO, line: str) -> None:
-    with suppress(OSError, OutputError):  # a stream that fails must not end the work
-        stream.write(line + "\n")
-        stream.flush()
