@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from exwarp_cli import __version__
 from exwarp_cli.commands.options import json_option
+from exwarp_cli.domain.wording import printable
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.doctor.checkup import CheckResult, DoctorReport
@@ -43,7 +45,7 @@ def command(ctx: click.Context, verbose: bool, skip_self_test: bool, as_json: bo
     else:
         _print_report(report, verbose)
     if report.outcome == "failed":
-        raise InstallationError(report.failures())
+        raise InstallationError(report.verdict())
 
 
 def _check_configuration(ctx: click.Context) -> CheckResult:
@@ -75,13 +77,20 @@ def _check_configuration(ctx: click.Context) -> CheckResult:
 
 def _print_report(report: DoctorReport, verbose: bool) -> None:
     """Print a page: a row for each check, in colour and wrapped on a terminal."""
-    heading, page, verdict = report.heading(), report.rows(verbose), report.verdict()
+    facts = report.checks["machine"].facts if "machine" in report.checks else {}
+    machine = " ".join(facts[name] for name in ("system", "architecture") if facts.get(name))
+    python = f", {facts['implementation']} {facts['python']}" if "python" in facts else ""
+    heading = f"exwarp {__version__}{' on ' if machine else ''}{machine}{python}"
+    page = [(name.replace("_", " "), check) for name, check in report.checks.items()]
+    # Where checks failed, it is the error.
+    verdict = "" if report.outcome == "failed" else report.verdict()
     if not sys.stdout.isatty() or find_spec("rich") is None:
-        width = max(len(row.name) for row in page)
+        width = max(len(name) for name, _ in page)
         lines = [heading]
-        for row in page:
-            lines.append(f"{row.outcome:<8} {row.name:<{width}}  {row.found}")
-            below = (*(f"- {text}" for text in row.remarks), *(f"  {text}" for text in row.more))
+        for name, check in page:
+            lines.append(f"{check.outcome:<8} {name:<{width}}  {printable(check.found)}")
+            below = [f"- {printable(remark.text)}" for remark in check.remarks]
+            below += [f"  {printable(text)}" for text in check.lines if verbose]
             lines += [f"{'':<8} {'':<{width}}  {line}" for line in below]
         # At once, so that a reader who goes after the first lines does not break it off.
         click.echo("\n".join([*lines, *([verdict] if verdict else [])]))
@@ -91,14 +100,14 @@ def _print_report(report: DoctorReport, verbose: bool) -> None:
     from rich.text import Text
 
     table = Table.grid(padding=(0, 2))
-    for row in page:
-        style = _STYLES[row.outcome]
-        table.add_row(Text(row.outcome, style, no_wrap=True), row.name, Text(row.found))
+    for name, check in page:
+        style, found = _STYLES[check.outcome], Text(printable(check.found))
+        table.add_row(Text(check.outcome, style, no_wrap=True), name, found)
         details = Table.grid(padding=(0, 1))
-        for text in row.remarks:
-            details.add_row("-", Text(text, style))
-        for text in row.more:
-            details.add_row("", Text(text, "dim", overflow="fold"))
+        for remark in check.remarks:
+            details.add_row("-", Text(printable(remark.text), style))
+        for text in check.lines if verbose else ():
+            details.add_row("", Text(printable(text), "dim", overflow="fold"))
         if details.row_count:
             table.add_row("", "", details)
     console = Console(highlight=False)

@@ -128,7 +128,7 @@ def render_chunk(chunk: Chunk) -> ChunkResult | BaseException:
                 _opened = None
                 threads = chunk.settings.threads or progress.threads
                 _opened = chunk.run, open_job(replace(chunk.settings, threads=threads))
-            job = replace(_opened[1].of(chunk.keys), reported=chunk.reported)
+            job = replace(_opened[1], keys=chunk.keys, reported=chunk.reported)
             return ChunkResult(write_intervals(job, progress, chunk.watcher), chunk.watcher)
         except Exception as error:
             return error

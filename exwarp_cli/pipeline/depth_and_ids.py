@@ -95,8 +95,7 @@ def with_depth_ordered(
         return shot
     numbers = shot.sequence.numbers
 
-    def is_cut(index: int) -> bool:
-        return numbers[index] in starts
+    cuts = {index for index, number in enumerate(numbers) if number in starts}
 
     @lru_cache(maxsize=1)  # a pair is looked at twice in a row
     def both_directions(first: int) -> list[tuple[Float32, Float32, Float32]]:
@@ -124,8 +123,8 @@ def with_depth_ordered(
         )
 
     total, by_pair, ends = OrderVotes(), [], []
-    for first in pairs_within(len(numbers), is_cut):
-        pair = pair_beside_hold(first, len(numbers), is_cut, is_hold)
+    for first in pairs_within(len(numbers), cuts.__contains__):
+        pair = pair_beside_hold(first, len(numbers), cuts.__contains__, is_hold)
         for depth, neighbour, motion in both_directions(pair):
             votes = occlusion_votes(depth, neighbour, motion)
             by_pair.append(votes)

@@ -13,8 +13,7 @@ from exwarp_cli.domain.results import FrameKind, RunOutcome, RunSummary
 from exwarp_cli.domain.timeline import Cut, Slot
 from exwarp_cli.io.files import output_error, path_exists
 from exwarp_cli.pipeline.fingerprint import key_fingerprint
-from exwarp_cli.pipeline.frame_writer import FrameWriter
-from exwarp_cli.pipeline.interval_inputs import IntervalInputs, SkippedInterval
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.job import Job
 from exwarp_cli.pipeline.output_plan import is_video_kept, video_fingerprint
 from exwarp_cli.pipeline.run import make_reader, make_writer
@@ -61,12 +60,8 @@ class DryRun:
 def foresee(job: Job) -> DryRun:
     """Return what a job would write, and refuse what it would refuse.
 
-    Raises
-    ------
-    OutputExistsError
-        When frames are in the way.
-    OutputError
-        When a folder could not be made or written to.
+    Raises OutputExistsError when frames are in the way; OutputError when a folder could not be made
+    or written to.
     """
     targets = job.targets
     job.refuse()
@@ -94,10 +89,7 @@ def foresee(job: Job) -> DryRun:
 def require_writable(folders: Iterable[Path]) -> None:
     """Refuse folders that could not be made or written to, as far as permissions show it.
 
-    Raises
-    ------
-    OutputError
-        For the first of them.
+    Raises OutputError for the first of them.
     """
     for folder in folders:
         parent = next(path for path in (folder, *folder.absolute().parents) if path_exists(path))
@@ -118,36 +110,30 @@ def _compare_existing(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, .
         note = video_fingerprint(leader.fingerprinter, job.settings, job.keys, job.rendered)
         kept = is_video_kept(job.targets, job.settings, note)
         return tuple(_foreseen(job, slot, kept) for slot in job.slots), None
-    writer = make_writer(job)
-    frames = []
+    writer, frames = make_writer(job), []
+    keys, timeline = job.source.keys, job.source.timeline
     for key in job.keys:
         inputs = reader.read(key, lambda *_: False)
-        slots = job.source.timeline.slots_of(key)
-        if not isinstance(inputs, IntervalInputs):
+        slots = timeline.slots_of(key)
+        if isinstance(inputs, IntervalInputs):
+            rendered, recipes = inputs.rendered.frames, inputs.recipes
+        else:
+            rendered, recipes = {}, {}
             slots = tuple(slot for slot in slots if inputs.passed is not None and not slot.index)
         for slot in slots:
-            frames.append(_foreseen(job, slot, _is_kept(job, writer, slot, inputs)))
+            number, path = timeline.number(slot), keys.sequence.files[timeline.numbers[key]]
+            if slot.index in rendered:
+                frame = rendered[slot.index]
+                kept = writer.has_rendered(number, frame.path, frame.recipe)
+            elif slot.index:
+                kept = writer.has(number, recipes[slot.index])
+            elif writer.copies(path):
+                kept = writer.has_copy(number, path)
+            else:
+                recipe = key_fingerprint(keys, timeline.numbers[key], job.source.written_fps)
+                kept = writer.has(number, recipe, masked=False)
+            frames.append(_foreseen(job, slot, kept))
     return tuple(frames), leader.shots.cuts
-
-
-def _is_kept(
-    job: Job, writer: FrameWriter, slot: Slot, inputs: IntervalInputs | SkippedInterval
-) -> bool:
-    """Return whether a slot's files exist as this run would write them."""
-    number = job.source.timeline.number(slot)
-    if slot.index:
-        assert isinstance(inputs, IntervalInputs)
-        rendered = inputs.rendered.frames.get(slot.index)
-        if rendered is not None:
-            return writer.has_rendered(number, rendered.path, rendered.recipe)
-        return writer.has(number, inputs.recipes[slot.index])
-    keys, key_number = job.source.keys, job.source.timeline.numbers[slot.key]
-    path = keys.sequence.files[key_number]
-    if writer.copies(path):
-        return writer.has_copy(number, path)
-    return writer.has(
-        number, key_fingerprint(keys, key_number, job.source.written_fps), masked=False
-    )
 
 
 def _foreseen(job: Job, slot: Slot, kept: bool) -> ForeseenFrame:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence as Listed
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -135,12 +136,10 @@ def evaluate(
         has no score in holes.
     frames
         Frame range in the reference's numbers; None for all.
-    progress
-        Receives every frame.
     measuring
         What is measured, and how; None for the defaults.
-    watcher
-        Is shown the frames that it wants; None where no frame is shown.
+    progress, watcher
+        The first receives every frame, the second is shown the frames that it wants.
 
     Raises
     ------
@@ -154,41 +153,18 @@ def evaluate(
     """
     measuring = measuring or MeasureSettings()
     require_consistent(measuring, holes)
-    truth, judged = (
-        find_frames(expand_view(spec, measuring.view or None)[0], scan=measuring.scan)
-        for spec in (reference, test)
-    )
-    transform = find_view_transform(measuring.view_transform, truth, judged)
-    looks = find_display_look(truth, transform), find_display_look(judged, transform)
-    masks = None if holes is None else find_sequence(holes)
-    matched_by, paired, pairing_notes = pair(truth, judged, measuring.view)
-    wanted = list(paired) if frames is None else parse_frames(frames)
-    if absent := [number for number in wanted if number not in paired]:
-        raise MissingFrameError(
-            f"frame {ranges(absent)} of --frames {frames} is not in both sequences, "
-            f"which share {ranges(list(paired))}"
-        )
-    selected = {number: paired[number] for number in wanted}
-    mask_files = {} if masks is None else _mask_files(masks, judged, paired)
-    files = [
-        _Files(a, b, truth, judged, mask_files.get(b), measuring.view) for a, b in selected.items()
-    ]
-    origins = origins_of([judged.files[b] for b in selected.values()])
-    require_generated(measuring, origins, judged)
-    scorer, notes = make_scorer(measuring, reference, truth, origins)
-    try:
-        compared, shape = _score(*(files, origins, scorer, progress or Progress(), watcher, looks))
-    finally:
-        close_sequences(truth, judged)
-    if measuring.preset is None:  # a preset has its own rule for rendered frames
-        notes = (*rendered_note(origins), *notes)
+    matched_by, files, masks, notes = _pair_files(reference, test, frames, holes, measuring)
+    truth, judged = files[0].reference, files[0].test
+    origins = origins_of([judged.files[file.b] for file in files])
+    scorer, more_notes = make_scorer(measuring, reference, truth, judged, origins)
+    compared, shape = _score(files, origins, scorer, progress or Progress(), watcher)
     rate = clip_rate(judged)
     if rate is None and not is_plain(judged):
         rate = frame_rate(read_headers(judged.files[min(judged.files)])[0])
     result = Comparison(
         *(truth, judged, masks, matched_by, shape[1], shape[0], compared),
         measuring=measuring,
-        notes=(*pairing_notes, *notes, *scorer.notes),
+        notes=(*notes, *more_notes, *scorer.notes),
         fps=None if rate is None else float(rate),
     )
     if all(frame.score == Score() for frame in compared):
@@ -197,8 +173,8 @@ def evaluate(
             f"nothing can be measured of {judged.pattern}: {why}; choose other --metrics"
         )
     if watcher is not None:  # the worst frame is known only now
-        worst = next(pair for pair in files if pair.b == result.worst.test)
-        _show(watcher, worst.b, worst.read(), result.worst.score, looks)
+        worst = next(file for file in files if file.b == result.worst.test)
+        worst.show(watcher, worst.read(), result.worst.score)
     return result
 
 
@@ -212,6 +188,7 @@ class _Files:
     test: Sequence
     mask: Path | None
     view: str
+    looks: tuple[DisplayLook, DisplayLook]  # of both sequences
 
     def read(self) -> Pair:
         reference = self.reference.files[self.a]
@@ -225,6 +202,13 @@ class _Files:
             _require_shape(display.shape, self.mask, shape, reference)
             mask = np.asarray(place_on_canvas(plane, data, display) > 0.5)
         return Pair(self.a, truth, test, mask)
+
+    def show(self, watcher: FrameListener | None, pair: Pair, score: Score | None = None) -> None:
+        """Show the pair that was read to the watcher, if it wants that."""
+        if watcher is not None and watcher.wants(self.b, score):
+            pixels = zip(self.looks, (pair.truth, pair.test), strict=True)
+            truth, test = (look.apply(linear) for look, linear in pixels)
+            watcher.frame(self.b, test, truth, pair.mask, is_key=False)
 
 
 def _require_shape(
@@ -243,7 +227,6 @@ def _score(
     scorer: MetricScorer | ExtranetScorer,
     progress: Progress,
     watcher: FrameListener | None,
-    looks: tuple[DisplayLook, DisplayLook],
 ) -> tuple[tuple[ComparedFrame, ...], tuple[int, ...]]:
     """Score all pairs, one in memory at a time; also return the first one's rows and columns."""
     hole_fractions: list[float | None] = []
@@ -252,18 +235,19 @@ def _score(
     if watcher is not None:
         watcher.plan([[file.b] for file in files])
     try:
-        with scorer:
+        with scorer.vmaf or nullcontext():
             for file in files:
                 pair = file.read()
                 shape = shape if hole_fractions else pair.truth.shape[:2]
                 scorer.add(pair)
                 hole_fractions.append(None if pair.mask is None else float(np.mean(pair.mask)))
-                _show(watcher, file.b, pair, None, looks)
+                file.show(watcher, pair)
                 progress.advance(file.b)
                 check_stop()
             scores = scorer.finish()
     finally:
         progress.finish()
+        close_sequences(files[0].reference, files[0].test)
     compared = tuple(
         ComparedFrame(f.a, f.b, f.test.files[f.b].name, overall, inside, fraction, origin)
         for f, (overall, inside), fraction, origin in zip(
@@ -273,18 +257,43 @@ def _score(
     return compared, shape
 
 
-def _show(
-    watcher: FrameListener | None,
-    number: int,
-    pair: Pair,
-    score: Score | None,
-    looks: tuple[DisplayLook, DisplayLook],
-) -> None:
-    if watcher is not None and watcher.wants(number, score):
-        truth, test = (
-            look.apply(pixels) for look, pixels in zip(looks, (pair.truth, pair.test), strict=True)
+def _pair_files(
+    reference: str, test: str, frames: str | None, holes: str | None, measuring: MeasureSettings
+) -> tuple[str, list[_Files], Sequence | None, tuple[str, ...]]:
+    """Find the frames that are compared, and their masks.
+
+    Also return how frames were paired, the sequence of masks and what `pair` notes.
+    """
+    truth, judged = (
+        find_frames(expand_view(spec, measuring.view or None)[0], scan=measuring.scan)
+        for spec in (reference, test)
+    )
+    transform = find_view_transform(measuring.view_transform, truth, judged)
+    looks = find_display_look(truth, transform), find_display_look(judged, transform)
+    masks = None if holes is None else find_sequence(holes)
+    matched_by, paired, notes = pair(truth, judged, measuring.view)
+    wanted = list(paired) if frames is None else parse_frames(frames)
+    if absent := [number for number in wanted if number not in paired]:
+        raise MissingFrameError(
+            f"frame {ranges(absent)} of --frames {frames} is not in both sequences, "
+            f"which share {ranges(list(paired))}"
         )
-        watcher.frame(number, test, truth, pair.mask, is_key=False)
+    mask_files: dict[int, Path] = {}  # by the test's frame number
+    if masks is not None:
+        by_test = {b: masks.files[b] for b in paired.values() if b in masks.files}
+        by_reference = {b: masks.files[a] for a, b in paired.items() if a in masks.files}
+        mask_files = by_test or by_reference
+        if not mask_files:
+            raise MissingFrameError(
+                f"no mask of {masks.pattern} ({ranges(list(masks.files))}) has the number of a "
+                f"compared frame ({ranges(list(paired.values()))} of {judged.pattern}); "
+                "give the masks that were written with these frames"
+            )
+    files = [
+        _Files(a, paired[a], truth, judged, mask_files.get(paired[a]), measuring.view, looks)
+        for a in wanted
+    ]
+    return matched_by, files, masks, notes
 
 
 def pair(
@@ -337,19 +346,6 @@ def pair(
     return "order", dict(zip(a, b, strict=True)), ()
 
 
-def _mask_files(masks: Sequence, test: Sequence, paired: dict[int, int]) -> dict[int, Path]:
-    """Return mask files by the test's frame number."""
-    by_test = {b: masks.files[b] for b in paired.values() if b in masks.files}
-    by_reference = {b: masks.files[a] for a, b in paired.items() if a in masks.files}
-    if not by_test and not by_reference:
-        raise MissingFrameError(
-            f"no mask of {masks.pattern} ({ranges(list(masks.files))}) has the number of a "
-            f"compared frame ({ranges(list(paired.values()))} of {test.pattern}); "
-            "give the masks that were written with these frames"
-        )
-    return by_test or by_reference
-
-
 def origins_of(files: Listed[Path]) -> list[Origin]:
     """Read where frames came from, of every header once.
 
@@ -389,27 +385,28 @@ def require_consistent(measuring: MeasureSettings, holes: str | None) -> None:
         )
 
 
-def require_generated(measuring: MeasureSettings, origins: Listed[Origin], test: Sequence) -> None:
-    """Refuse limits on generated frames where no header names any; raises UsageError."""
+def make_scorer(
+    measuring: MeasureSettings,
+    spec: str,
+    reference: Sequence,
+    test: Sequence,
+    origins: Listed[Origin],
+) -> tuple[MetricScorer | ExtranetScorer, tuple[str, ...]]:
+    """Return a scorer, and what a reader of its numbers should know.
+
+    The true sequence is `reference`, which the user named `spec`. The origins are those of the
+    frames that will be scored, in order. Raises UsageError for limits on generated frames where no
+    header names any.
+    """
+    generated = [origin.generated for origin in origins]
     limits = [limit for limit in measuring.thresholds if limit.scope == GENERATED]
-    if limits and not any(origin.generated for origin in origins):
+    if limits and not any(generated):
         raise UsageError(
             f"{limits[0].option} {limits[0].name} is on generated frames, and by their headers "
             f"none of the compared frames of {test.pattern} is one; write {limits[0].metric.option}"
             f"={limits[0].limit:g} for all frames"
         )
-
-
-def make_scorer(
-    measuring: MeasureSettings, spec: str, reference: Sequence, origins: Listed[Origin]
-) -> tuple[MetricScorer | ExtranetScorer, tuple[str, ...]]:
-    """Return a scorer, and what a reader of its numbers should know.
-
-    The true sequence is `reference`, which the user named `spec`. The origins are those of the
-    frames that will be scored, in order.
-    """
-    if measuring.preset is not None:
-        generated = [origin.generated for origin in origins]
+    if measuring.preset is not None:  # it has its own rule for rendered frames
         has_headers = any(origin.kind is not None for origin in origins)
         if has_headers and not any(generated):
             raise InputError(
@@ -418,13 +415,22 @@ def make_scorer(
             )
         flags = generated if has_headers else None
         return ExtranetScorer(measuring.measured, len(origins), flags), ()
+    notes = []
+    rendered = sum(not (origin.generated or origin.dropped) for origin in origins)
+    if rendered not in (0, len(origins)):
+        notes.append(
+            f"the means of all pixels are over all {len(origins)} frames, {rendered} of which are "
+            "rendered ones by their headers"
+        )
     motion: SequenceMotion | str | None = None
     if "flicker" in measuring.measured:
         motion = open_motion(spec, reference, measuring.view)
-    if not isinstance(motion, str):
-        return MetricScorer(measuring.measured, motion), ()
-    note = f"flicker is not measured, as it follows the motion of the first sequence: {motion}"
-    return MetricScorer(measuring.measured, None), (note,)
+    if isinstance(motion, str):
+        notes.append(
+            f"flicker is not measured, as it follows the motion of the first sequence: {motion}"
+        )
+        motion = None
+    return MetricScorer(measuring.measured, motion), tuple(notes)
 
 
 def open_motion(spec: str, sequence: Sequence, view: str = "") -> SequenceMotion | str:
@@ -439,14 +445,3 @@ def open_motion(spec: str, sequence: Sequence, view: str = "") -> SequenceMotion
     if not set(sequence.files) <= set(shot.sequence.files):
         return f"the vectors beside {sequence.pattern} are of other frames"
     return SequenceMotion(shot, finding.convention)
-
-
-def rendered_note(origins: Listed[Origin]) -> tuple[str, ...]:
-    """Return a note where rendered frames raise the means over an upsampled sequence."""
-    rendered = sum(not (origin.generated or origin.dropped) for origin in origins)
-    if rendered in (0, len(origins)):
-        return ()
-    return (
-        f"the means of all pixels are over all {len(origins)} frames, {rendered} of which are "
-        "rendered ones by their headers",
-    )

@@ -47,12 +47,9 @@ class Fingerprinter:
     # nothing may be unreadable.
     reading: Callable[[Slot], AbstractContextManager[None]] | None = None
     key_rate: Fraction | None = None  # frame rate that written key frames get; None: as they are
-    _digests: OrderedDict[FrameFiles, str] = field(default_factory=OrderedDict, init=False)
-    _rewritten: OrderedDict[Path, str] = field(default_factory=OrderedDict, init=False)
-
-    def share_digests(self, view: Fingerprinter) -> None:
-        """Keep files' digests with those of another view, which may be of the same files."""
-        self._digests = view._digests
+    # Of files that were digested; views share them, which may be of the same files.
+    digests: OrderedDict[FrameFiles, str] = field(default_factory=OrderedDict, init=False)
+    _rewritten: dict[Path, str] = field(default_factory=dict, init=False)
 
     def digest(self, slot: Slot) -> None:
         """Digest all files of a slot's frame ahead; raises InputError where one cannot be read."""
@@ -87,17 +84,6 @@ class Fingerprinter:
             Whether the network that extrapolates, if there is one, may make the frames.
         """
         source, timeline = self.source, self.source.timeline
-        keys, instants = tuple(keys), tuple(instants)
-        if self.reading is not None:
-            for slot in (*(Slot(index, 0) for index in keys), *instants):
-                with self.reading(slot):
-                    self.digest(slot)
-        files = [self._digest(source.keys, timeline.numbers[i]) for i in keys]
-        if source.slots is None:
-            files += [self._digest(source.keys, timeline.numbers[s.key]) for s in instants]
-        else:
-            numbers = [source.slot_number(s) for s in (*(Slot(i, 0) for i in keys), *instants)]
-            files += [self._digest(source.slots, n) for n in numbers if n is not None]
         facts: dict[str, Any] = {
             "version": __version__,
             "method": self.method.name,
@@ -105,7 +91,8 @@ class Fingerprinter:
             "motion": repr(source.convention),
             "compression": self.compression,
             "fps": f"{source.fps}{'' if source.written_fps else ' assumed'}",
-            "files": files,
+            "factor": str(timeline.factor),
+            "files": self._digest_sources([Slot(index, 0) for index in keys], list(instants)),
         }
         facts |= _reading_facts(source, self.method)
         if self.layers:
@@ -123,16 +110,22 @@ class Fingerprinter:
             numbers = [frame_of(slot) for slot in timeline.made_of(key)]
             facts["truth"] = [file_digest(sequence.files[n]) for n in numbers if n is not None]
         return {
-            slot.index: _digest_json(
-                facts
-                | {
-                    "slot": slot.index,
-                    "time": str(timeline.time(slot)),
-                    "factor": str(timeline.factor),
-                }
-            )
+            slot.index: digest_json(facts | {"slot": slot.index, "time": str(timeline.time(slot))})
             for slot in timeline.made_of(key)
         }
+
+    def _digest_sources(self, keys: list[Slot], instants: list[Slot]) -> list[str]:
+        """Digest the files of key frames, and of the instants whose G-buffers are used."""
+        source, numbers = self.source, self.source.timeline.numbers
+        if self.reading is not None:
+            for slot in keys + instants:
+                with self.reading(slot):
+                    self.digest(slot)
+        if source.slots is None:
+            return [self._digest(source.keys, numbers[slot.key]) for slot in keys + instants]
+        files = [self._digest(source.keys, numbers[slot.key]) for slot in keys]
+        in_slots = map(source.slot_number, keys + instants)
+        return files + [self._digest(source.slots, n) for n in in_slots if n is not None]
 
     def key_digests(self, keys: Iterable[int]) -> dict[int, str]:
         """Return the digests of written key frames by input number; none for a video."""
@@ -148,38 +141,32 @@ class Fingerprinter:
             if path not in self._rewritten:
                 file = plan_key_file(path, self.key_rate)
                 copied = json.loads(digest)[""]
-                self._remember_rewritten(path, file.digest() if file.head else copied)
+                self._rewritten[path] = file.digest() if file.head else copied
             written[number] = self._rewritten[path]
         return written
 
-    def _remember_rewritten(self, path: Path, digest: str) -> None:
-        self._rewritten[path] = digest
-        while len(self._rewritten) > DIGESTS:
-            self._rewritten.popitem(last=False)
-
     def _digest(self, shot: Shot, number: int) -> str:
         """Digest all files of one frame; kept for the interval that shares it."""
-        frame = (number, tuple(shot.files(number).items()))
-        if frame not in self._digests:
-            if is_plain(shot.sequence):
-                digest = digest_frame(shot.sequence, number)
-            else:
-                digest = self._digest_files(shot, number)
-            self._digests[frame] = digest
-            while len(self._digests) > DIGESTS:
-                self._digests.popitem(last=False)
-        return self._digests[frame]
-
-    def _digest_files(self, shot: Shot, number: int) -> str:
-        """Digest a frame's EXR files by AOV, and a key frame's file as it is written."""
-        by_aov = {}
-        for aov, path in shot.files(number).items():
-            is_key = not aov and shot is self.source.keys
-            rate = self.key_rate if is_key else None
-            by_aov[aov], rewritten = digests(path, rate, None if aov else shot.headers)
-            if is_key and rewritten is not None:
-                self._remember_rewritten(path, rewritten)
-        return json.dumps(by_aov, sort_keys=True)
+        files = shot.files(number)
+        frame = (number, tuple(files.items()))
+        if frame in self.digests:
+            return self.digests[frame]
+        if is_plain(shot.sequence):
+            digest = digest_frame(shot.sequence, number)
+        else:
+            by_aov = {}
+            for aov, path in files.items():
+                # A key frame's file is digested as it is written, too.
+                is_key = not aov and shot is self.source.keys
+                rate = self.key_rate if is_key else None
+                by_aov[aov], rewritten = digests(path, rate, None if aov else shot.headers)
+                if is_key and rewritten is not None:
+                    self._rewritten[path] = rewritten
+            digest = json.dumps(by_aov, sort_keys=True)
+        self.digests[frame] = digest
+        while len(self.digests) > DIGESTS:
+            self.digests.popitem(last=False)
+        return digest
 
 
 def key_fingerprint(keys: Shot, number: int, rate: Fraction | None = None) -> str:
@@ -188,10 +175,11 @@ def key_fingerprint(keys: Shot, number: int, rate: Fraction | None = None) -> st
     The rate is what its header says; None where it says none.
     """
     facts = {"version": __version__, "key": digest_frame(keys.sequence, number), "fps": str(rate)}
-    return _digest_json(facts)
+    return digest_json(facts)
 
 
-def _digest_json(facts: dict[str, Any]) -> str:
+def digest_json(facts: dict[str, Any]) -> str:
+    """Digest what JSON can hold, whatever the order of its keys."""
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 
 

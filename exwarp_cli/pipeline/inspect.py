@@ -45,18 +45,8 @@ class Inspection:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the findings as plain data, for JSON."""
-        sequence, layout, finding = self.shot.sequence, self.shot.layout, self.finding
+        sequence, layout = self.shot.sequence, self.shot.layout
         moving = None if self.shot.ids is None else self.shot.ids.dynamic
-        motion = None
-        if Role.MOTION in layout:
-            names = motion_names(self.shot)
-            motion = {
-                "named": None if layout.guess is None else layout.guess.describe(names),
-                "convention": None if finding is None else finding.convention.describe(names),
-            }
-            measured = ("source", "evidence", "error", "still_error", "runner_up_error")
-            motion |= {key: None if finding is None else getattr(finding, key) for key in measured}
-            motion["problem"] = self.problem
         return {
             "schema": "exwarp.inspect/1",
             "pattern": sequence.pattern,
@@ -106,17 +96,29 @@ class Inspection:
             ],
             "dynamic": None if moving is None else list(moving.names),
             "pictures": self.pictures,
-            "motion": motion,
+            "motion": self._motion_as_dict(),
+        }
+
+    def _motion_as_dict(self) -> dict[str, Any] | None:
+        """Return how the vectors are read; None without motion."""
+        layout, finding = self.shot.layout, self.finding
+        if Role.MOTION not in layout:
+            return None
+        names = motion_names(self.shot)
+        measured = ("source", "evidence", "error", "still_error", "runner_up_error")
+        return {
+            "named": None if layout.guess is None else layout.guess.describe(names),
+            "convention": None if finding is None else finding.convention.describe(names),
+            **{key: None if finding is None else getattr(finding, key) for key in measured},
+            "problem": self.problem,
         }
 
 
 def inspect(settings: SourceSettings) -> Inspection:
     """Read the first frame of a sequence and measure its motion convention.
 
-    Raises
-    ------
-    InputError
-        When the sequence is absent, has gaps or frames of several sizes, or cannot be read.
+    Raises InputError when the sequence is absent, has gaps or frames of several sizes, or cannot be
+    read.
     """
     plain = open_plain(settings)
     if plain is not None:
@@ -150,14 +152,9 @@ def inspect(settings: SourceSettings) -> Inspection:
 def save_channel_map(inspection: Inspection, path: Path, overwrite: bool) -> None:
     """Write an inspection as a channel map.
 
-    A motion convention that was not measured, as vectors were too short, is left out.
-
-    Raises
-    ------
-    OutputError
-        When the file exists and is not to be replaced, or cannot be written.
-    UsageError
-        For videos and stills.
+    A motion convention that was not measured, as vectors were too short, is left out. Raises
+    OutputError when the file exists and is not to be replaced, or cannot be written; UsageError for
+    videos and stills.
     """
     shot, finding = inspection.shot, inspection.finding
     if inspection.pictures is not None:

@@ -263,7 +263,7 @@ class IntervalJudge:
         source, self.method = job.source, method
         self.selector = make_selector(method, source, job.policy, job.settings.spent)
         self.gate: Gate | None = None
-        if job.is_gated:
+        if job.method.gated and job.settings.gate:
             make_builder = partial(
                 IntervalBuilder, source.keys.display, job.network, job.interpolator,
                 source.estimated, scratch=source.scratch,

@@ -177,7 +177,7 @@ class IntervalReader:
         self.trials: tuple[TrialReader, ...] = ()
         if leader is not None:
             self.trials = leader.trials
-            self.fingerprinter.share_digests(leader.fingerprinter)
+            self.fingerprinter.digests = leader.fingerprinter.digests
         elif method.gated and settings.gate:
             first = TrialReader(self.store, method.lookahead, self._history, self._reads_late)
             self.trials = (first,)

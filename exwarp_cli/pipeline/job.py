@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary, RunSummary
+from exwarp_cli.domain.results import InputSummary, InterpolatorSummary, NetworkSummary, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.tiles import LOOK_AHEAD_STATE, TILE_STATE
-from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.domain.timeline import FACTOR, Slot, number_step
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.footage import close_sequences, is_plain
 from exwarp_cli.io.generated_frames import parse_compression
@@ -20,18 +21,15 @@ from exwarp_cli.pipeline.extra_layers import Content, contents_of
 from exwarp_cli.pipeline.ground_truth import find_truth, require_truth_size
 from exwarp_cli.pipeline.messages import (
     Models,
-    announce,
-    announce_contents,
-    announce_models,
-    announce_truth,
-    announce_video,
-    input_summary,
+    input_messages,
+    model_messages,
+    output_messages,
 )
 from exwarp_cli.pipeline.output_plan import OutputPlan, require_own
 from exwarp_cli.pipeline.rendered_frames import find_rendered, require_rendered_size
 from exwarp_cli.pipeline.scheduling import use_threads
 from exwarp_cli.pipeline.scoring import require_measurable
-from exwarp_cli.pipeline.source import open_sources, require_one_size_of
+from exwarp_cli.pipeline.source import open_sources, require_one_size
 from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
 from exwarp_cli.synthesis.methods import (
     CAUSAL,
@@ -45,7 +43,6 @@ from exwarp_cli.synthesis.methods import (
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.results import RunOutcome
-    from exwarp_cli.domain.timeline import Slot
     from exwarp_cli.io.sequences import Sequence
     from exwarp_cli.models.interpolator import OnnxInterpolator
     from exwarp_cli.models.picture_network import OnnxExtrapolator, OnnxLookAhead
@@ -80,11 +77,6 @@ class Job:
     def sums(self) -> bool:
         """True if checksums of files are wanted."""
         return self.reported or self.settings.verify
-
-    @property
-    def is_gated(self) -> bool:
-        """True if the network makes frames only where trials show that it pays."""
-        return self.method.gated and self.settings.gate
 
     @property
     def measures_key_pulse(self) -> bool:
@@ -122,17 +114,22 @@ class Job:
             policy = f"{self.policy.checksum}{effort}"
         return self.models.extrapolator, policy, self.models.interpolator
 
-    def of(self, keys: tuple[int, ...]) -> Job:
-        """Return the same job for other key frames."""
-        return replace(self, keys=keys)
-
     def refuse(self) -> None:
         """Refuse frames of several sizes, and to overwrite; touch nothing.
 
         See `require_one_size`, `OutputPlan.check_conflicts` and `require_own`.
         """
         for source in self.sources:
-            require_one_size_of(source, self.keys, self.method.lookahead)
+            timeline, last = source.timeline, len(source.timeline.numbers) - 1
+            # A cut before the next key frame is looked for in both, whatever the method.
+            reads_next = self.method.lookahead or source.cuts.detect
+            ends = {min(key + 1, last) for key in self.keys} if reads_next else set()
+            keys = sorted(ends.union(self.keys))
+            require_one_size(source.keys, [timeline.numbers[key] for key in keys])
+            if source.slots is not None:
+                slots = [s for key in self.keys for s in (Slot(key, 0), *timeline.between(key))]
+                numbers = map(source.slot_number, slots)
+                require_one_size(source.slots, [n for n in numbers if n is not None])
         if self.truth is not None and (
             self.method.needs_truth or not self.settings.source.keep_going
         ):
@@ -147,15 +144,8 @@ class Job:
 
     def announce(self, progress: Progress) -> None:
         """Say what was found, and what is going to happen."""
-        announce(progress, self.settings, self.source, self.method, self.keys)
-        if self.rendered is not None:
-            progress.message(self.rendered.note)
-        if self.truth is not None:
-            announce_truth(progress, *self.truth, self.source)
-        if self.targets.video is not None:
-            announce_video(progress, self.source, self.keys)
-        announce_contents(progress, self.contents)
-        announce_models(progress, self.models, self.source)
+        for text in chain(input_messages(self), output_messages(self), model_messages(self)):
+            progress.message(text)
 
     def close(self) -> None:
         """Close what reading left open; a later read opens it again."""
@@ -164,21 +154,27 @@ class Job:
             close_sequences(self.rendered.sequence)
 
     def summary(self, outcome: RunOutcome, seconds: float) -> RunSummary:
-        """Put together what a run of this job did.
-
-        Parameters
-        ----------
-        outcome
-            What became of its key frames.
-        seconds
-            Wall time of the streaming part.
-        """
-        source = self.source
+        """Put together what a run of this job did, in `seconds` of wall time of streaming."""
+        source, geometry = self.source, self.source.slots or self.source.keys
+        numbers, motion = source.timeline.numbers, source.motion_origin
+        by_name = None if geometry.ids is None else geometry.ids.dynamic
         return RunSummary(
             method=self.method.name,
             setting=source.setting,
             lookahead=self.method.lookahead,
-            input=input_summary(source),
+            input=InputSummary(
+                pattern=source.keys.sequence.pattern,
+                first=numbers[0],
+                last=numbers[-1],
+                width=source.keys.display.width,
+                height=source.keys.display.height,
+                producer=geometry.layout.producer,
+                motion_source=None if motion is None else motion[0],
+                motion_evidence=None if motion is None else motion[1],
+                dynamic=None if by_name is None else by_name.names,
+                step=number_step(numbers),
+                depth=geometry.depth.evidence or None,
+            ),
             base_fps=float(source.fps),
             fps_source=source.fps_source,
             wall_seconds=seconds,
@@ -203,31 +199,29 @@ class Job:
 def open_job(settings: UpsampleSettings) -> Job:
     """Open all that settings name; nothing is written.
 
-    Raises
-    ------
-    ExwarpError
-        For anything that a user can cause, but for what is in the way of the output.
+    Raises ExwarpError for anything that a user can cause, but for what is in the way of the output.
     """
     compression = parse_compression(settings.compression)
     use_threads(settings.threads)
     method = _find_method(settings)
-    sources = open_sources(settings.source, method.needs_motion, pictures=True)
-    method = _with_tail(method, sources, settings.layers)
+    sources = open_sources(settings.source, method.needs_motion)
+    source = sources[0]
+    # The default makes what has no next key frame as `causal` does, where it can.
+    is_alone = len(sources) == 1 and settings.layers == BEAUTY
+    has_vectors = source.finding is not None and source.slots is None
+    if method.weighs and method.gated and is_alone and has_vectors and source.allows_decisions:
+        method = replace(method, tail=METHODS[CAUSAL])
     if method.last.extrapolates:
         scratch = ScratchFrames(LARGE_PIXELS)
         sources = tuple(replace(each, scratch=scratch) for each in sources)
-    source = sources[0]
-    network = find_network(settings, method)
-    interpolator = _find_interpolator(settings, method)
-    policy = _find_policy(settings, method)
-    look_ahead_policy = _find_look_ahead_policy(settings, method)
-    method = _with_policy(method, policy, settings)
-    _require_usable(settings, method, source)
-    _require_factor(source, method, interpolator)
+        source = sources[0]
+    network, interpolator = find_networks(settings, method)
+    policy, look_ahead_policy = _find_policies(settings, method)
+    if policy is not None and not policy.of_tiles:
+        method = FRAMEWISE
+    _require_usable(settings, method, source, interpolator)
     contents = contents_of(sources, settings.layers)
-    models = Models.of(source, network, interpolator, policy)
-    if look_ahead_policy is not None:
-        models = models.with_effort(look_ahead_policy, settings.spent)
+    models = Models.of(source, network, interpolator, policy, look_ahead_policy, settings.spent)
     keys = source.timeline.select(settings.frames)
     targets = OutputPlan.from_settings(settings, source.keys.sequence, compression)
     truth = None
@@ -262,24 +256,14 @@ def _find_method(settings: UpsampleSettings) -> Method:
     return METHODS[name]
 
 
-def _with_tail(method: Method, sources: tuple[Source, ...], layers: str) -> Method:
-    """Let the default make what has no next key frame as `causal` does, where it can."""
-    source, is_alone = sources[0], len(sources) == 1 and layers == BEAUTY
-    has_vectors = source.finding is not None and source.slots is None
-    if method.weighs and method.gated and is_alone and has_vectors and source.allows_decisions:
-        return replace(method, tail=METHODS[CAUSAL])
-    return method
+def find_networks(
+    settings: UpsampleSettings, method: Method
+) -> tuple[OnnxExtrapolator | None, OnnxInterpolator | OnnxLookAhead | None]:
+    """Load the network that a method extrapolates with, and the one that it interpolates with.
 
-
-def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator | None:
-    """Load the network that a method needs; None for methods that do not extrapolate.
-
-    Raises
-    ------
-    UsageError
-        When options ask for a network that the method would not use.
-    InputError, MissingExtraError
-        When the network cannot be used.
+    The second may weigh both key frames. None for those that the method does without. Raises
+    UsageError when options ask for a network that the method would not use, or name none that it
+    needs; InputError or MissingExtraError when a network cannot be used.
     """
     other_device = settings.device != UpsampleSettings.device
     rules: tuple[tuple[str, bool, str, Callable[[Method], bool]], ...] = (
@@ -298,65 +282,71 @@ def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator
                 f"{option} is for methods that {what}, and --method {method.name} does not; "
                 f"leave it out, or use {'one of ' if len(users) > 1 else ''}{names}"
             )
-    if not method.last.extrapolates:
-        return None
-    from exwarp_cli.models.picture_network import load_extrapolator
+    network: OnnxExtrapolator | None = None
+    interpolator: OnnxInterpolator | OnnxLookAhead | None = None
+    if method.last.extrapolates:
+        from exwarp_cli.models.picture_network import load_extrapolator
 
-    return load_extrapolator(_path(settings.extrapolator), settings.threads, settings.device)
-
-
-def _find_interpolator(
-    settings: UpsampleSettings, method: Method
-) -> OnnxInterpolator | OnnxLookAhead | None:
-    """Load the network that a method interpolates with, or weighs key frames with; None without."""
+        network = load_extrapolator(_path(settings.extrapolator), settings.threads, settings.device)
     if method.weighs:
         from exwarp_cli.models.picture_network import load_lookahead
 
-        return load_lookahead(_path(settings.interpolator), settings.threads, settings.device)
-    if not method.interpolates:
-        return None
-    if settings.interpolator is None:
-        raise UsageError(
-            f"--method {method.name} has no network of its own; name an ONNX file with "
-            "--interpolator, or use --method softsplat"
-        )
-    from exwarp_cli.models.interpolator import load_interpolator
+        path = _path(settings.interpolator)
+        interpolator = load_lookahead(path, settings.threads, settings.device)
+    elif method.interpolates:
+        if settings.interpolator is None:
+            raise UsageError(
+                f"--method {method.name} has no network of its own; name an ONNX file with "
+                "--interpolator, or use --method softsplat"
+            )
+        from exwarp_cli.models.interpolator import load_interpolator
 
-    return load_interpolator(Path(settings.interpolator), settings.threads, settings.device)
+        path = Path(settings.interpolator)
+        interpolator = load_interpolator(path, settings.threads, settings.device)
+    return network, interpolator
 
 
 def _path(text: str | None) -> Path | None:
     return None if text is None else Path(text)
 
 
-def _find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None:
-    """Load the policy that a method asks; None for methods that ask none."""
+def _find_policies(
+    settings: UpsampleSettings, method: Method
+) -> tuple[PolicyFile | None, PolicyFile | None]:
+    """Load the policy that a method asks, and what chooses tiles between key frames.
+
+    None for a method that asks no policy, and where a network makes all tiles.
+    """
+    from exwarp_cli.models.policy_files import (
+        PAPER,
+        SHIPPED_LOOK_AHEAD_POLICY,
+        SHIPPED_POLICY,
+        SHIPPED_TILE_POLICY,
+        load_policy,
+    )
+
     if settings.policy is not None and method.judge is not DecisionSource.TILES:
         raise UsageError(
             f"--policy is for --causal, and --method {method.name} asks no policy; leave it out"
         )
-    if method.last.judge is DecisionSource.TILES:
-        from exwarp_cli.models.policy_files import (
-            PAPER,
-            SHIPPED_POLICY,
-            SHIPPED_TILE_POLICY,
-            load_policy,
+    policy = look_ahead_policy = None
+    if method.last.judge is DecisionSource.TILES and settings.policy == PAPER:
+        policy = require_state(load_policy(None, SHIPPED_POLICY))
+    elif method.last.judge is DecisionSource.TILES:
+        policy = require_state(load_policy(_path(settings.policy), SHIPPED_TILE_POLICY))
+    if method.weighs and method.gated and settings.spent != 1:
+        look_ahead_policy = load_policy(None, SHIPPED_LOOK_AHEAD_POLICY)
+        require_state(look_ahead_policy, LOOK_AHEAD_STATE)
+    by_tiles = policy is not None and policy.of_tiles
+    if settings.effort is not None and not (by_tiles or method.name == EXWARP):
+        chooser = (
+            "--policy chooses for whole frames" if policy else f"{method.name} chooses nothing"
         )
-
-        if settings.policy == PAPER:
-            return require_state(load_policy(None, SHIPPED_POLICY))
-        return require_state(load_policy(_path(settings.policy), SHIPPED_TILE_POLICY))
-    return None
-
-
-def _find_look_ahead_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None:
-    """Load what chooses the tiles between key frames that a network makes; None for all."""
-    if not (method.weighs and method.gated) or settings.spent == 1:
-        return None
-    from exwarp_cli.models.policy_files import SHIPPED_LOOK_AHEAD_POLICY, load_policy
-
-    policy = load_policy(None, SHIPPED_LOOK_AHEAD_POLICY)
-    return require_state(policy, LOOK_AHEAD_STATE)
+        raise UsageError(
+            f"--effort is for exwarp, and for --causal with a policy of tiles, and {chooser}; "
+            "leave it out"
+        )
+    return policy, look_ahead_policy
 
 
 def require_state(policy: PolicyFile, *versions: str | int) -> PolicyFile:
@@ -375,25 +365,13 @@ def require_state(policy: PolicyFile, *versions: str | int) -> PolicyFile:
     return policy
 
 
-def _with_policy(method: Method, policy: PolicyFile | None, settings: UpsampleSettings) -> Method:
-    """Return a method as its policy decides: for whole frames, or tile by tile.
-
-    Raises UsageError for ``--effort`` where no policy decides tile by tile.
-    """
-    by_tiles = policy is not None and policy.of_tiles
-    if settings.effort is not None and not (by_tiles or method.name == EXWARP):
-        chooser = (
-            "--policy chooses for whole frames" if policy else f"{method.name} chooses nothing"
-        )
-        raise UsageError(
-            f"--effort is for exwarp, and for --causal with a policy of tiles, and {chooser}; "
-            "leave it out"
-        )
-    return method if policy is None or by_tiles else FRAMEWISE
-
-
-def _require_usable(settings: UpsampleSettings, method: Method, source: Source) -> None:
-    """Refuse what a method cannot do with these options, or with this input."""
+def _require_usable(
+    settings: UpsampleSettings,
+    method: Method,
+    source: Source,
+    interpolator: OnnxInterpolator | OnnxLookAhead | None,
+) -> None:
+    """Refuse what a method cannot do with these options, with this input, or at its factor."""
     if method.needs_truth and settings.ground_truth is None:
         raise UsageError(
             f"--method {method.name} decides by ground truth; give it with --ground-truth, or use "
@@ -407,23 +385,16 @@ def _require_usable(settings: UpsampleSettings, method: Method, source: Source) 
     pattern, plain = source.keys.sequence.pattern, is_plain(source.keys.sequence)
     if plain and settings.layers != BEAUTY:
         raise UsageError(f"--layers is for EXR, and {pattern} has colour alone; leave it out")
-    if not (source.estimated and method.extrapolates):
-        return
-    if not plain:
+    if source.estimated and method.extrapolates and not plain:
         raise LayoutError(
             f"{pattern} has no motion vectors that are recognised; render the motion pass, or use "
             "--method softsplat, for which it is estimated"
         )
-    raise LayoutError(
-        f"--method {method.name} goes by depth, normals and materials, and {pattern} has colour "
-        "alone; use --method softsplat or s6"
-    )
-
-
-def _require_factor(
-    source: Source, method: Method, interpolator: OnnxInterpolator | OnnxLookAhead | None
-) -> None:
-    """Refuse a factor at which a method makes no frames; raises UsageError."""
+    if source.estimated and method.extrapolates:
+        raise LayoutError(
+            f"--method {method.name} goes by depth, normals and materials, and {pattern} has "
+            "colour alone; use --method softsplat or s6"
+        )
     timeline = source.timeline
     if not (method.any_factor or source.allows_decisions):
         names = ", ".join(each.name for each in METHODS.values() if each.any_factor)

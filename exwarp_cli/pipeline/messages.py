@@ -1,24 +1,21 @@
-"""Messages of a run at its start and end, and summaries of its input and models for the report."""
+"""Messages of a run at its start and end, and summaries of its models for the report."""
 
 from __future__ import annotations
 
 import math
 from collections import abc
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from exwarp_cli.domain.results import (
-    InputSummary,
     InterpolatorSummary,
     LeftOut,
     NetworkSummary,
     PolicySummary,
     RunSummary,
 )
-from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import RATE_TOLERANCE, Slot, Timeline, ranges
 from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import IncompleteError
@@ -28,19 +25,17 @@ from exwarp_cli.io.footage import is_plain, lost_alpha_message, uneven_rate_mess
 from exwarp_cli.io.shot import alpha_note
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.models.model_file import shipped_folder
-from exwarp_cli.pipeline.extra_layers import Content
 from exwarp_cli.pipeline.ground_truth import OtherRate
 from exwarp_cli.pipeline.output_plan import frame_suffix, video_look
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.source import step_note
 
 if TYPE_CHECKING:
-    from exwarp_cli.io.sequences import Sequence
     from exwarp_cli.models.interpolator import OnnxInterpolator
     from exwarp_cli.models.picture_network import OnnxExtrapolator, OnnxLookAhead
     from exwarp_cli.models.policy_files import PolicyFile
-    from exwarp_cli.pipeline.source import FrameOf, Source
-    from exwarp_cli.synthesis.methods import Method
+    from exwarp_cli.pipeline.job import Job
+    from exwarp_cli.pipeline.source import Source
 
 # What `synthesis.extrapolation` divides by, both together, in the user's words.
 SURFACE_COLOURS = {Role.ALBEDO: "diffuse", Role.SPECULAR: "glossy"}
@@ -61,8 +56,10 @@ class Models:
         network: OnnxExtrapolator | None,
         interpolator: OnnxInterpolator | OnnxLookAhead | None,
         policy: PolicyFile | None,
+        look_ahead_policy: PolicyFile | None,
+        effort: float,
     ) -> Models:
-        """Summarise loaded models."""
+        """Summarise loaded models; the last policy chooses the tiles that `interpolator` makes."""
         extrapolator = interpolator_summary = policy_summary = None
         if network is not None:
             extrapolator = NetworkSummary(
@@ -75,6 +72,8 @@ class Models:
                 interpolator.checksum,
                 interpolator.card_checksum,
                 interpolator.device,
+                None if look_ahead_policy is None else look_ahead_policy.checksum,
+                None if look_ahead_policy is None else effort,
             )
         if policy is not None:
             note = None if network is None else other_extrapolator(policy, network)
@@ -103,23 +102,18 @@ class Models:
             )
         return cls(extrapolator, interpolator_summary, policy_summary)
 
-    def with_effort(self, policy: PolicyFile, effort: float) -> Models:
-        """Return them with the policy of the tiles that the interpolator makes."""
-        assert self.interpolator is not None
-        interpolator = replace(self.interpolator, policy_sha256=policy.checksum, effort=effort)
-        return replace(self, interpolator=interpolator)
 
-
-def announce_models(progress: Progress, models: Models, source: Source) -> None:
-    """Name the models, and what they lack of the input."""
-    network, interpolator, policy = models.extrapolator, models.interpolator, models.policy
+def model_messages(job: Job) -> Iterator[str]:
+    """Name the models of a job, and what they lack of its input."""
+    network, policy = job.models.extrapolator, job.models.policy
+    interpolator = job.models.interpolator
     if network is not None:
-        progress.message(
+        yield (
             f"extrapolation by {Path(network.file).name} (sha256 {network.sha256[:8]}) on "
             f"{network.device}"
         )
-        if missing := _missing_colours(source):
-            progress.message(
+        if missing := _missing_colours(job.source):
+            yield (
                 f"no {' and no '.join(missing)} colour: shading is extrapolated together with "
                 "surface colour"
             )
@@ -127,27 +121,25 @@ def announce_models(progress: Progress, models: Models, source: Source) -> None:
         views = "both key frames, warped" if interpolator.card_sha256 is None else "colour alone"
         if interpolator.effort is not None:
             views += f", in tiles where they disagree (effort {interpolator.effort:g})"
-        progress.message(
+        yield (
             f"interpolation by {interpolator.name}, {Path(interpolator.file).name} (sha256 "
             f"{interpolator.sha256[:8]}) on {interpolator.device}, from {views}"
         )
     if policy is None:
         return
-    progress.message(
-        f"decisions by {Path(policy.file).name} (sha256 {policy.sha256[:8]}), 8-bit integers"
-    )
+    yield f"decisions by {Path(policy.file).name} (sha256 {policy.sha256[:8]}), 8-bit integers"
     if policy.note is not None:
-        progress.message(policy.note)
+        yield policy.note
     if policy.objects_from == "motion":
-        progress.message("no object ids: what moves otherwise than the camera counts as an object")
-    if policy.objects_from == "cryptomatte" and _dynamic(source) is None:
-        progress.message(
+        yield "no object ids: what moves otherwise than the camera counts as an object"
+    ids = (job.source.slots or job.source.keys).ids
+    is_named = ids is not None and ids.dynamic is not None
+    if policy.objects_from == "cryptomatte" and not is_named:
+        yield (
             "of the Cryptomatte's objects those count as moving that move otherwise than the camera"
         )
     if policy.missing:
-        progress.message(
-            f"the policy sees 0 for {', '.join(policy.missing)}, as the AOVs for it are missing"
-        )
+        yield f"the policy sees 0 for {', '.join(policy.missing)}, as the AOVs for it are missing"
 
 
 def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator) -> str | None:
@@ -177,156 +169,97 @@ def _missing_colours(source: Source) -> list[str]:
     return [name for role, name in SURFACE_COLOURS.items() if role not in layout]
 
 
-def announce(
-    progress: Progress,
-    settings: UpsampleSettings,
-    source: Source,
-    method: Method,
-    keys: tuple[int, ...],
-) -> None:
-    """Describe the input and how it is read."""
-    count, sequence = len(source.timeline.numbers), source.keys.sequence
+def input_messages(job: Job) -> Iterator[str]:
+    """Describe the input of a job and how it is read."""
+    settings, source, method = job.settings, job.source, job.method
+    sequence, fps, timeline = source.keys.sequence, source.fps, source.timeline
     geometry = f"G-buffers for {'every slot' if source.slots is not None else 'the key frames'}"
     if source.estimated or is_plain(sequence):
         geometry = "no AOVs" if is_plain(sequence) else "no motion vectors"
-    progress.message(
-        f"{sequence.pattern}: {pluralise(count, 'key frame')} at "
-        f"{float(source.fps):g} fps ({source.fps_source}), {geometry}"
+    yield (
+        f"{sequence.pattern}: {pluralise(len(timeline.numbers), 'key frame')} at "
+        f"{float(fps):g} fps ({source.fps_source}), {geometry}"
     )
-    for note in _input_notes(settings, source):
-        if note is not None:
-            progress.message(note)
+    notes = [sequence.version_note, step_note(timeline.numbers, fps, source.fps_source)]
+    target, rate = settings.source.to_fps, source.output_fps
+    if target is not None and abs(target - rate) > RATE_TOLERANCE * rate:
+        # One that keeps key frames is taken in its place.
+        every, seldom = timeline.factor.denominator, (target / fps).denominator
+        kept = "every key frame" if every == 1 else f"one key frame in {every}"
+        notes.append(
+            f"--to-fps {float(target):g} is taken as {rate}, exactly {float(timeline.factor):g} "
+            f"times the input's {fps}, which keeps {kept}; {float(target):g} itself keeps one in "
+            f"{seldom}"
+        )
+    notes.append(uneven_rate_message(sequence))
+    if not is_clip(settings.output):  # a video's writer announces it
+        notes.append(lost_alpha_message(source.keys, frame_suffix(settings.output, sequence)))
+    yield from filter(None, (*notes, alpha_note(source.keys.layout)))
     if settings.source.gbuffers is not None and source.slots is None:
-        progress.message(
+        yield (
             "--gbuffers is left out: it has no readable vectors to the previous slot, and "
             f"{method.name} does without"
         )
     if source.motion_origin is not None:
-        progress.message("motion {}: {}".format(*source.motion_origin))
+        yield "motion {}: {}".format(*source.motion_origin)
     if depth := (source.slots or source.keys).depth.evidence:
-        progress.message(f"depth {depth}")
-    names = _dynamic(source)
-    if names is not None:
+        yield f"depth {depth}"
+    ids = (source.slots or source.keys).ids
+    if ids is not None and ids.dynamic is not None:
+        names = ids.dynamic.names
         listed = ", ".join(quote_name(name) for name in names[:MAX_NAMES])
         more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
-        progress.message(f"moving by name: {listed}{more}")
-    elif (source.slots or source.keys).ids is not None and method.needs_motion:
-        progress.message(
+        yield f"moving by name: {listed}{more}"
+    elif ids is not None and method.needs_motion:
+        yield (
             "the only ids are a Cryptomatte's: objects of which a tenth moves otherwise than the "
             "camera count as moving; --dynamic says by name what does"
         )
-    last = count - 1
-    if method.lookahead and last in keys and source.timeline.made_of(last):
-        progress.message(_tail_note(source, method))
-
-
-def _tail_note(source: Source, method: Method) -> str:
-    """Say what makes the frames after the last key frame."""
-    fallback = "what --causal does"
-    if method.tail is None:
-        fallback = "s6" if source.moves else "hold"
-    return (
-        f"after the last key frame there is no next one, so {method.name} falls back to "
-        f"{fallback} there; --no-tail leaves those frames out"
-    )
-
-
-def _input_notes(settings: UpsampleSettings, source: Source) -> Iterator[str | None]:
-    sequence, fps = source.keys.sequence, source.fps
-    yield sequence.version_note
-    yield step_note(source.timeline.numbers, fps, source.fps_source)
-    target, rate = settings.source.to_fps, source.output_fps
-    if (
-        target is not None and abs(target - rate) > RATE_TOLERANCE * rate
-    ):  # one that keeps key frames
-        every, seldom = source.timeline.factor.denominator, (target / fps).denominator
-        kept = "every key frame" if every == 1 else f"one key frame in {every}"
+    last = len(timeline.numbers) - 1
+    if method.lookahead and last in job.keys and timeline.made_of(last):
+        warped = "s6" if source.moves else "hold"
+        fallback = warped if method.tail is None else "what --causal does"
         yield (
-            f"--to-fps {float(target):g} is taken as {rate}, exactly "
-            f"{float(source.timeline.factor):g} times the input's {fps}, which keeps {kept}; "
-            f"{float(target):g} itself keeps one in {seldom}"
-        )
-    yield uneven_rate_message(sequence)
-    if not is_clip(settings.output):  # a video's writer announces it
-        yield lost_alpha_message(source.keys, frame_suffix(settings.output, sequence))
-    yield alpha_note(source.keys.layout)
-
-
-def announce_truth(progress: Progress, truth: Sequence, frame_of: FrameOf, source: Source) -> None:
-    """Warn where ground truth is at another rate, or is longer than the output."""
-    if isinstance(frame_of, OtherRate):
-        progress.message(frame_of.note)
-        return
-    count = math.ceil(len(source.timeline.numbers) * source.timeline.factor)
-    if len(truth.numbers) > count:
-        progress.message(
-            f"--ground-truth has {len(truth.numbers)} frames, and the whole output {count}; scores "
-            f"only hold if it is at {float(source.output_fps):g} fps, too"
+            f"after the last key frame there is no next one, so {method.name} falls back to "
+            f"{fallback} there; --no-tail leaves those frames out"
         )
 
 
-def announce_video(progress: Progress, source: Source, keys: tuple[int, ...]) -> None:
-    """Announce that a video has other primaries than the frames."""
-    primaries = video_look(source, keys).primaries
-    if primaries is not None:
-        progress.message(
-            f"the video is converted from {primaries.name}, as the header says, to Rec. 709"
-        )
-
-
-def announce_contents(progress: Progress, contents: tuple[Content, ...]) -> None:
-    """Name the layers and views of generated frames."""
-    leader = contents[0]
-    shot = leader.source.keys
+def output_messages(job: Job) -> Iterator[str]:
+    """Describe what is written, and what frames that are there already are used for."""
+    source, contents = job.source, job.contents
+    if job.rendered is not None:
+        yield job.rendered.note
+    if job.truth is not None:
+        truth, frame_of = job.truth
+        count = math.ceil(len(source.timeline.numbers) * source.timeline.factor)
+        if isinstance(frame_of, OtherRate):
+            yield frame_of.note
+        elif len(truth.numbers) > count:
+            yield (
+                f"--ground-truth has {len(truth.numbers)} frames, and the whole output {count}; "
+                f"scores only hold if it is at {float(source.output_fps):g} fps, too"
+            )
+    if job.targets.video is not None:
+        primaries = video_look(source, job.keys).primaries
+        if primaries is not None:
+            yield f"the video is converted from {primaries.name}, as the header says, to Rec. 709"
+    shot, leader = source.keys, contents[0]
     if len(contents) > 1:
         views = ", ".join(content.source.keys.view for content in contents)
-        progress.message(f"views {views} in one file; decisions and scores are of {shot.view}")
-        for content in contents[1:]:
-            finding = content.source.finding
-            if finding is not None:
-                progress.message(
-                    f"{content.source.keys.view}: motion {finding.source}: {finding.evidence}"
-                )
+        yield f"views {views} in one file; decisions and scores are of {shot.view}"
+    for content in contents[1:]:
+        finding = content.source.finding
+        if finding is not None:
+            yield f"{content.source.keys.view}: motion {finding.source}: {finding.evidence}"
     if leader.names:
         many = pluralise(len(leader.names), "layer")
-        progress.message(f"{many} beside the beauty: {', '.join(leader.names)}")
+        yield f"{many} beside the beauty: {', '.join(leader.names)}"
     if leader.layers and (apart := [aov for aov in shot.aovs if aov]):
-        progress.message(
+        yield (
             f"layers in files of their own are not written: {', '.join(apart)}; generated frames "
             "hold those of the file with the colour"
         )
-
-
-def input_summary(source: Source) -> InputSummary:
-    """Return the input as the report names it."""
-    motion = source.motion_origin
-    return InputSummary(
-        pattern=source.keys.sequence.pattern,
-        first=source.timeline.numbers[0],
-        last=source.timeline.numbers[-1],
-        width=source.keys.display.width,
-        height=source.keys.display.height,
-        producer=(source.slots or source.keys).layout.producer,
-        motion_source=None if motion is None else motion[0],
-        motion_evidence=None if motion is None else motion[1],
-        dynamic=_dynamic(source),
-        step=next((b - a for a, b in pairwise(source.timeline.numbers)), 1),
-        depth=(source.slots or source.keys).depth.evidence or None,
-    )
-
-
-def _dynamic(source: Source) -> tuple[str, ...] | None:
-    """Return the names of moving objects that the user gave, if any."""
-    ids = (source.slots or source.keys).ids
-    return None if ids is None or ids.dynamic is None else ids.dynamic.names
-
-
-def skipped_interval(
-    timeline: Timeline, key: int, slots: abc.Sequence[Slot], reason: str
-) -> LeftOut:
-    """Return the record of an interval, by its index, that lacks some slots."""
-    frames = tuple(timeline.number(slot) for slot in slots)
-    return LeftOut(timeline.numbers[key], frames, reason)
 
 
 def skipped_slots(

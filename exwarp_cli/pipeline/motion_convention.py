@@ -182,18 +182,20 @@ def find_motion(
     if Role.MOTION not in shot.layout:
         return None
     names, size = motion_names(shot), (shot.display.width, shot.display.height)
-    measurement = _Measurement(shot, starts, colours, names, detect)
-    if given is None:
+    if given is not None:
+        guess: MotionConvention | None = parse_motion(given, names, size)
+    else:
         guess = None if shot.layout.guess is None else shot.layout.guess.sized(*size)
-        return measurement.finding(guess)
-    convention = parse_motion(given, names, size)
-    evidence = f"{convention.describe(names)} given by --motion"
+    measurement = _Measurement(shot, starts, colours, names, detect, guess)
+    if given is None or guess is None:
+        return measurement.finding()
+    evidence = f"{guess.describe(names)} given by --motion"
     with suppress(InputError, MotionError):
-        finding = measurement.finding(convention)
+        finding = measurement.finding()
         if finding.source == "corrected":
             measured = finding.evidence.partition(";")[0]
             evidence += f", but the frames contradict it: {measured}{preset_hint(finding.preset)}"
-    return MotionFinding(convention, "given", evidence)
+    return MotionFinding(guess, "given", evidence)
 
 
 @dataclass
@@ -209,9 +211,10 @@ class _Measurement:
     colours: KeyColours | None
     names: tuple[str, ...]
     detect: bool
+    guess: MotionConvention | None  # by hand, or by the names of the channels
     _frames: dict[tuple[int, bool], FrameSamples] = field(default_factory=dict)
 
-    def finding(self, guess: MotionConvention | None) -> MotionFinding:
+    def finding(self) -> MotionFinding:
         """Measure by world positions if there are any, else by depth and colour."""
         firsts = pairs_within(len(self.shot.sequence.numbers), self._is_parted)
         # The last of an odd number of channels is a length or an alpha.
@@ -219,21 +222,21 @@ class _Measurement:
         # Read one by one: the first pair nearly always tells.
         ends = (self._frame(first + i) for first in firsts for i in (0, 1))
         if firsts and not any(np.any(f.motion[:, :used]) or np.any(f.moving) for f in ends):
-            return self._at_rest(firsts, guess)
+            return self._at_rest(firsts)
         has_both = Role.POSITION in self.shot.layout and Role.COLOUR in self.shot.layout
         # World positions of what moves by itself are not found again. Before a resting camera,
         # nothing else moves, so there colour tells.
         try:
-            finding = self._measure_within_shots(guess, by_colour=False)
+            finding = self._measure_within_shots(by_colour=False)
         except MotionError:
             if not has_both:
                 raise
         else:
             if not (finding.source == "untested" and has_both):
                 return finding
-        return self._measure_within_shots(guess, by_colour=True)
+        return self._measure_within_shots(by_colour=True)
 
-    def _at_rest(self, firsts: list[int], guess: MotionConvention | None) -> MotionFinding:
+    def _at_rest(self, firsts: list[int]) -> MotionFinding:
         """Return what is read of vectors that are 0; raises MotionError if the picture moves."""
         numbers = self.shot.sequence.numbers
         frames = ", ".join(f"{numbers[i]}-{numbers[i + 1]}" for i in firsts)
@@ -250,9 +253,9 @@ class _Measurement:
                 "--motion"
             )
         if moving := self._moving_pairs(firsts, by_colour=False):
-            return self._measure_pairs(moving, guess, by_colour=False)
+            return self._measure_pairs(moving, by_colour=False)
         evidence = f"the vectors of frames {frames} are 0, and nothing moves there"
-        convention = MotionConvention(AxisMap(0, 1, 1.0, -1.0)) if guess is None else guess
+        convention = self.guess or MotionConvention(AxisMap(0, 1, 1.0, -1.0))
         return MotionFinding(convention, "untested", evidence, resting=True)
 
     def _picture_moves(self, first: int) -> bool:
@@ -265,25 +268,21 @@ class _Measurement:
             moves = before is not None and after is not None and has_colour_moved(before, after)
         return moves and not (self.detect and self._is_cut_by_colour(first + 1))
 
-    def _measure_within_shots(
-        self, guess: MotionConvention | None, by_colour: bool
-    ) -> MotionFinding:
+    def _measure_within_shots(self, by_colour: bool) -> MotionFinding:
         """Measure in pairs that cross no known cut, and where that fails, none that is seen."""
         count = len(self.shot.sequence.numbers)
         firsts = pairs_within(count, self._is_unseen) or pairs_within(count, self._is_parted)
         try:
-            return self._measure_first(firsts, guess, by_colour)
+            return self._measure_first(firsts, by_colour)
         except MotionError:
             if not self.detect or Role.COLOUR not in self.shot.layout:
                 raise
             uncut = pairs_within(count, lambda i: self._is_unseen(i) or self._is_cut_by_colour(i))
             if uncut == firsts:
                 raise
-            return self._measure_first(uncut, guess, by_colour)
+            return self._measure_first(uncut, by_colour)
 
-    def _measure_first(
-        self, firsts: list[int], guess: MotionConvention | None, by_colour: bool
-    ) -> MotionFinding:
+    def _measure_first(self, firsts: list[int], by_colour: bool) -> MotionFinding:
         """Measure by the first pair alone, which most runs read first anyway, if it tells all.
 
         If nothing moves in all of them, look for pairs in which something does.
@@ -291,23 +290,21 @@ class _Measurement:
         if len(firsts) > 1:
             with suppress(MotionError):
                 pair = self._beside_holds(firsts[:1], by_colour)
-                finding = self._measure_pairs(pair, guess, by_colour)
+                finding = self._measure_pairs(pair, by_colour)
                 if finding.clear:
                     return finding
         firsts = self._beside_holds(firsts, by_colour)
-        finding = self._measure_pairs(firsts, guess, by_colour)
+        finding = self._measure_pairs(firsts, by_colour)
         moving = self._moving_pairs(firsts, by_colour) if finding.resting else []
-        return self._measure_pairs(moving, guess, by_colour) if moving else finding
+        return self._measure_pairs(moving, by_colour) if moving else finding
 
-    def _measure_pairs(
-        self, firsts: list[int], guess: MotionConvention | None, by_colour: bool
-    ) -> MotionFinding:
+    def _measure_pairs(self, firsts: list[int], by_colour: bool) -> MotionFinding:
         # One after the other: each is decoded on all threads, and two at once took a sixth more.
         pairs = [(self._frame(i, by_colour), self._frame(i + 1, by_colour)) for i in firsts]
         width, height = self.shot.display.width, self.shot.display.height
         return calibrate(
             pairs,
-            guess,
+            self.guess,
             self.names,
             self._intervals(len(firsts)),
             {name: preset.sized(width, height) for name, preset in PRESETS.items()},

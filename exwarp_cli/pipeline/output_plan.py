@@ -9,12 +9,11 @@ is never replaced without --overwrite.
 from __future__ import annotations
 
 import errno
-import hashlib
-import json
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +44,7 @@ from exwarp_cli.io.video_writer import (
     require_container,
 )
 from exwarp_cli.io.view_transform import ViewTransform, find_view_transform
-from exwarp_cli.pipeline.fingerprint import Fingerprinter, key_fingerprint
+from exwarp_cli.pipeline.fingerprint import Fingerprinter, digest_json, key_fingerprint
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.runtime import cores
 from exwarp_cli.synthesis.methods import Method
@@ -253,8 +252,7 @@ def video_fingerprint(
         facts["look"] = [str(look.pixel_aspect), repr(look.primaries)]
     if settings.video_codec != VIDEO_CODECS[0]:
         facts["codec"] = settings.video_codec
-    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
-    return video_note(settings, digest)
+    return video_note(settings, digest_json(facts))
 
 
 def video_note(settings: UpsampleSettings, digest: str = "") -> str:
@@ -313,7 +311,10 @@ class _Ownership:
     source: Source
     method: Method
     rendered: Sequence | None = None
-    _authorships: dict[Path, Authorship | None] = field(default_factory=dict)
+    # What a file says of itself; None where there is none.
+    authorship: Callable[[Path], Authorship | None] = field(
+        default_factory=lambda: cache(find_authorship)
+    )
 
     def foreign_files(self, slot: Slot) -> list[tuple[Path, str]]:
         """Return the files of a slot that are not the run's own, each with the reason."""
@@ -352,15 +353,9 @@ class _Ownership:
             return None
         return None if is_own else reason
 
-    def _authorship(self, path: Path) -> Authorship | None:
-        """Return what a file says of itself; None where there is none."""
-        if path not in self._authorships:
-            self._authorships[path] = find_authorship(path)
-        return self._authorships[path]
-
     def _why_not_written(self, path: Path) -> str | None:
         """Return why a file is none that the run's method wrote, by what it says of itself."""
-        authorship = self._authorship(path)
+        authorship = self.authorship(path)
         if authorship is None:
             return None
         if authorship.state is FileState.FOREIGN:
@@ -414,7 +409,7 @@ class _Ownership:
         for index in (slot.key, slot.key - 1):
             for each in timeline.made_of(index) if index >= 0 else ():
                 frame = frames.path(timeline.number(each))
-                authorship = self._authorship(frame)
+                authorship = self.authorship(frame)
                 if authorship is None or authorship.state is not FileState.INTACT:
                     continue
                 around.append(frame)

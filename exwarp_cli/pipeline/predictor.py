@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from itertools import pairwise
@@ -35,6 +35,7 @@ DECISIONS_SCHEMA = "exwarp.policy-decisions/1"
 FORMAT = "exwarp.policy-hex/1"
 MANIFEST = "manifest.json"
 README = "README.txt"
+ABOUT, ABOUT_DESIGN = README, "README_design.txt"  # texts of that file, beside the sources
 SOURCES = ("exwarp_predictor.v", "exwarp_core.v", "exwarp_predictor_tb.v", "Makefile")
 
 CACHE = 20 * 1024  # bytes of a core that hold the shipped network; 16 KB do not
@@ -60,10 +61,7 @@ class Trace:
 def clock_of(text: str, option: str = "--clock") -> float:
     """Parse a clock rate, as ``500MHz``, ``1.5GHz`` or ``1e9``, in hertz.
 
-    Raises
-    ------
-    UsageError
-        With the name of the option, when it is no rate, or not above 0.
+    Raises UsageError with the name of the option, when it is no rate, or not above 0.
     """
     match = _CLOCK.fullmatch(text.strip())
     try:
@@ -78,12 +76,8 @@ def clock_of(text: str, option: str = "--clock") -> float:
 def machine(cores: int, macs: int, cache: str, port: int) -> MacArray:
     """Return a machine with a port of some bytes a cycle; see `MacArray`.
 
-    `cache` is that of each core, as ``16KB`` or ``16384``; K is 1024.
-
-    Raises
-    ------
-    UsageError
-        For a cache that is no size, or 0.
+    `cache` is that of each core, as ``16KB`` or ``16384``; K is 1024. Raises UsageError for a cache
+    that is no size, or 0.
     """
     match = _BYTES.fullmatch(cache.strip())
     if match is None or len(match[1]) > 15:
@@ -98,12 +92,8 @@ def machine(cores: int, macs: int, cache: str, port: int) -> MacArray:
 def cycles(policy: Path | None, cores: int, macs: int, cache: str, port: int = 0) -> Schedule:
     """Schedule an inference of a policy, or of the paper's sizes for None, on a :func:`machine`.
 
-    Raises
-    ------
-    UsageError
-        When the cache is no size, or too small.
-    InputError
-        When the policy cannot be read.
+    Raises UsageError when the cache is no size, or too small; InputError when the policy cannot be
+    read.
     """
     sizes = PAPER_SIZES if policy is None else load_policy(policy).network.sizes
     try:
@@ -118,12 +108,7 @@ def decide_rows(table: Path, policy: Path | None, number: int | None) -> list[di
     The table is a CSV file; see `exwarp_cli.models.policy_files.read_states`. The result names the
     row, the network's outputs, int32, and the choice, by column.
 
-    Raises
-    ------
-    InputError
-        When a file cannot be used.
-    UsageError
-        When there is no such row.
+    Raises InputError when a file cannot be used; UsageError when there is no such row.
     """
     network = load_policy(policy).network
     rows = _select(table, network, number)
@@ -182,52 +167,6 @@ def sample_states(size: int, count: int, seed: int) -> I32:
     return np.clip(states, -(2**31), 2**31 - 1).astype(np.int32)
 
 
-ABOUT = """\
-ExWarp's predictor for a Verilog test bench. Read every .hex file with $readmemh: one word a line,
-hexadecimal, two's complement. manifest.json holds the sizes, and where each layer begins.
-
-Machine: {cores} cores with {macs} MAC units each. Inputs and neurons are dealt in turn: number i
-belongs to core i % {cores} and is its number i / {cores}, rounded down.
-
-core<c>_weights.hex     {macs} weights of 8 bits a word, in the order in which core c reads them:
-                        layer after layer, neuron after neuron, ceil(fan-in / {macs}) words a
-                        neuron. The first weight is in the lowest 8 bits, that is, at the end of
-                        the line. A neuron's last word is filled up with zeros. Word k of a core's
-                        neuron t in a layer is at weights_at + t * words + k.
-core<c>_bias.hex        32 bits a neuron, at bias_at + t.
-core<c>_multiplier.hex  32 bits a neuron of the hidden layers, at scale_at + t; never negative.
-core<c>_shift.hex       8 bits, at the same places.
-input_multiplier.hex    32 bits an input, in the order of the inputs.
-input_shift.hex         8 bits an input.
-
-vectors_input.hex       {inputs} words of 32 bits a vector: Q16.16.
-vectors_input_q.hex     {inputs} words of 8 bits a vector: after the input stage.
-vectors_layer<k>_accumulator.hex  32 bits a neuron, vector after vector, biases included.
-vectors_layer<k>_activation.hex   8 bits a neuron of the hidden layers, after requantisation.
-vectors_output.hex      3 words of 32 bits a vector: output 0 (warp), output 1 (extrapolate), and
-                        the decision, 0 or 1; a tie is 0.
-
-Arithmetic: an input or a hidden neuron becomes floor((value * multiplier + half) / 2^shift),
-clamped to 0 ... 127, where half is 2^(shift - 1), or 0 for shift 0; 64 bits hold it. An accumulator
-is the bias plus the sum of weight times activation, and fits 32 bits in any order of adding.
-"""
-
-DESIGN = """
-exwarp_predictor.v      The top module; its head says how it is used.
-exwarp_core.v           One core.
-exwarp_parameters.vh    Cores, MAC units, layers and sizes of the memories.
-exwarp_predictor_tb.v   Test bench: runs all test vectors, compares outputs, decision and cycles.
-exwarp_vectors.vh       Its numbers.
-Makefile                'make' simulates with Icarus Verilog, 'make verilator' with Verilator; both
-                        fail on any difference. 'make lint' checks the text.
-memory<c>_weights.hex   What core c's memories hold: words of weights, as above;
-memory<c>_scales.hex    shift (8 bits) and multiplier (32 bits) of its inputs, then of its hidden
-                        neurons;
-memory<c>_biases.hex    biases.
-refill.hex              What the port brings in an inference, a beat a word; 0 where all fits.
-"""
-
-
 def export(
     folder: Path,
     policy: Path | None,
@@ -260,7 +199,7 @@ def export(
     """
     source = load_policy(policy)
     network = source.network
-    about = ABOUT + DESIGN if verilog else ABOUT
+    about = "".join(map(_read_source, (ABOUT, ABOUT_DESIGN) if verilog else (ABOUT,)))
     texts = {README: about.format(cores=array.cores, macs=array.macs, inputs=network.sizes[0])}
     texts |= hex_files(array, network, sample_states(network.sizes[0], vectors, seed))
     if verilog:
@@ -351,15 +290,12 @@ def _lines(words: Iterable[str]) -> str:
     return "".join(f"{word}\n" for word in words)
 
 
-def require_buildable(array: MacArray, sizes: Sequence[int]) -> None:
-    """Refuse a machine that the design cannot implement.
+def _read_source(name: str) -> str:
+    return resources.files(accelerator).joinpath("verilog", name).read_text(encoding="utf-8")
 
-    Raises
-    ------
-    UsageError
-        For more than 10 cores, more cores than MAC units in each, a pipeline of other than four
-        stages, a cache that is too small, and weights that do not fit without a port.
-    """
+
+def _require_buildable(array: MacArray, sizes: Sequence[int]) -> None:
+    """Refuse a machine that the design cannot implement; raises UsageError."""
     if array.cores > MOST_CORES or array.cores > array.macs:
         raise UsageError(
             f"--cores {array.cores} --macs {array.macs}: the design has at most {MOST_CORES} "
@@ -397,9 +333,11 @@ def design(
     Raises
     ------
     UsageError
-        For a machine that the design cannot implement.
+        For a machine that the design cannot implement: more than 10 cores, more cores than MAC
+        units in each, a pipeline of other than four stages, a cache that is too small, and weights
+        that do not fit without a port.
     """
-    require_buildable(array, sizes)
+    _require_buildable(array, sizes)
     # Where all fits, the port is not used, and as wide as a word.
     array = replace(array, port_bytes=array.port_bytes or array.macs)
     cores = range(array.cores)
@@ -410,14 +348,18 @@ def design(
         "scales": [_scales(texts, array, core) for core in cores],
         "biases": [texts[f"core{core}_bias.hex"].split() for core in cores],
     }
-    folder = resources.files(accelerator).joinpath("verilog")
-    files = {name: folder.joinpath(name).read_text(encoding="utf-8") for name in SOURCES}
+    files = {name: _read_source(name) for name in SOURCES}
     for core in cores:
         for name, words in memories.items():  # all as deep as the fullest core's, the first
             filled = words[core] + ["0" * len(words[0][0])] * (len(words[0]) - len(words[core]))
             files[f"memory{core}_{name}.hex"] = _lines(filled)
-    beats = list(_refill(array, sizes, weights)) or ["0"]
-    files["refill.hex"] = _lines(beats)
+    # What the port brings in an inference, a beat a line, the lowest bytes first.
+    digits, beats = 2 * array.port_bytes, []
+    for _, missing in missing_words(array, sizes):
+        for core, index in missing:
+            word = weights[core][index].zfill(digits * array.beats)
+            beats += [word[end - digits : end] for end in range(len(word), 0, -digits)]
+    files["refill.hex"] = _lines(beats or ["0"])
     depths = {
         "RESIDENT": resident,
         "WEIGHT_WORDS": len(weights[0]),
@@ -429,7 +371,7 @@ def design(
         "VECTORS": vectors,
         "INPUTS": sizes[0],
         "PORT": array.port_bytes,
-        "REFILLS": len(beats),
+        "REFILLS": max(1, len(beats)),
         "CYCLES": schedule(array, sizes).cycles,
     }
     files["exwarp_vectors.vh"] = _lines(f"localparam {k} = {v};" for k, v in values.items())
@@ -468,14 +410,3 @@ def _scales(texts: Mapping[str, str], array: MacArray, core: int) -> list[str]:
         for part in ("shift", "multiplier")
     )
     return [shift + multiplier for shift, multiplier in zip(shifts, multipliers, strict=True)]
-
-
-def _refill(
-    array: MacArray, sizes: Sequence[int], weights: Sequence[Sequence[str]]
-) -> Iterator[str]:
-    """Yield what the port brings in an inference, a beat a line, the lowest bytes first."""
-    digits = 2 * array.port_bytes
-    for _, missing in missing_words(array, sizes):
-        for core, index in missing:
-            word = weights[core][index].zfill(digits * array.beats)
-            yield from (word[end - digits : end] for end in range(len(word), 0, -digits))

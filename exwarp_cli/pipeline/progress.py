@@ -66,7 +66,7 @@ class Estimate:
         self._counts: Counter[str] = Counter()
         self._first_s: dict[str, float] = defaultdict(float)
         self._later_s: dict[str, float] = defaultdict(float)
-        self._last = self._logged_at = self._clock()
+        self.last = self._clock()  # when the newest frame was done
 
     def advance(self, kind: str = ANY, made: bool = True) -> None:
         """Count one frame; `made` is False for frames of an earlier run and for skipped ones."""
@@ -77,8 +77,8 @@ class Estimate:
         if made:
             self._counts[kind] += 1
             seconds = self._first_s if self._counts[kind] <= self._at_once else self._later_s
-            seconds[kind] += now - self._last
-        self._last = now
+            seconds[kind] += now - self.last
+        self.last = now
 
     @property
     def tenths(self) -> float:
@@ -112,14 +112,6 @@ class Estimate:
         text = f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
         return f"{text} left"
 
-    def is_log_due(self) -> bool:
-        """Return whether a log shows the newest frame: the first, the last, and some between."""
-        now = self._clock()
-        if self.done not in (1, self.total) and now - self._logged_at < INTERVAL_S:
-            return False
-        self._logged_at = now
-        return True
-
 
 def _frame_text(frame: int, note: str | None) -> str:
     return f"frame {frame}" + (f" ({note})" if note else "")
@@ -144,11 +136,14 @@ class Progress:
     line.
     """
 
-    def __init__(self, stream: TextIO | None = None) -> None:
+    def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
         self._stream = stream or sys.stderr
+        self._estimate = Estimate(clock)
 
     def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
         """Begin work on `total` frames; see `Estimate.start` for the other parameters."""
+        self._estimate.start(total, kinds, at_once)
+        self._show()
 
     def advance(
         self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
@@ -158,16 +153,28 @@ class Progress:
         `note` is a word about it, such as "skipped", `kind` one of those that `start` received.
         `made` is False where no work was done.
         """
+        self._estimate.advance(kind, made)
+        self._show(frame, note)
 
     def message(self, text: str) -> None:
         """Show the user one line."""
-        _print_line(self._stream, f"exwarp: {text}")
+        self._write_line(one_line(f"exwarp: {text}"))
 
     def finish(self) -> None:
         """Stop reporting."""
 
     def fail(self, text: str, exit_code: int) -> None:
         """Send a watching program the reason why the command fails, and its exit code."""
+
+    def _show(self, frame: int | None = None, note: str | None = None) -> None:
+        """Show a frame that is done; without one, at the start, what there is to do."""
+
+    def _write_line(self, line: str) -> None:
+        """Write text without line ends in what the stream can encode."""
+        encoding = getattr(self._stream, "encoding", None) or "utf-8"
+        with suppress(OSError, OutputError):  # a stream that fails must not end the work
+            self._stream.write(line.encode(encoding, "backslashreplace").decode(encoding) + "\n")
+            self._stream.flush()
 
 
 class Silence(Progress):
@@ -204,36 +211,19 @@ class FrameListener(Protocol):
         """
 
 
-class _Counting(Progress):
-    """A reporter that shows how many frames are done, and the time left."""
-
-    def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
-        super().__init__(stream)
-        self._estimate = Estimate(clock)
-
-    def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
-        self._estimate.start(total, kinds, at_once)
-        self._show()
-
-    def advance(
-        self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
-    ) -> None:
-        self._estimate.advance(kind, made)
-        self._show(frame, note)
-
-    def _show(self, frame: int | None = None, note: str | None = None) -> None:
-        """Show a frame that is done; without one, at the start, what there is to do."""
-        raise NotImplementedError
-
-
-class PlainProgress(_Counting):
+class PlainProgress(Progress):
     """Lines such as ``exwarp:  25% 10/40, frame 1010, 1:20 left``, for logs."""
+
+    _logged_at = 0.0
 
     def _show(self, frame: int | None = None, note: str | None = None) -> None:
         estimate = self._estimate
+        is_due = estimate.last - self._logged_at >= INTERVAL_S
         if frame is None:
+            self._logged_at = estimate.last
             self._print_status(f"{pluralise(estimate.total, 'frame')} to do")
-        elif estimate.is_log_due():
+        elif is_due or estimate.done in (1, estimate.total):
+            self._logged_at = estimate.last
             done = f"{estimate.done}/{estimate.total}"
             self._print_status(f"{done}, {_frame_text(frame, note)}, {estimate.left}")
 
@@ -259,20 +249,21 @@ class OpenJdProgress(PlainProgress):
     def fail(self, text: str, exit_code: int) -> None:
         """Print the reason; the runner gets the exit code from the process."""
         if exit_code == IncompleteError.exit_code:
-            _print_line(self._stream, f"openjd_status: {text}")
+            self._write_line(one_line(f"openjd_status: {text}"))
             return
         # Never empty: runners ignore a line that ends with the colon.
-        _print_line(self._stream, f"openjd_fail: {one_line(text) or f'exit code {exit_code}'}")
+        reason = one_line(text) or f"exit code {exit_code}"
+        self._write_line(one_line(f"openjd_fail: {reason}"))
 
     def _print_status(self, status: str) -> None:
         estimate = self._estimate
         if estimate.done and estimate.done == estimate.total:
             status = f"{pluralise(estimate.total, 'frame')} done"
-        _print_line(self._stream, f"openjd_progress: {estimate.tenths}")
-        _print_line(self._stream, f"openjd_status: {status}")
+        self._write_line(f"openjd_progress: {estimate.tenths}")
+        self._write_line(one_line(f"openjd_status: {status}"))
 
 
-class JsonProgress(_Counting):
+class JsonProgress(Progress):
     """One JSON object a line, flushed, for machines.
 
     Keys: ``event`` ("start", "frame", "message", "finish" or "fail"), ``done``, ``total``; with
@@ -302,10 +293,10 @@ class JsonProgress(_Counting):
     def _write(self, event: str, **more: object) -> None:
         record = {"event": event, "done": self._estimate.done, "total": self._estimate.total}
         # JSON escapes line ends itself, and a line that is cut would be no JSON.
-        _write_line(self._stream, json.dumps(record | more))
+        self._write_line(json.dumps(record | more))
 
 
-class BarProgress(_Counting):
+class BarProgress(Progress):
     """A bar with the time left, for a terminal."""
 
     _bar: RichProgress | None = None
@@ -392,15 +383,3 @@ def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterato
             text = f"unexpected {type(error).__name__}: {error}"
             progress.fail(text, ExwarpError.exit_code)
         raise
-
-
-def _print_line(stream: TextIO, text: str) -> None:
-    """Write one line in what the stream can encode."""
-    encoding = getattr(stream, "encoding", None) or "utf-8"
-    _write_line(stream, one_line(text).encode(encoding, "backslashreplace").decode(encoding))
-
-
-def _write_line(stream: TextIO, line: str) -> None:
-    with suppress(OSError, OutputError):  # a stream that fails must not end the work
-        stream.write(line + "\n")
-        stream.flush()

@@ -39,7 +39,7 @@ from exwarp_cli.pipeline.interval_inputs import (
 )
 from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.key_frames import window_note
-from exwarp_cli.pipeline.messages import announce_skipped, skipped_interval, skipped_slots
+from exwarp_cli.pipeline.messages import announce_skipped, skipped_slots
 from exwarp_cli.pipeline.output_plan import is_video_kept, video_fingerprint, video_look, video_note
 from exwarp_cli.pipeline.progress import FrameListener, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.scheduling import (
@@ -276,7 +276,8 @@ class Run:
         if skipped.passed is not None and self._timeline.shows(skipped.key):
             self._write_key(skipped.passed)
             slots = self._timeline.made_of(skipped.key)
-        missing = skipped_interval(self._timeline, skipped.key, slots, skipped.reason)
+        frames = tuple(map(self._timeline.number, slots))
+        missing = LeftOut(self._timeline.numbers[skipped.key], frames, skipped.reason)
         if missing.frames:
             self.left_out.append(missing)
             announce_skipped(self._progress, missing)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import pairwise, takewhile
+from itertools import takewhile
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,15 +14,10 @@ from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Image, UInt8, Window
 from exwarp_cli.domain.metric import WITHOUT_TRUTH
 from exwarp_cli.domain.results import BrokenPixels, FrameRecord, Score
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import FACTOR, Slot
+from exwarp_cli.domain.timeline import FACTOR, Slot, number_step
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.display_colour import to_display
-from exwarp_cli.io.ffmpeg import (
-    VmafStream,
-    compute_vmaf,
-    require_vmaf_size,
-)
-from exwarp_cli.io.files import ResourceOwner
+from exwarp_cli.io.ffmpeg import VmafStream, compute_vmaf, require_vmaf_size
 from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.io.frames import GEOMETRY, read_raw
 from exwarp_cli.metrics.display import round_display
@@ -295,8 +290,7 @@ class SequenceMotion:
     def __init__(self, shot: Shot, convention: MotionConvention) -> None:
         self._shot = shot
         self._convention = convention
-        numbers = shot.sequence.numbers
-        self._step = min((b - a for a, b in pairwise(numbers)), default=1)
+        self._step = number_step(shot.sequence.numbers)
         self._previous: tuple[int, GBuffer] | None = None
 
     def into(self, number: int) -> tuple[Float32, Bool] | None:
@@ -329,28 +323,19 @@ class Pair:
     mask: Bool | None  # bool [H, W], the holes; None without
 
 
-class SequenceScorer(ResourceOwner):
-    """Takes pairs one by one, and scores the whole sequence at the end; a context manager."""
-
-    notes: tuple[str, ...] = ()  # what a reader of the numbers should know at the end, sentences
-    _vmaf: VmafStream | None = None
-
-    def _open(self, stack: ExitStack) -> None:
-        if self._vmaf is not None:
-            stack.enter_context(self._vmaf)
-
-
-class MetricScorer(SequenceScorer):
-    """Scores by the metrics of this tool; memory holds one frame.
+class MetricScorer:
+    """Takes pairs one by one, and scores them by the metrics of this tool; memory holds one frame.
 
     `names` is what is measured, as in `Score`; `motion` is for flicker, None where it is not
-    measured.
+    measured. The caller enters and leaves `vmaf`.
     """
+
+    notes: tuple[str, ...] = ()  # what a reader of the numbers should know at the end, sentences
 
     def __init__(self, names: tuple[str, ...], motion: SequenceMotion | None) -> None:
         self._names = names
         self._motion = motion
-        self._vmaf = VmafStream() if "vmaf" in names else None
+        self.vmaf = VmafStream() if "vmaf" in names else None
         self._scores: list[Scores] = []
         self._error: Float32 | None = None
         self._transitions: list[float | None] = []
@@ -360,8 +345,8 @@ class MetricScorer(SequenceScorer):
         from exwarp_cli.metrics.registry import score_frame  # see above
 
         overall, inside = score_frame(pair.truth, pair.test, pair.mask, self._names)
-        if self._vmaf is not None:
-            self._vmaf.write(to_display(pair.truth), to_display(pair.test))
+        if self.vmaf is not None:
+            self.vmaf.write(to_display(pair.truth), to_display(pair.test))
         if self._motion is not None:
             into = self._motion.into(pair.reference)
             before, self._error = self._error, display_error(pair.truth, pair.test)
@@ -377,8 +362,8 @@ class MetricScorer(SequenceScorer):
     def finish(self) -> list[Scores]:
         """Return all scores, with VMAF and flicker."""
         scores = self._scores
-        if self._vmaf is not None:
-            values = self._vmaf.close()
+        if self.vmaf is not None:
+            values = self.vmaf.close()
             scores = [(replace(s, vmaf=v), h) for (s, h), v in zip(scores, values, strict=True)]
         if self._motion is not None:
             flickers = frame_flicker([*self._transitions, None])
@@ -387,21 +372,23 @@ class MetricScorer(SequenceScorer):
         return scores
 
 
-class ExtranetScorer(SequenceScorer):
+class ExtranetScorer:
     """Scores as ExtraNet's release takes them: see `exwarp_cli.metrics.registry`.
 
     VMAF is of H.264 videos of both sequences, rendered frames included. `names` are out of psnr_db,
     ssim and vmaf, `count` is how many frames come. `generated` says of each whether it counts in
     PSNR and SSIM; None where that is not known, and a frame counts unless its pixels are those of
-    the truth.
+    the truth. Otherwise it is as `MetricScorer`.
     """
+
+    notes: tuple[str, ...] = ()
 
     def __init__(self, names: tuple[str, ...], count: int, generated: list[bool] | None) -> None:
         self._names = names
         cut = ENDS_LEFT_OUT if count > SHORTEST_CUT else 0
         self._video = range(cut, count - cut)
         self._generated = generated
-        self._vmaf = VmafStream(is_encoded=True) if "vmaf" in names else None
+        self.vmaf = VmafStream(is_encoded=True) if "vmaf" in names else None
         self._scores: list[Score] = []
         self._counted = 0
 
@@ -421,16 +408,16 @@ class ExtranetScorer(SequenceScorer):
                 ssim=values.ssim if "ssim" in self._names else None,
             )
         )
-        if self._vmaf is not None and index in self._video:
-            self._vmaf.write(truth, test)
+        if self.vmaf is not None and index in self._video:
+            self.vmaf.write(truth, test)
 
     def finish(self) -> list[Scores]:
         """Return all scores, with VMAF; the notes say which frames counted."""
         by = "by their headers" if self._generated else "as their pixels are not those of the truth"
         note = f"{self._counted} of {len(self._scores)} frames count as generated, {by}"
         self.notes = (note,)
-        if self._vmaf is not None:
-            for index, value in zip(self._video, self._vmaf.close(), strict=True):
+        if self.vmaf is not None:
+            for index, value in zip(self._video, self.vmaf.close(), strict=True):
                 self._scores[index] = replace(self._scores[index], vmaf=value)
             frames = len(self._video)
             self.notes += (f"VMAF is of {frames} frames in H.264, rendered ones included",)

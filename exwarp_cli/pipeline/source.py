@@ -234,14 +234,13 @@ def _with_motion(
     )
 
 
-def open_sources(
-    settings: SourceSettings, motion_needed: bool, pictures: bool = False
-) -> tuple[Source, ...]:
+def open_sources(settings: SourceSettings, motion_needed: bool) -> tuple[Source, ...]:
     """Open the view that is asked for; of all views every one, the hero first; see `open_source`.
 
-    Raises UsageError when all views are asked for, and each has files of its own.
+    Pictures are taken, too. Raises UsageError when all views are asked for, and each has files of
+    its own.
     """
-    sources = tuple(open_source(view, motion_needed, pictures) for view in each_view(settings))
+    sources = tuple(open_source(view, motion_needed, pictures=True) for view in each_view(settings))
     leader = sources[0].keys.sequence
     for source in sources:
         if source.keys.sequence.files != leader.files:
@@ -437,7 +436,7 @@ def _no_number(_slot: Slot) -> int | None:
     return None
 
 
-def require_one_size(shot: Shot, numbers: Iterable[int]) -> None:
+def require_one_size(shot: Shot, numbers: Collection[int]) -> None:
     """Refuse a shot of which some frames have another size, unless such frames are skipped.
 
     Headers that cannot be read are passed over: the reading of that frame says what is wrong.
@@ -446,11 +445,10 @@ def require_one_size(shot: Shot, numbers: Iterable[int]) -> None:
     # 500 headers take 0.1 s on a local disk.
     if shot.keep_going:
         return
-    wanted = list(numbers)
     files = {
         member.files[number]: (member, number)
         for member in (shot.sequence, *shot.aovs.values())
-        for number in wanted
+        for number in numbers
         if number in member.files
     }
     different = [
@@ -467,20 +465,6 @@ def require_one_size(shot: Shot, numbers: Iterable[int]) -> None:
             f"{path}{more} is {sizes[0]} where the sequence's first frame is {sizes[1]}; "
             f"{'write' if plain else 'render'} all frames at one resolution"
         )
-
-
-def require_one_size_of(source: Source, keys: tuple[int, ...], lookahead: bool) -> None:
-    """Do as `require_one_size` for the frames that some key intervals (indices) are made of."""
-    timeline = source.timeline
-    last = len(timeline.numbers) - 1
-    # A cut before the next key frame is looked for in both, whatever the method.
-    reads_next = lookahead or source.cuts.detect
-    ends = {min(key + 1, last) for key in keys} if reads_next else set()
-    require_one_size(source.keys, (timeline.numbers[key] for key in sorted(ends.union(keys))))
-    if source.slots is not None:
-        slots = [slot for key in keys for slot in (Slot(key, 0), *timeline.between(key))]
-        numbers = (source.slot_number(slot) for slot in slots)
-        require_one_size(source.slots, (number for number in numbers if number is not None))
 
 
 def read_display_windows(frames: Iterable[tuple[sequences.Sequence, int]]) -> list[Window | None]:

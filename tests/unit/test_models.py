@@ -30,7 +30,7 @@ from exwarp_cli.models import model_file, picture_network
 from exwarp_cli.models.model_file import CHECKSUMS, STRIDE_KEY, shipped_folder
 from exwarp_cli.models.picture_network import SHIPPED_EXTRAPOLATOR, load_extrapolator
 from exwarp_cli.models.session import CUDA
-from exwarp_cli.pipeline.job import find_network
+from exwarp_cli.pipeline.job import find_networks
 from exwarp_cli.synthesis.methods import METHODS
 from tests.unit import tiny_models
 from tests.unit.tiny_models import convolution, filled_warp, inputs, model, picture, save
@@ -314,7 +314,7 @@ class TestShipped:
         monkeypatch.setitem(sys.modules, "onnxruntime", None)
         settings = UpsampleSettings(SourceSettings("."), ".", threads=1)
         with pytest.raises(MissingExtraError, match="pip install onnxruntime"):
-            find_network(settings, METHODS["causal"])
+            find_networks(settings, METHODS["causal"])
 
     def test_where_it_lies(self, tmp_path, monkeypatch):
         """In the package where a wheel put it, else beside the package, as in a clone."""

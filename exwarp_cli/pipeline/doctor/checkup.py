@@ -15,7 +15,7 @@ from enum import StrEnum
 from typing import Any
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.wording import enumerated, first_line, printable
+from exwarp_cli.domain.wording import enumerated, first_line
 from exwarp_cli.errors import ExwarpError
 from exwarp_cli.runtime.stop import check_stop
 
@@ -95,17 +95,6 @@ class CheckResult:
 
 
 @dataclass(frozen=True)
-class CheckRow:
-    """A check, as a row of a page that fits a terminal."""
-
-    outcome: Outcome
-    name: str
-    found: str
-    remarks: tuple[str, ...]  # what is wrong with it
-    more: tuple[str, ...]  # what only --verbose shows
-
-
-@dataclass(frozen=True)
 class DoctorReport:
     """The results of all checks."""
 
@@ -115,10 +104,6 @@ class DoctorReport:
     def names(self, outcome: Outcome) -> list[str]:
         """Return the names of the checks with an outcome."""
         return [name for name, check in self.checks.items() if check.outcome is outcome]
-
-    def titles(self, outcome: Outcome) -> list[str]:
-        """Return the names of the checks with an outcome, for people."""
-        return [name.replace("_", " ") for name in self.names(outcome)]
 
     @property
     def outcome(self) -> Outcome:
@@ -146,58 +131,30 @@ class DoctorReport:
             },
         }
 
-    def heading(self) -> str:
-        """Return the page's first line: ExWarp's version, the system and Python's."""
-        facts = self.checks["machine"].facts if "machine" in self.checks else {}
-        machine = [facts[name] for name in ("system", "architecture") if facts.get(name)]
-        python = f", {facts['implementation']} {facts['python']}" if "python" in facts else ""
-        return f"exwarp {__version__}{' on ' if machine else ''}{' '.join(machine)}{python}"
-
-    def rows(self, verbose: bool) -> list[CheckRow]:
-        """Return the page's rows."""
-        return [
-            CheckRow(
-                check.outcome,
-                name.replace("_", " "),
-                printable(check.found),
-                tuple(printable(remark.text) for remark in check.remarks),
-                tuple(map(printable, check.lines)) if verbose else (),
+    def verdict(self) -> str:
+        """Sum up the examination, whether checks failed or not."""
+        failed, warnings, skipped = (
+            [name.replace("_", " ") for name in self.names(outcome)]
+            for outcome in (Outcome.FAILED, Outcome.WARNING, Outcome.SKIPPED)
+        )
+        if failed:
+            what = "line under it says" if len(failed) == 1 else "lines under them say"
+            return (
+                f"{len(failed)} of {len(self.checks)} checks failed ({enumerated(failed)}); do "
+                f"what the {what}"
             )
-            for name, check in self.checks.items()
-        ]
-
-    def verdict(self) -> str | None:
-        """Sum up an examination without a failure; None for one with any."""
-        if self.outcome is Outcome.FAILED:
-            return None
-        if warnings := self.titles(Outcome.WARNING):
+        if warnings:
             return f"everything that is needed works; see the warnings on {enumerated(warnings)}"
-        skipped = self.names(Outcome.SKIPPED)
         return "everything that was tried works" if skipped else "everything works"
 
-    def failures(self) -> str:
-        """Sum up an examination with failures."""
-        failed = self.titles(Outcome.FAILED)
-        what = "line under it says" if len(failed) == 1 else "lines under them say"
-        return (
-            f"{len(failed)} of {len(self.checks)} checks failed ({enumerated(failed)}); do what "
-            f"the {what}"
-        )
 
-
-def run_checks(
-    self_test: bool = True, more: dict[str, Callable[[], CheckResult]] | None = None
-) -> DoctorReport:
+def run_checks(self_test: bool, more: dict[str, Callable[[], CheckResult]]) -> DoctorReport:
     """Check this machine and this installation; failed checks are part of the result.
 
-    Parameters
-    ----------
-    self_test
-        Whether to upsample a shot.
-    more
-        Checks of the caller, by name, that are made first.
+    `self_test` says whether to upsample a shot. `more` are checks of the caller, by name, that are
+    made first.
     """
-    functions: dict[str, str | Callable[[], CheckResult]] = {**(more or {}), **CHECKS}
+    functions: dict[str, str | Callable[[], CheckResult]] = {**more, **CHECKS}
     checks, seconds = {}, {}
     for name, function in functions.items():
         begin = time.perf_counter()

@@ -11,7 +11,7 @@ import platform
 import re
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from importlib.metadata import Distribution, PackageNotFoundError, distribution, version
 from pathlib import Path
 
@@ -132,16 +132,23 @@ class Package:
     error: str | None = None  # why it cannot be imported; None where it can, or was not tried
 
     @classmethod
-    def of(cls, requirement: Requirement) -> Package:
-        """Find the package that a requirement names, or a stand-in."""
+    def of(cls, requirement: Requirement, is_imported: bool) -> Package:
+        """Find the package that a requirement names, or a stand-in; import it on request."""
+        wanted = str(requirement.specifier)
         for name in (requirement.name, *STAND_INS.get(requirement.name.lower(), ())):
             try:
                 installed = version(name)
             except PackageNotFoundError:
                 continue
+            error = None
+            if is_imported:
+                try:
+                    importlib.import_module(module_of(name))
+                except Exception as problem:  # a system library, numpy's ABI, a missing file …
+                    error = first_line(problem)
             fits = requirement.specifier.contains(installed, prereleases=True)
-            return cls(name, str(requirement.specifier), installed, fits)
-        return cls(requirement.name, str(requirement.specifier), None, False)
+            return cls(name, wanted, installed, fits, error)
+        return cls(requirement.name, wanted, None, False)
 
     @property
     def is_good(self) -> bool:
@@ -171,16 +178,6 @@ class Package:
             remedy = f"run pip install --force-reinstall '{self.name}{self.wanted}'"
         return f"{self.name} cannot be imported ({self.error}); {remedy}"
 
-    def imported(self) -> Package:
-        """Return the package with the error of its import, if it has one."""
-        if self.installed is None:
-            return self
-        try:
-            importlib.import_module(module_of(self.name))
-        except Exception as error:  # a library of the system, numpy's ABI, a missing file …
-            return replace(self, error=first_line(error))
-        return self
-
 
 def module_of(package: str) -> str:
     """Return the module to import of a package or stand-in."""
@@ -199,7 +196,7 @@ def check_packages() -> CheckResult:
             "versions it needs; run 'pip install .' beside its pyproject.toml"
         )
         return CheckResult("not known", (warning(text),), {"installed": None, "packages": []})
-    packages = [Package.of(requirement).imported() for requirement in _requirements(own, None)]
+    packages = [Package.of(requirement, True) for requirement in _requirements(own, None)]
     remarks = [failure(package.advice) for package in packages if not package.is_good]
     if own.version != __version__:
         remarks.append(
@@ -225,10 +222,11 @@ def check_extras() -> CheckResult:
     except PackageNotFoundError:
         return CheckResult("not known, as ExWarp is not installed", facts={"extras": {}})
     names = sorted(own.metadata.get_all("Provides-Extra") or ())
-    extras = {name: [Package.of(r) for r in _requirements(own, name)] for name in names}
+    # Not imported, as PyTorch takes seconds.
+    extras = {name: [Package.of(r, False) for r in _requirements(own, name)] for name in names}
     installed = [name for name, packages in extras.items() if all(p.installed for p in packages)]
     absent = [name for name, packages in extras.items() if not any(p.installed for p in packages)]
-    remarks = tuple(  # not by import, as PyTorch takes seconds
+    remarks = tuple(
         warning(f"{package.advice} (the extra {name} needs it)")
         for name in names
         if name not in absent

@@ -28,6 +28,8 @@ FILTERS = {
     "minterpolate": "leave minterpolate out of what bench compares",
 }
 
+_SHIPPED = "as shipped"  # state of a model
+
 _VERSION = re.compile(r"n?\d+(\.\d+)*")
 _FFMPEG = "install imageio-ffmpeg again, and unset IMAGEIO_FFMPEG_EXE if it names another ffmpeg"
 
@@ -156,25 +158,23 @@ def check_models() -> CheckResult:
             f"the models that come with ExWarp, or their checksums, are missing in {folder}; "
             "install ExWarp again"
         ) from error
-    problems: dict[str, str | None] = {}
+    states = {}
     for name, checksum in checksums.items():
         try:
             with (folder / name).open("rb") as file:
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
-            is_as_shipped = digest == checksum
-            problems[name] = None if is_as_shipped else "not the one that came with ExWarp"
+            states[name] = _SHIPPED if digest == checksum else "not the one that came with ExWarp"
         except FileNotFoundError:
-            problems[name] = "missing"
+            states[name] = "missing"
         except OSError as error:
-            problems[name] = f"not to be read ({error.strerror})"
+            states[name] = f"not to be read ({error.strerror})"
     remarks = tuple(
-        failure(f"the model {folder / name} is {problem}; install ExWarp again")
-        for name, problem in problems.items()
-        if problem is not None
+        failure(f"the model {folder / name} is {state}; install ExWarp again")
+        for name, state in states.items()
+        if state != _SHIPPED
     )
-    states = {name: problem or "as shipped" for name, problem in problems.items()}
     lines = (str(folder), *(f"{name}: {state}" for name, state in states.items()))
-    summary = f"{len(problems) - len(remarks)} of {len(problems)} files as shipped"
+    summary = f"{len(states) - len(remarks)} of {len(states)} files {_SHIPPED}"
     return CheckResult(summary, remarks, {"folder": str(folder), "files": states}, lines)
 
 
@@ -184,25 +184,17 @@ def check_network() -> CheckResult:
     from exwarp_cli.models.session import CUDA, providers, runtime_version
 
     offered = providers()
-    problems: dict[str, str | None] = {}
+    remarks, works = [], {}
     for device in ("cpu", "cuda") if CUDA in offered else ("cpu",):
         try:
             load_extrapolator(None, 1, device)
-            problems[device] = None
+            works[device] = True
         except ExwarpError as error:
-            problems[device] = str(error)
-    remarks = tuple(
-        # Without CUDA there is still the CPU.
-        failure(problem) if device == "cpu" else warning(problem)
-        for device, problem in problems.items()
-        if problem
-    )
-    good = [device.upper() for device, problem in problems.items() if problem is None]
-    facts = {
-        "onnxruntime": runtime_version(),
-        "providers": list(offered),
-        "devices": {device: problem is None for device, problem in problems.items()},
-    }
+            works[device] = False
+            # Without CUDA there is still the CPU.
+            remarks.append(failure(str(error)) if device == "cpu" else warning(str(error)))
+    good = [device.upper() for device, is_good in works.items() if is_good]
+    facts = {"onnxruntime": runtime_version(), "providers": list(offered), "devices": works}
     runs = (
         f"runs the extrapolator on {enumerated(good)}" if good else "does not run the extrapolator"
     )
@@ -212,7 +204,7 @@ def check_network() -> CheckResult:
     if CUDA not in offered:
         summary += "; no CUDA"
         lines.append("for CUDA put onnxruntime-gpu in the place of onnxruntime")
-    return CheckResult(summary, remarks, facts, tuple(lines))
+    return CheckResult(summary, tuple(remarks), facts, tuple(lines))
 
 
 def check_video() -> CheckResult:

@@ -6,14 +6,12 @@ warping and splatting copy pixels and must get every bit right.
 
 from __future__ import annotations
 
-import io
 import time
 from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +25,7 @@ from exwarp_cli.errors import ExwarpError
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.exr.writer import COMPRESSIONS, encode_by_openexr, scanline_attributes
 from exwarp_cli.pipeline.doctor.checkup import CheckResult, failure
-from exwarp_cli.pipeline.progress import Progress
+from exwarp_cli.pipeline.progress import Silence
 from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.runtime.compilation import compilation
 from exwarp_cli.runtime.stop import scratch_folder
@@ -57,56 +55,38 @@ ADVICE = (
 Planes = dict[str, np.ndarray]
 
 
-class Trial(NamedTuple):
-    """One run of the pipeline, and what is wrong with its frames, if anything."""
-
-    problem: str | None
-    seconds: float
-    frames: int
-
-
 def check_self_test() -> CheckResult:
     """Upsample the shot by four methods, and in chunks."""
     begin, compiled = time.perf_counter(), compilation.compiled
+    runs, good, remarks, lines = {}, [], [], []
     with scratch_folder() as folder:
         write_shot(folder / "keys")
-        runs = {
-            method: partial(_try_method, folder, method, convention)
-            for method, convention in METHODS.items()
-        }
-        runs["chunks"] = partial(_try_chunks, folder, list(METHODS)[-1])
-        trials = {}
-        for name, run in runs.items():
+        for name in (*METHODS, "chunks"):
             start = time.perf_counter()
             try:
-                problem, frames = run()
+                if name == "chunks":
+                    work = "upsampling in chunks"
+                    problem, frames = _try_chunks(folder, list(METHODS)[-1])
+                else:
+                    work = f"upsampling by {name}"
+                    problem, frames = _try_method(folder, name, METHODS[name])
             except ExwarpError as error:
                 problem, frames = str(error), 0
-            trials[name] = Trial(problem, time.perf_counter() - start, frames)
+            spent = time.perf_counter() - start
+            if problem is None:
+                good.append(name)
+            else:
+                remarks.append(failure(f"{work} goes wrong: {problem.rstrip('.')}; {ADVICE}"))
+            runs[name] = {"ok": problem is None, "seconds": round(spent, 3), "frames": frames}
+            lines.append(f"{name}: {pluralise(frames, 'frame')}, {spent:.2f} s")
     seconds, compiled = time.perf_counter() - begin, compilation.compiled - compiled
-    remarks = []
-    for name, trial in trials.items():
-        if trial.problem is not None:
-            work = "upsampling in chunks" if name == "chunks" else f"upsampling by {name}"
-            remarks.append(failure(f"{work} goes wrong: {trial.problem.rstrip('.')}; {ADVICE}"))
-    good = [name for name, trial in trials.items() if trial.problem is None]
-    facts = {
-        "seconds": round(seconds, 3),
-        "compiled": compiled,
-        "runs": {
-            name: {"ok": t.problem is None, "seconds": round(t.seconds, 3), "frames": t.frames}
-            for name, t in trials.items()
-        },
-    }
+    facts = {"seconds": round(seconds, 3), "compiled": compiled, "runs": runs}
     verb = "is" if len(good) == 1 else "are"
     summary = f"{enumerated(good)} {verb} right" if good else "nothing is right"
     summary += f"; {seconds:.1f} s"
     if compiled:
         summary += f", {pluralise(compiled, 'kernel')} compiled"
-    lines = tuple(
-        f"{n}: {pluralise(t.frames, 'frame')}, {t.seconds:.2f} s" for n, t in trials.items()
-    )
-    return CheckResult(summary, tuple(remarks), facts, lines)
+    return CheckResult(summary, tuple(remarks), facts, tuple(lines))
 
 
 def write_shot(folder: Path) -> None:
@@ -215,4 +195,4 @@ def _upsample(
 ) -> RunSummary:
     source = SourceSettings(str(folder / "keys"), motion=motion)
     settings = UpsampleSettings(source, str(folder / output), method=method, threads=1)
-    return upsample(replace(settings, frames=frames), Progress(io.StringIO()))
+    return upsample(replace(settings, frames=frames), Silence())
