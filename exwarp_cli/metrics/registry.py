@@ -27,6 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.domain.colour import PEAK, encode_display, round_display
 from exwarp_cli.domain.frame import Bool, Float32, UInt8
 from exwarp_cli.domain.metric import DEFAULT_METRICS
 from exwarp_cli.domain.results import Score
@@ -41,7 +42,6 @@ from exwarp_cli.kernels.picture_errors import (
     ssim_map,
     write_perceived,
 )
-from exwarp_cli.metrics.display import PEAK, encode_display, round_display
 from exwarp_cli.metrics.temporal import measure_pulse
 
 MAX_DB = 100.0  # PSNR of equal images, in place of infinity, and the largest of any pair

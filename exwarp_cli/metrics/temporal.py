@@ -32,9 +32,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from exwarp_cli.domain.colour import encode_display
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.kernels import gather
-from exwarp_cli.metrics.display import encode_display
 
 
 @dataclass(frozen=True)

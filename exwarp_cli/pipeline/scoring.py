@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from exwarp_cli.domain.colour import round_display
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Image, UInt8, Window, place_on_canvas
 from exwarp_cli.domain.metric import WITHOUT_TRUTH
 from exwarp_cli.domain.results import BrokenPixels, FrameRecord, Score
@@ -25,7 +26,6 @@ from exwarp_cli.io.ffmpeg import (
 from exwarp_cli.io.files import ResourceOwner
 from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.io.frames import GEOMETRY, read_raw
-from exwarp_cli.metrics.display import round_display
 from exwarp_cli.metrics.temporal import (
     Transition,
     compare_with_previous,
