@@ -67,10 +67,6 @@ class ParallelKernel:
     def __call__(self, *arguments: object) -> None:
         _row_bands.run_bands(self._compiled, arguments, _row_bands.threads())
 
-    def serial(self, *arguments: object) -> None:
-        """Run on the calling thread alone."""
-        self._compiled(*arguments, _row_bands.ALL)
-
 
 def kernel(function: Kernel) -> Kernel:
     """Compile a function on its first call, and keep the machine code on disk."""
@@ -82,19 +78,13 @@ def kernel(function: Kernel) -> Kernel:
     return compiled
 
 
-def device_function(function: Kernel) -> Kernel:
-    """Compile a function with the kernels that call it; Python calls it uncompiled."""
-    # As kernels, callable from Python and cached, these took half the compilation time again.
-    device: Kernel = register_jitable(**OPTIONS)(function)
-    return device
+# Each compiles a function with the kernels that call it; Python calls it uncompiled. As kernels,
+# callable from Python and cached, these took half the compilation time again.
+device_function: Callable[[Kernel], Kernel] = register_jitable(**OPTIONS)
 
-
-def inline(function: Kernel) -> Kernel:
-    """Do as :func:`device_function`, and compile the function into every caller."""
-    # Without force such functions stay calls: a gather of 1920x1080 took 35 ms instead of 25.
-    device: Kernel = register_jitable(**OPTIONS, forceinline=True)(function)
-    return device
-
+# Compiled into every caller. Without force such functions stay calls: a gather of 1920x1080 took
+# 35 ms instead of 25.
+inline: Callable[[Kernel], Kernel] = register_jitable(**OPTIONS, forceinline=True)
 
 device_function(_row_bands.band_range)
 
@@ -113,12 +103,6 @@ class KernelCache(NullCache):
 
     def __init__(self, function: types.FunctionType) -> None:
         self._function = function
-
-    @property
-    def cache_path(self) -> str | None:
-        """The folder of new builds; None if none is writable."""
-        folder = writable_folder()
-        return None if folder is None else str(folder)
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return a build from any folder, or None if it must be compiled."""
