@@ -296,9 +296,8 @@ def _take_over(
     def array(name: str, source: Mapping[str, Float32 | None]) -> Float32:
         values = source[name] if name in parts else None
         if values is None:
-            has_channels = name == "normal" or name in SMOOTH
-            return np.zeros((0, 0, 3) if has_channels else (0, 0), np.float32)
-        return np.ascontiguousarray(values)
+            return np.zeros((0, 0, 0), np.float32)
+        return np.ascontiguousarray(values).reshape(*values.shape[:2], -1)
 
     own = {name: getattr(gbuffer, name) for name in (*NEAREST, *SMOOTH)}
     point_motion.copy_surface(

@@ -51,12 +51,21 @@ def taken_over(
     serial: bool = False,
     blanks: bool = False,
 ) -> Arrays:
-    """Parts and colours as the kernel has them, but colours [H, W, 3]."""
+    """Parts and colours as frames have them; empty ones are unknown."""
     made = tuple(np.full_like(part, -9) for part in parts)
+    planes = [
+        tuple(
+            part.reshape(*part.shape[:2], -1) if part.size else np.zeros((0, 0, 0), np.float32)
+            for part in group
+        )
+        for group in (parts, made)
+    ]
     mixed = tuple(np.full_like(colour, -9) for colour in colours)
     rest = unknown.copy()
     flat = [tuple(colour.reshape(-1) for colour in group) for group in (colours, mixed)]
-    build(point_motion, "copy_surface", serial)(field, parts, flat[0], made, flat[1], rest, blanks)
+    build(point_motion, "copy_surface", serial)(
+        field, planes[0], flat[0], planes[1], flat[1], rest, blanks
+    )
     return (*made, *mixed, rest)
 
 
