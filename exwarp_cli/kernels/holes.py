@@ -8,7 +8,7 @@ import numpy as np
 
 from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
-from exwarp_cli.kernels.array_types import B8, F32, F64, I16, I32
+from exwarp_cli.kernels.array_types import B8, F32, I16, I32
 
 # Pixel footprints that two world positions of one surface may lie apart: the
 # nearest source pixel is up to 0.71 pixels off, and its own sample as much again.
@@ -214,42 +214,6 @@ def list_holes(
                 column[begin + n] = columns[n]
 
 
-@device_function
-def _march_across_rows(
-    direction: int, hole: B8, first: I32, column: I32, reach: int, steps: I16
-) -> None:
-    """Write one direction of `ray_march_visible` that leads to another row."""
-    # Against the direction, so that pixels read distances that are already known: 1 if visible,
-    # else one more than the pixel ahead; 0 out of reach, and beyond the frame.
-    height, width = hole.shape
-    dy, dx = DIRECTIONS[direction]
-    unit, limit = np.int16(1), np.int16(reach)
-    distances = np.zeros((2, width + 2), np.int16)
-    for row in range(height):
-        i = row if dy < 0 else height - 1 - row
-        ahead, current, row_hole = distances[row % 2], distances[1 - row % 2], hole[i]
-        for k in range(first[i], first[i + 1]):
-            steps[k] = ahead[np.uint64(column[k] + 1 + dx)]
-        row_ahead = ahead[1 + dx : 1 + dx + width]
-        for j in range(width):
-            step = row_ahead[j]
-            next_step = np.int16(step + unit) if (step > 0) & (step < limit) else np.int16(0)
-            current[j + 1] = next_step if row_hole[j] else unit
-
-
-@device_function
-def _march_along_row(dx: int, width: int, first: I32, column: I32, reach: int, steps: I16) -> None:
-    """Write one direction of `ray_march_visible` that stays in the row."""
-    for i in range(first.size - 1):
-        visited, distance = -2, 0
-        for n in range(first[i + 1] - first[i]):
-            k = first[i] + n if dx < 0 else first[i + 1] - 1 - n
-            ahead = column[k] + dx
-            step = distance if ahead == visited else (1 if 0 <= ahead < width else 0)
-            steps[k] = step
-            visited, distance = int(column[k]), (step + 1 if 0 < step < reach else 0)
-
-
 @ParallelKernel
 def ray_march_visible(
     hole: B8,  # [H, W]
@@ -260,35 +224,36 @@ def ray_march_visible(
     band: Band,
 ) -> None:
     """Find the first visible pixel that a hole sees in each of eight directions."""
-    # All pixels of a row answer, without branches: a third of the time of holes alone.
+    height, width = hole.shape
+    unit, limit = np.int16(1), np.int16(reach)
+    distances = np.empty((2, width + 2), np.int16)
     for direction in band_range(len(DIRECTIONS), band):
-        if DIRECTIONS[direction][0] == 0:
-            _march_along_row(
-                DIRECTIONS[direction][1], hole.shape[1], first, column, reach, steps[direction]
-            )
-        else:
-            _march_across_rows(direction, hole, first, column, reach, steps[direction])
-
-
-@device_function
-def _add_seen(
-    row: tuple[int, int, int],  # index of the row, pixels of a step, and C
-    columns: I32,  # [N], as `steps` and `weights`
-    steps: I16,
-    weights: F64,
-    pixels: F32,  # [H W C]
-    sums: F64,  # [N C], changed
-    totals: F64,  # [N], changed
-) -> None:
-    """Add the colours that a row's holes see in one direction to their weighted sums."""
-    at, stride, channels = row
-    for n in range(totals.size):
-        totals[n] += weights[n]
-    for n in range(weights.size):
-        if weights[n] != 0:
-            p = (at + columns[n] + np.int64(steps[n]) * stride) * channels
-            for c in range(channels):
-                sums[n * channels + c] += weights[n] * np.float64(pixels[p + c])
+        dy, dx = DIRECTIONS[direction]
+        away = steps[direction]
+        if dy == 0:
+            for i in range(height):
+                visited, distance = -2, 0
+                for n in range(first[i + 1] - first[i]):
+                    k = first[i] + n if dx < 0 else first[i + 1] - 1 - n
+                    ahead = column[k] + dx
+                    count = distance if ahead == visited else (1 if 0 <= ahead < width else 0)
+                    away[k] = count
+                    visited, distance = int(column[k]), (count + 1 if 0 < count < reach else 0)
+            continue
+        # Against the direction, so that pixels read distances that are already known: 1 if visible,
+        # else one more than the pixel ahead; 0 out of reach, and beyond the frame. All pixels of a
+        # row answer, without branches: a third of the time of holes alone.
+        distances[:] = 0
+        for row in range(height):
+            i = row if dy < 0 else height - 1 - row
+            line, current, row_hole = distances[row % 2], distances[1 - row % 2], hole[i]
+            for k in range(first[i], first[i + 1]):
+                away[k] = line[np.uint64(column[k] + 1 + dx)]
+            row_ahead = line[1 + dx : 1 + dx + width]
+            for j in range(width):
+                step = row_ahead[j]
+                next_step = np.int16(step + unit) if (step > 0) & (step < limit) else np.int16(0)
+                current[j + 1] = next_step if row_hole[j] else unit
 
 
 @device_function
@@ -333,8 +298,13 @@ def _fill_row(
             similarity = similarity * similarity if known[n] else similarity
             weight = (similarity + MIN_WEIGHT) / (steps_away * steps_away * squared)
             weights[n] = weight if steps_away > 0 else 0.0
-        origin = (at, dy * width + dx, channels)
-        _add_seen(origin, columns, away, weights, pixels, sums, totals)
+            totals[n] += weights[n]
+        stride = dy * width + dx
+        for n in range(count):
+            if weights[n] != 0:
+                p = (at + columns[n] + np.int64(away[n]) * stride) * channels
+                for c in range(channels):
+                    sums[n * channels + c] += weights[n] * np.float64(pixels[p + c])
     for n in range(count):
         p = (at + columns[n]) * channels
         for c in range(channels):

@@ -60,8 +60,6 @@ MAX_TURN = 0.5
 # pixels beside a straight line.
 MIN_TURN = 0.1
 
-_NO_REACH = np.zeros((0, 0, 2), np.float32)
-
 
 def stencil_of(gbuffer: GBuffer) -> Int32:
     """Return the ids, int32 [H, W], or [0, 0] when unknown."""
@@ -71,7 +69,6 @@ def stencil_of(gbuffer: GBuffer) -> Int32:
 def displacement(
     gbuffer: GBuffer,  # with settled motion
     time: float,  # in steps of the vectors (key intervals, or slots); negative is earlier
-    reach: Float32 | None = None,  # written: its `reach_of`, without another pass
 ) -> Float32:
     """Return where points of a frame are at another time, minus where they are.
 
@@ -84,9 +81,7 @@ def displacement(
     if after is not None and before is not None:
         out: Float32 = pool.empty(after.shape, np.float32)
         before, after = np.ascontiguousarray(before), np.ascontiguousarray(after)
-        splat.quadratic_displacement(before, after, t, out, _NO_REACH if reach is None else reach)
-        if not len(gbuffer.turning):
-            return out
+        splat.quadratic_displacement(before, after, t, out)
     elif after is not None:
         out = t * after
     else:
@@ -94,15 +89,13 @@ def displacement(
         out = -t * before
     if len(gbuffer.turning) and 0 < abs(time) < 1:
         out.reshape(-1, 2)[gbuffer.turning] = _on_arc(gbuffer, gbuffer.turning, time)
-    if reach is not None:
-        splat.splat_row_extents(out, reach)
     return out
 
 
 def displacement_and_reach(gbuffer: GBuffer, time: float) -> tuple[Float32, Float32]:
     """Return a `displacement`, and its `reach_of`."""
-    reach = np.empty(splat.row_extents_shape(gbuffer.window.shape), np.float32)
-    return displacement(gbuffer, time, reach), reach
+    motion = displacement(gbuffer, time)
+    return motion, reach_of(motion)
 
 
 def reach_of(motion: Float32) -> Float32:

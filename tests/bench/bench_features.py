@@ -67,12 +67,12 @@ def _gbuffer(instant: int, size: tuple[int, int]) -> GBuffer:
 
 
 def _labelling(stencil: Int32) -> tuple[Work, Work]:
-    labels = np.empty(stencil.shape, np.int32)
+    areas = np.empty(stencil.size + 1, np.int64)
     mask = (stencil > 0).astype(np.uint8)
     theirs = np.empty(stencil.shape, np.int32)
 
     def ours() -> int:
-        return connected_components.label_components(stencil, labels)
+        return connected_components.measure_component_areas(stencil, areas) - 1
 
     def peer() -> int:
         return cv2.connectedComponents(mask, theirs, 8, cv2.CV_32S)[0] - 1

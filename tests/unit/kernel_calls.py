@@ -38,10 +38,7 @@ def build(module: ModuleType, name: str, serial: bool) -> Callable[..., None]:
     kernel = getattr(module, name)
 
     def on_one_thread(*arguments: object) -> None:
-        if hasattr(kernel, "serial"):
-            kernel.serial(*arguments)
-            return
-        set_threads(1)  # a function that calls kernels
+        set_threads(1)
         try:
             kernel(*arguments)
         finally:
@@ -187,9 +184,8 @@ def filled(
 
 def displaced(before: np.ndarray, after: np.ndarray, time: float, serial: bool = False) -> Arrays:
     out = np.zeros_like(after)
-    found = np.zeros(splat.row_extents_shape(after.shape), np.float32)
-    build(splat, "quadratic_displacement", serial)(before, after, np.float32(time), out, found)
-    return out, found
+    build(splat, "quadratic_displacement", serial)(before, after, np.float32(time), out)
+    return (out,)
 
 
 def edges_found(depth: np.ndarray, stencil: np.ndarray = NO_IDS, serial: bool = False) -> Arrays:
@@ -214,7 +210,8 @@ def settled(
 
     given = tuple(map(flat, vectors))
     out = tuple(np.full(way.shape, np.nan, np.float32) for way in given)
-    surfaces = flat(places), depth, stencil, edges_found(depth, stencil, serial)[0]
+    positions = NO_VECTORS if places is None else places
+    surfaces = positions, depth, stencil, edges_found(depth, stencil, serial)[0]
     build(silhouettes, "clean_vectors", serial)(given, surfaces, cameras, np.float32(0.25), out)
     return tuple(way.reshape(*depth.shape, 2) if way.size else way for way in out)
 
@@ -236,10 +233,9 @@ def moving_edges_found(
 
 
 def blended(before: Side, after: Side, time: float, serial: bool = False) -> Arrays:
-    out, depth = np.zeros_like(before[0]), np.zeros_like(before[1])
-    hole = np.zeros(depth.shape, np.bool_)
-    build(blend, "blend", serial)(before, after, np.float32(time), out, depth, hole)
-    return out, depth, hole
+    """Pixels, depth, hole and ghost of either side, blended as the synthesis does."""
+    later, depth, hole = weighed(before[1:], after[1:], time, serial)
+    return (*mixed(before[0], after[0], later, serial), depth, hole)
 
 
 def weighed(before: Seen, after: Seen, time: float, serial: bool = False) -> Arrays:
@@ -304,11 +300,9 @@ def counted(
     return (counts,)
 
 
-def labelled(stencil: np.ndarray) -> Arrays:
-    labels = np.full(stencil.shape, -1, np.int32)
-    connected_components.label_components(stencil, labels)
+def areas_measured(stencil: np.ndarray) -> Arrays:
     areas = np.full(stencil.size + 1, -1, np.int64)
-    return labels, areas[: connected_components.measure_component_areas(stencil, areas)]
+    return (areas[: connected_components.measure_component_areas(stencil, areas)],)
 
 
 def scaled(
@@ -319,18 +313,6 @@ def scaled(
     scale = build(raw_channels, "scale_vectors", serial)
     scale(raw, axes, (np.float32(x), np.float32(y)), out)
     return (out,)
-
-
-def picked(values: np.ndarray, shown: np.ndarray, ends: Pair, serial: bool = False) -> Arrays:
-    out = np.full(
-        (frame_statistics.MEDIAN_BANDS, -(-values.size // frame_statistics.MEDIAN_BANDS) + 1),
-        -1,
-        np.float32,
-    )
-    counts = np.full((frame_statistics.MEDIAN_BANDS, 3), -1, np.int64)
-    build(frame_statistics, "pick_between", serial)(values, shown, *ends, out, counts)
-    # What lies beyond is whatever was passed over last.
-    return counts, *(some[:count] for some, count in zip(out, counts[:, 2], strict=True))
 
 
 def rounded(values: np.ndarray) -> Arrays:
@@ -359,15 +341,9 @@ def missed_along(
     return (losses,)
 
 
-def decoded(image: np.ndarray, serial: bool = False) -> Arrays:
+def opponent_written(image: np.ndarray, gain: float = 0, serial: bool = False) -> Arrays:
     planes = np.full((picture_errors.OPPONENT_PLANES, *image.shape[:2]), np.nan, np.float32)
-    build(picture_errors, "decode_opponent", serial)(image, planes)
-    return (planes,)
-
-
-def exposed(image: np.ndarray, gain: float, serial: bool = False) -> Arrays:
-    planes = np.full((picture_errors.OPPONENT_PLANES, *image.shape[:2]), np.nan, np.float32)
-    build(picture_errors, "expose_opponent", serial)(image, np.float32(gain), planes)
+    build(picture_errors, "write_opponent", serial)(image, np.float32(gain), planes)
     return (planes,)
 
 

@@ -19,9 +19,7 @@ from exwarp_cli.synthesis.motion_fields import settle_motion
 from exwarp_cli.synthesis.trajectory import (
     MIN_OBJECT_PIXELS,
     displacement,
-    displacement_and_reach,
     fit_pose,
-    reach_of,
 )
 from tests.matrix import combinations
 from tests.unit.scenes import Camera, vec
@@ -423,12 +421,6 @@ class TestArcs:
         assert found.bend is not None and (seen.ident == 2).sum() > 100
         assert (found.bend[:, seen.ident != 1] == 0).all()
         assert np.abs(found.bend[:, seen.ident == 1]).max() > 0.4
-
-    def test_the_rows_that_it_leads_to_are_those_of_the_arc(self):
-        _, _, found = spinning()
-        motion, reach = displacement_and_reach(found, 0.5)
-        np.testing.assert_array_equal(motion, displacement(found, 0.5))
-        np.testing.assert_array_equal(reach, reach_of(motion))
 
 
 class TestBend:
