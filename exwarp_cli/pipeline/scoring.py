@@ -369,7 +369,7 @@ class MetricScorer(SequenceScorer):
             if into is not None and before is not None:
                 change = compare_with_previous(self._error, before, *into)
                 value = change.mean()
-                masked = None if pair.mask is None else change.within(pair.mask)
+                masked = None if pair.mask is None else change.mean(pair.mask)
             self._transitions.append(value)
             inside = None if inside is None else replace(inside, flicker=masked)
         self._scores.append((overall, inside))
