@@ -298,7 +298,7 @@ def adopt_sources(
     pixel: I32,
     later: B8,
     depth: F32,  # from `choose_sources`
-    first: I32,  # the holes, from `holes.list_holes`; as `column`
+    first: I32,  # the holes, as for `holes.ray_march_visible`; as `column`
     column: I32,
     cap: np.float32,  # scene units; all that is further counts as equally far
     steps: I16,  # [8, N], from `holes.ray_march_visible`

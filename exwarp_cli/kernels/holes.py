@@ -168,57 +168,12 @@ DIRECTIONS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 
 
 MIN_WEIGHT = 1e-6
 
-INFINITE = np.int32(0x7F800000)  # The bits of infinity; those of NaN are greater
-
-
-@ParallelKernel
-def count_holes(
-    hole: B8,  # [H, W]
-    bits: I32,  # [H, W], bits of the depth, not negative; +inf background, NaN unknown
-    counts: I32,  # [H], written
-    furthest: I32,  # [H], written: bits of the greatest finite depth outside the holes, or of 0
-    band: Band,
-) -> None:
-    """Count each row's holes, and find the greatest visible depth."""
-    # Bits of non-negative floats sort as the floats do, and their maximum needs no branches.
-    height, _ = hole.shape
-    for i in band_range(height, band):
-        row, row_bits = hole[i], bits[i]
-        count, most = np.int32(0), np.int32(0)
-        for j in range(row.size):
-            count = np.int32(count + np.int32(row[j]))
-            visible = (not row[j]) & (row_bits[j] < INFINITE)
-            most = max(most, row_bits[j] if visible else np.int32(0))
-        counts[i], furthest[i] = count, most
-
-
-@ParallelKernel
-def list_holes(
-    hole: B8,  # [H, W]
-    first: I32,  # [H + 1]: number of holes in all rows above
-    column: I32,  # [N], written, row by row, ascending
-    band: Band,
-) -> None:
-    """List the holes' columns."""
-    height, width = hole.shape
-    for i in band_range(height, band):
-        begin, end = first[i], first[i + 1]
-        if begin < end:
-            row, columns = hole[i], np.empty(width, np.int32)
-            place = np.int64(0)
-            for j in range(row.size):
-                # Overwritten unless it is a hole: a branch took twice as long.
-                columns[np.uint64(place)] = j
-                place += np.int64(row[j])
-            for n in range(end - begin):
-                column[begin + n] = columns[n]
-
 
 @ParallelKernel
 def ray_march_visible(
     hole: B8,  # [H, W]
-    first: I32,  # from `list_holes`, as is `column`
-    column: I32,
+    first: I32,  # [H + 1]: number of holes in all rows above
+    column: I32,  # [N]: the holes' columns, row by row, ascending
     reach: int,  # most steps, 1 to 32,766
     steps: I16,  # [8, N], written: steps to the visible pixel; 0 without one
     band: Band,
@@ -316,7 +271,7 @@ def _fill_row(
 def fill_holes(
     image: F32,  # [H, W, C], changed in holes
     depth: F32,  # [H, W], +inf background; in holes that of the missing surface, NaN if unknown
-    first: I32,  # from `list_holes`, as is `column`
+    first: I32,  # as `column`: see `ray_march_visible`
     column: I32,
     cap: np.float32,  # scene units; all that is further counts as equally far
     steps: I16,  # [8, N], from `ray_march_visible`

@@ -1,4 +1,4 @@
-"""Planes as networks take them, from interleaved pixels and back."""
+"""Planes as networks take them, from interleaved pixels."""
 
 from __future__ import annotations
 
@@ -149,47 +149,3 @@ def write_input_planes(
         i = clamp(corner[0] + y, 0, height - 1)
         _write_surface_row((i, y), columns, surface, defaults, median, out)
         _write_input_row((i, y), columns, pixels, masks, out)
-
-
-@ParallelKernel
-def write_network_frame(
-    colour: F32,  # [3, H, W], linear
-    modulation: F32,  # [H, W, 3], multiplied with it; [0, 0, 3] for none
-    filled: F32,  # [H, W, C]: the filled warp, whose further channels are copied
-    out: F32,  # [H, W, C], written
-    band: Band,
-) -> None:
-    """Write a network's output as a frame."""
-    height, width, channels = filled.shape
-    for i in band_range(height, band):
-        for j in range(width):
-            for c in range(3):
-                value = colour[c, i, j]
-                if modulation.size:
-                    value *= modulation[i, j, c]
-                out[i, j, c] = value
-            for c in range(3, channels):
-                out[i, j, c] = filled[i, j, c]
-
-
-@ParallelKernel
-def divide_by_albedo(
-    pixels: F32,  # [H, W, C], scene-linear
-    albedo: F32,  # [H, W, 3]; its sum with `specular`, within `bounds`, is the surface colour
-    specular: F32,
-    bounds: tuple[float, float],  # minimum and maximum
-    out: F32,  # [H, W, C], written
-    band: Band,
-) -> None:
-    """Divide a frame's colour by its surface colour; further channels are copied."""
-    height, width, channels = pixels.shape
-    for i in band_range(height, band):
-        diffuse, glossy = albedo[i].reshape(-1), specular[i].reshape(-1)
-        source, target = pixels[i].reshape(-1), out[i].reshape(-1)
-        for j in range(width):
-            for c in range(3):
-                both = np.float32(diffuse[3 * j + c] + glossy[3 * j + c])
-                colour = _clamp_known(both, bounds[0], bounds[1], np.nan)
-                target[channels * j + c] = source[channels * j + c] / colour
-            for k in range(channels * j + 3, channels * (j + 1)):
-                target[k] = source[k]

@@ -290,7 +290,7 @@ def write_perceived(
             lightness[i] = light
             a[i] = _HUNT * light * (_A1 * (fx - fy))
             b[i] = _HUNT * light * (_B1 * (fy - fz))
-        for n in range(2):  # lengths of the gradient at edges, and at points
+        for n in range(2):  # strengths of edges, and of points
             right, down, length = filtered[4 + 2 * n], filtered[5 + 2 * n], perceived[3 + n, row]
             for i in range(width):
                 length[i] = np.sqrt(right[i] * right[i] + down[i] * down[i])
@@ -418,14 +418,15 @@ def _write_ssim(x: F32, y: F32, channels: int, out: F32, band: Band) -> None:
                 for c in range(channels):
                     line[p * channels + c] = line[left + c]
                     line[(p + width + SSIM_RADIUS) * channels + c] = line[right + c]
-            out_line, s = means[j], channels
+            # Blurred along, where the samples of one channel are so far apart.
+            mean, s = means[j], channels
             a, b, c, d, e = line, line[s:], line[2 * s :], line[3 * s :], line[4 * s :]
             f, g, h = line[5 * s :], line[6 * s :], line[7 * s :]
-            p, q, r = line[8 * s :], line[9 * s :], line[10 * s :]
+            t, u, v = line[8 * s :], line[9 * s :], line[10 * s :]
             for i in range(span):
-                out_line[i] = W0 * f[i] + W1 * (e[i] + g[i]) + W2 * (d[i] + h[i])
+                mean[i] = W0 * f[i] + W1 * (e[i] + g[i]) + W2 * (d[i] + h[i])
             for i in range(span):
-                out_line[i] += W3 * (c[i] + p[i]) + W4 * (b[i] + q[i]) + W5 * (a[i] + r[i])
+                mean[i] += W3 * (c[i] + t[i]) + W4 * (b[i] + u[i]) + W5 * (a[i] + v[i])
         mean_x, mean_y, squares, products = means[0], means[1], means[2], means[3]
         similarity = out[row]
         for i in range(similarity.size):

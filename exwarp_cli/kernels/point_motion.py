@@ -74,22 +74,6 @@ def copy_surface(
                 _clear_surface(target, target_colours, i, j, place)
 
 
-@ParallelKernel
-def fill_predicted(
-    predicted: F32,  # [H, W, 2] px; NaN where there is none
-    moved: F32,  # [H, W, 2] px, changed where it is NaN
-    lost: B8,  # [H, W], changed: False for these
-    band: Band,
-) -> None:
-    """Give points of unknown origin the predicted place."""
-    height, width, _ = moved.shape
-    for i in band_range(height, band):
-        for j in range(width):
-            if math.isnan(moved[i, j, 0]) and not math.isnan(predicted[i, j, 0]):
-                moved[i, j, 0], moved[i, j, 1] = predicted[i, j, 0], predicted[i, j, 1]
-                lost[i, j] = False
-
-
 Vector = tuple[np.float32, np.float32]
 # What an instant shows: ids, depths, the steps that these were rounded to, and how close those of
 # one surface are sure to be.

@@ -64,27 +64,6 @@ def write_rigid_motion(
                 out[i, j, 0], out[i, j, 1] = x, y
 
 
-@ParallelKernel
-def mark_static(
-    position: F32,  # as `depth`, `camera`, `at_infinity`: see `write_rigid_motion`
-    depth: F32,
-    camera: F64,
-    at_infinity: F64,
-    step: F32,  # [H, W, 2] px of motion to the other camera's frame; NaN where unknown
-    tolerance: np.float32,  # px by which either component may differ
-    out: B8,  # [H, W], written
-    band: Band,
-) -> None:
-    """Mark the pixels that move as static points do."""
-    height, width = depth.shape
-    for i in band_range(height, band):
-        for j in range(width):
-            x, y = rigid_displacement(position, depth, camera, at_infinity, i, j)
-            near_x = np.float32(abs(np.float32(step[i, j, 0] - x))) <= tolerance
-            near_y = np.float32(abs(np.float32(step[i, j, 1] - y))) <= tolerance
-            out[i, j] = near_x and near_y
-
-
 @kernel
 def write_equations(
     points: F64,  # [N, 4], homogeneous

@@ -190,9 +190,8 @@ def standing(scene: Scene, camera: Camera, step: Float32, tolerance: float) -> B
 
     `tolerance` is in pixels, for either component; unknown motion (NaN) is not still.
     """
-    out = np.empty(scene.depth.shape, np.bool_)
-    projection.mark_static(*_kernel_inputs(scene, camera), step, np.float32(tolerance), out)
-    return out
+    near = np.abs(step - seen_by(scene, camera)) <= np.float32(tolerance)
+    return np.asarray(near[..., 0] & near[..., 1])
 
 
 def _kernel_inputs(scene: Scene, camera: Camera) -> tuple[Float32, Float32, F64, F64]:

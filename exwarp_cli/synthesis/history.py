@@ -204,7 +204,9 @@ def _look_back_reprojected(slot: int, back: SlotField, history: KeyHistory) -> H
             motion = _predict_motion(older, gbuffer, count, time, camera)
             history.scratch.page_out()
             predicted = splat_motion(gbuffer, motion).field
-            point_motion.fill_predicted(predicted, moved, lost)
+            # Points of unknown origin get the predicted place.
+            fills = np.isnan(moved[..., 0]) & ~np.isnan(predicted[..., 0])
+            moved[fills], lost[fills] = predicted[fills], False
             sources.append((gbuffer, predicted))
         fields.append(moved)
         hidden.append(lost)

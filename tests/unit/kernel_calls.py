@@ -145,24 +145,16 @@ def marked(
     return (hole,)
 
 
-def listed(hole: np.ndarray, serial: bool = False) -> Arrays:
+def listed(hole: np.ndarray) -> Arrays:
     """Where each row's holes begin in the list, and their columns."""
-    counts, _ = holes_counted(hole, np.ones(hole.shape, np.float32), serial)
-    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-    column = np.full(first[-1], -1, np.int32)
-    build(holes, "list_holes", serial)(hole, first, column)
-    return first, column
-
-
-def holes_counted(hole: np.ndarray, depth: np.ndarray, serial: bool = False) -> Arrays:
-    counts, furthest = np.full(len(hole), -1, np.int32), np.full(len(hole), -1, np.int32)
-    build(holes, "count_holes", serial)(hole, depth.view(np.int32), counts, furthest)
-    return counts, furthest.view(np.float32)
+    rows, columns = np.nonzero(hole)
+    first = np.searchsorted(rows, np.arange(len(hole) + 1))
+    return first.astype(np.int32), columns.astype(np.int32)
 
 
 def seen(hole: np.ndarray, reach: int, serial: bool = False) -> Arrays:
     """The steps from each hole, [8, N]."""
-    first, column = listed(hole, serial)
+    first, column = listed(hole)
     steps = np.full((8, len(column)), -1, np.int16)
     build(holes, "ray_march_visible", serial)(hole, first, column, reach, steps)
     return (steps,)
@@ -178,7 +170,7 @@ def filled(
 ) -> Arrays:
     out = image.copy()
     (steps,) = seen(hole, reach, serial)
-    build(holes, "fill_holes", serial)(out, depth, *listed(hole, serial), np.float32(cap), steps)
+    build(holes, "fill_holes", serial)(out, depth, *listed(hole), np.float32(cap), steps)
     return (out,)
 
 
@@ -386,9 +378,7 @@ def adopted(
     cap, reach = limits
     (steps,) = seen(hole, reach, serial)
     out, side = pixel.copy(), later.copy()
-    build(blend, "adopt_sources", serial)(
-        out, side, depth, *listed(hole, serial), np.float32(cap), steps
-    )
+    build(blend, "adopt_sources", serial)(out, side, depth, *listed(hole), np.float32(cap), steps)
     return out, side
 
 

@@ -219,8 +219,6 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "splat_row_extents": lambda serial: calls.reached(field(2), serial),
     "splat": lambda serial: calls.splatted(field(2), depth(2), serial),
     "mark_holes": mark,
-    "count_holes": lambda serial: calls.holes_counted(ids(26) > 0, depth(26), serial),
-    "list_holes": lambda serial: calls.listed(ids(26) > 0, serial),
     "fill_holes": fill,
     "quadratic_displacement": lambda serial: calls.displaced(field(27), field(28), 0.75, serial),
     "ray_march_visible": lambda serial: calls.seen(ids(26) > 0, 9, serial),
