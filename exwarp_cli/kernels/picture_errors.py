@@ -180,10 +180,10 @@ def _filters() -> list[F64]:
     channels = [achromatic / _total(achromatic), red_green / _total(red_green), *blue_yellow]
     # Positive weights of the detectors sum to 1 and negative ones to -1.
     sigma = 0.5 * _FEATURE_WIDTH * PIXELS_PER_DEGREE
-    x = np.arange(int(np.ceil(3 * sigma)) + 1)
-    bell = np.exp(-(x**2) / (2 * sigma**2))
-    slope = x * bell
-    bend = (x**2 / sigma**2 - 1) * bell
+    steps = np.arange(int(np.ceil(3 * sigma)) + 1)
+    bell = np.exp(-(steps**2) / (2 * sigma**2))
+    slope = steps * bell
+    bend = (steps**2 / sigma**2 - 1) * bell
     outside, inside = np.where(bend > 0, bend, 0), np.where(bend < 0, bend, 0)
     bend = outside / _total(outside) - inside / _total(inside)
     return [*channels, *shares, bell / _total(bell), slope / slope.sum(), bend]

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
+from exwarp_cli.kernels._compile import ParallelKernel, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32
 from exwarp_cli.kernels.gather import clamp, sample_pixel
@@ -77,7 +77,7 @@ def _find_taps(
     table: F32,
     patch: F32,  # [TAPS TAPS C], written where taps lie outside, which get the edge's colour
 ) -> Taps:
-    """Return what `_sum_taps` needs of a place: pixels, their width, first tap, corner, weights."""
+    """Return what `_sum_taps` needs of a place: pixels, step of a row, start, corner, weights."""
     height, width, channels = shape
     left, top = math.floor(x), math.floor(y)
     across = table[round((x - np.float32(left)) * np.float32(PHASES))]
@@ -86,50 +86,15 @@ def _find_taps(
     corner = (row + RADIUS - 2) * TAPS + column + RADIUS - 2
     left, top = left - RADIUS + 1, top - RADIUS + 1
     if left >= 0 and top >= 0 and left + TAPS <= width and top + TAPS <= height:
-        return pixels, width, (top * width + left) * channels, corner, (across, down)
+        first = (top * width + left) * channels
+        return pixels, width * channels, first, corner, (across, down)
     for p in range(TAPS):
         i = clamp(top + p, 0, height - 1)
         for q in range(TAPS):
             j = clamp(left + q, 0, width - 1)
             for c in range(channels):
                 patch[(p * TAPS + q) * channels + c] = pixels[(i * width + j) * channels + c]
-    return patch, TAPS, 0, corner, (across, down)
-
-
-@device_function
-def _sample_taps(taps: Taps, channels: int, out: F32) -> bool:
-    """Write the sum [C] clamped to the 3x3 about the nearest pixel; return whether it is finite."""
-    pixels, width, first, corner, weights = taps
-    steps, check = (width * channels, channels), np.float32(0)
-    for c in range(channels):
-        value, low, high = _sum_taps(pixels, first + c, steps, corner, weights)
-        check += value * np.float32(0)  # NaN from infinity and NaN on
-        out[c] = min(max(value, low), high)
-    return bool(check == 0)
-
-
-@device_function
-def _limit_taps(
-    taps: Taps,
-    channels: int,
-    smooth: F32,  # [C], the bilinear sample, which is always in bounds
-    sharp: F32,  # [C], written
-) -> np.float32:
-    """Write the unclamped sum; return the part of the way to it that stays in bounds.
-
-    The way begins at `smooth`. 0 if a tap is not finite.
-    """
-    pixels, width, first, corner, weights = taps
-    steps, check, limit = (width * channels, channels), np.float32(0), np.float32(1)
-    for c in range(channels):
-        value, low, high = _sum_taps(pixels, first + c, steps, corner, weights)
-        check += value * np.float32(0)
-        sharp[c] = value
-        bound = min(max(value, low), high)
-        if bound != value:
-            fraction = (bound - smooth[c]) / (value - smooth[c])
-            limit = min(limit, max(fraction, np.float32(0)))
-    return limit if check == 0 else np.float32(0)
+    return patch, TAPS * channels, 0, corner, (across, down)
 
 
 @ParallelKernel
@@ -158,16 +123,25 @@ def resample_alike(
                     limit[i, j] = 0
                 continue
             smooth = target[channels * j : channels * (j + 1)]
-            taps = _find_taps(pixels, image.shape, x, y, table, patch)
-            within = _limit_taps(taps, channels, smooth, sharp)
+            taps, pitch, first, corner, weights = _find_taps(
+                pixels, image.shape, x, y, table, patch
+            )
+            steps, check = (pitch, channels), np.float32(0)
+            within = np.float32(1)  # the part of the way to `sharp` that stays in bounds
+            for c in range(channels):
+                value, low, high = _sum_taps(taps, first + c, steps, corner, weights)
+                sharp[c] = value
+                check += value * np.float32(0)  # NaN from infinity and NaN on
+                bound = min(max(value, low), high)
+                if bound != value:
+                    share = (bound - smooth[c]) / (value - smooth[c])
+                    within = min(within, max(share, np.float32(0)))
+            within = within if check == 0 else np.float32(0)
             if leads:
                 clear = channels == RGBA and (
                     smooth[RGBA - 1] + within * (sharp[RGBA - 1] - smooth[RGBA - 1]) <= 0
                 )
                 limit[i, j] = np.float32(0) if clear else within
-            check = np.float32(0)
-            for c in range(channels):
-                check += sharp[c] * np.float32(0)
             if limit[i, j] > 0 and check == 0:
                 for c in range(channels):
                     smooth[c] += limit[i, j] * (sharp[c] - smooth[c])
@@ -199,12 +173,18 @@ def resample(
             place = channels * j
             near = x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5
             if near:
-                sampled = target[place : place + channels]
-                taps = _find_taps(pixels, image.shape, x, y, table, patch)
-                finite = _sample_taps(taps, channels, sampled)
+                taps, pitch, first, corner, weights = _find_taps(
+                    pixels, image.shape, x, y, table, patch
+                )
+                check = np.float32(0)
+                steps = (pitch, channels)
+                for c in range(channels):
+                    value, low, high = _sum_taps(taps, first + c, steps, corner, weights)
+                    check += value * np.float32(0)  # NaN from infinity and NaN on
+                    target[place + c] = min(max(value, low), high)
                 # Colour must not be where the bound has made alpha 0.
-                clear = channels == RGBA and sampled[RGBA - 1] <= 0
-                if finite and not clear:
+                clear = channels == RGBA and target[place + RGBA - 1] <= 0
+                if check == 0 and not clear:
                     row_hole[j] = False
                     continue
             row_hole[j] = not sample_pixel(pixels, image.shape, x, y, target, place)

@@ -147,11 +147,6 @@ def _write_places(
 REACH_SPAN = 64
 
 
-def row_extents_shape(shape: tuple[int, ...]) -> tuple[int, int, int]:
-    """Return the shape of the extents that `splat_row_extents` writes for a frame [H, W]."""
-    return shape[0], -(-shape[1] // REACH_SPAN) + 1, 2
-
-
 @ParallelKernel
 def splat_row_extents(
     displacement: F32,  # as in `splat`
@@ -240,11 +235,11 @@ def _splat_span(
     place, found_x, found_y = landings
     _write_places(start, motion, size, landings)
     count, length = depth.size, np.int64(0)
-    for j in range(count):
-        order[np.uint64(length)] = j
-        length += np.int64(place[j] != NO_TARGET)
-        order[np.uint64(length)] = count + j
-        length += np.int64(place[count + j] != NO_TARGET)
+    for k in range(count):
+        order[np.uint64(length)] = k
+        length += np.int64(place[k] != NO_TARGET)
+        order[np.uint64(length)] = count + k
+        length += np.int64(place[count + k] != NO_TARGET)
     for k in range(length):
         target = np.uint64(order[k])
         n = np.uint64(target if target < depth.size else target - np.uint64(depth.size))

@@ -29,7 +29,7 @@ from tests.bench.running import module, run
 from tests.bench.street import SIZE, key_frame
 from tests.bench.timing import ROUNDS, Work, compare
 
-LABELLING_GOALS = {"label, a block": 1.5, "label, forty discs": 1.5}
+LABELLING_GOALS = {"areas, a block": 1.5, "areas, forty discs": 1.5}
 EMD_GOALS = {"distances, normals": 1 / 50, "distances, positions": 1 / 50}
 LINES = 480
 DISCS = 40
@@ -45,8 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     large = [_gbuffer(instant, SIZE) for instant in (1, 2)]
     assert large[1].stencil is not None
     works = {
-        "label, a block": _labelling(large[1].stencil),
-        "label, forty discs": _labelling(_discs()),
+        "areas, a block": _labelling(large[1].stencil),
+        "areas, forty discs": _labelling(_discs()),
     }
     ratios = compare(works, options.rounds)
     title = f"objects at {SIZE[1]}x{SIZE[0]}, {ran}"

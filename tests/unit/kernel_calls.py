@@ -110,7 +110,8 @@ def followed(
 
 
 def reached(displacement: np.ndarray, serial: bool = False) -> Arrays:
-    found = np.zeros(splat.row_extents_shape(displacement.shape), np.float32)
+    height, width, _ = displacement.shape
+    found = np.zeros((height, -(-width // splat.REACH_SPAN) + 1, 2), np.float32)
     build(splat, "splat_row_extents", serial)(displacement, found)
     return (found,)
 
