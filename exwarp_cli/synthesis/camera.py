@@ -248,7 +248,8 @@ def fit(
             break
         # Without these weights an object on a sixth of the points drags the camera with it: it
         # pulls the first fit so far that it stays within four median errors.
-        doubt = 1 + (errors / max(median, INLIER_FLOOR)) ** 2
+        with np.errstate(over="ignore"):  # of outliers
+            doubt = 1 + (errors / max(median, INLIER_FLOOR)) ** 2
         # By depth an algebraic error becomes one of pixels.
         depths = np.maximum(np.abs(unit_points @ unit[2]), 1e-9)
         weights = np.where(inliers, 1 / (depths * doubt), 0)
