@@ -46,32 +46,6 @@ def _add_columns(weights: I8, activations: I32, sums: I32) -> None:
         sums[i] = np.int32(sums[i] + np.int32(early + late))
 
 
-@inline
-def _infer_state(
-    weights: I8, constants: I32, sizes: I64, state: I32, scratch: I32
-) -> tuple[np.int32, np.int32]:
-    row, offset = sizes[0], np.int64(0)
-    activations = scratch[0]
-    for j in range(row):
-        activations[j] = _requantise(state[j], constants[MULTIPLIER, j], constants[SHIFT, j])
-    for layer in range(sizes.size - 1):
-        neurons = sizes[layer + 1]
-        sums = scratch[1, :neurons]
-        for i in range(neurons):
-            sums[i] = constants[BIAS, row + i]
-        # What lies beyond the activations is multiplied by the zeros that fill up the weights.
-        for j in range(0, sizes[layer], BLOCK_INPUTS):
-            block = weights[offset : offset + BLOCK_INPUTS * neurons]
-            _add_columns(block, activations[j : j + BLOCK_INPUTS], sums)
-            offset += block.size
-        if layer < sizes.size - 2:
-            for i in range(neurons):
-                multiplier, shift = constants[MULTIPLIER, row + i], constants[SHIFT, row + i]
-                activations[i] = _requantise(sums[i], multiplier, shift)
-        row += neurons
-    return scratch[1, 0], scratch[1, 1]
-
-
 @kernel
 def run_network(
     weights: I8,  # [...]: of each layer [in, out], zero-padded to a multiple of BLOCK_INPUTS
@@ -85,9 +59,28 @@ def run_network(
 ) -> None:
     """Run the network on every state."""
     scratch = np.zeros((2, width), np.int32)
+    activations = scratch[0]
     for k in range(states.shape[0]):
-        warp, extrapolate = _infer_state(weights, constants, sizes, states[k], scratch)
-        outputs[k, 0], outputs[k, 1] = warp, extrapolate
+        row, offset = sizes[0], np.int64(0)
+        for j in range(row):
+            multiplier, shift = constants[MULTIPLIER, j], constants[SHIFT, j]
+            activations[j] = _requantise(states[k, j], multiplier, shift)
+        for layer in range(sizes.size - 1):
+            neurons = sizes[layer + 1]
+            sums = scratch[1, :neurons]
+            for i in range(neurons):
+                sums[i] = constants[BIAS, row + i]
+            # What lies beyond the activations is multiplied by the zeros that fill up the weights.
+            for j in range(0, sizes[layer], BLOCK_INPUTS):
+                block = weights[offset : offset + BLOCK_INPUTS * neurons]
+                _add_columns(block, activations[j : j + BLOCK_INPUTS], sums)
+                offset += block.size
+            if layer < sizes.size - 2:
+                for i in range(neurons):
+                    multiplier, shift = constants[MULTIPLIER, row + i], constants[SHIFT, row + i]
+                    activations[i] = _requantise(sums[i], multiplier, shift)
+            row += neurons
+        outputs[k, 0], outputs[k, 1] = scratch[1, 0], scratch[1, 1]
 
 
 class MlpKernel:

@@ -303,11 +303,11 @@ def clean_depth(depth: Float32, normal: Float32 | None) -> tuple[Float32, bool]:
 
     cleaned: Float32 = pool.empty(depth.shape, np.float32)
     flat, far = np.ascontiguousarray(depth, np.float32).reshape(-1), np.float32(FAR)
-    if normal is None:
-        raw_channels.write_depths(flat, far, cleaned.reshape(-1))
-        return cleaned, False
-    normals = np.ascontiguousarray(normal, np.float32).reshape(-1)
-    return cleaned, raw_channels.write_depths_by_normal(flat, normals, far, cleaned.reshape(-1))
+    normals = np.zeros(0, np.float32)
+    if normal is not None:
+        normals = np.ascontiguousarray(normal, np.float32).reshape(-1)
+    is_finite = raw_channels.write_depths(flat, normals, far, cleaned.reshape(-1))
+    return cleaned, normal is not None and is_finite
 
 
 def clean_stencil(ids: np.ndarray) -> Int32:

@@ -67,10 +67,6 @@ class ParallelKernel:
     def __call__(self, *arguments: object) -> None:
         _row_bands.run_bands(self._compiled, arguments, _row_bands.threads())
 
-    def serial(self, *arguments: object) -> None:
-        """Run on the calling thread alone."""
-        self._compiled(*arguments, _row_bands.ALL)
-
 
 def kernel(function: Kernel) -> Kernel:
     """Compile a function on its first call, and keep the machine code on disk."""
@@ -82,19 +78,13 @@ def kernel(function: Kernel) -> Kernel:
     return compiled
 
 
-def device_function(function: Kernel) -> Kernel:
-    """Compile a function with the kernels that call it; Python calls it uncompiled."""
-    # As kernels, callable from Python and cached, these took half the compilation time again.
-    device: Kernel = register_jitable(**OPTIONS)(function)
-    return device
+# Each compiles a function with the kernels that call it; Python calls it uncompiled. As kernels,
+# callable from Python and cached, these took half the compilation time again.
+device_function: Callable[[Kernel], Kernel] = register_jitable(**OPTIONS)
 
-
-def inline(function: Kernel) -> Kernel:
-    """Do as :func:`device_function`, and compile the function into every caller."""
-    # Without force such functions stay calls: a gather of 1920x1080 took 35 ms instead of 25.
-    device: Kernel = register_jitable(**OPTIONS, forceinline=True)(function)
-    return device
-
+# Compiled into every caller. Without force such functions stay calls: a gather of 1920x1080 took
+# 35 ms instead of 25.
+inline: Callable[[Kernel], Kernel] = register_jitable(**OPTIONS, forceinline=True)
 
 device_function(_row_bands.band_range)
 
@@ -113,12 +103,6 @@ class KernelCache(NullCache):
 
     def __init__(self, function: types.FunctionType) -> None:
         self._function = function
-
-    @property
-    def cache_path(self) -> str | None:
-        """The folder of new builds; None if none is writable."""
-        folder = writable_folder()
-        return None if folder is None else str(folder)
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return a build from any folder, or None if it must be compiled."""
@@ -194,7 +178,7 @@ def folders() -> tuple[Path, ...]:
     candidates: list[Path] = []
     for folder in candidate_folders():
         candidates.append(folder)
-        if _is_writable(folder):
+        if folder == writable_folder():
             break
     return tuple(candidates)
 
@@ -202,8 +186,12 @@ def folders() -> tuple[Path, ...]:
 @functools.cache
 def writable_folder() -> Path | None:
     """Return the folder of new builds, or None if none is writable."""
-    last = folders()[-1]
-    return last if _is_writable(last) else None
+    for folder in candidate_folders():
+        with suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                return folder
+    return None
 
 
 def candidate_folders() -> Iterator[Path]:
@@ -216,19 +204,16 @@ def candidate_folders() -> Iterator[Path]:
     if cache_dir:
         yield Path(cache_dir, "exwarp")
     yield Path(__file__).parent / "__pycache__"
-    for folder in (_user_folder(), _temporary_folder()):
-        if folder is not None:
-            yield folder
-
-
-def _user_folder() -> Path | None:
     home = Path(os.path.expanduser("~"))  # noqa: PTH111  # which raises without a home folder
     cache = Path(_Folders(appname="numba", appauthor=False).user_cache_dir)
     if not cache.is_absolute():  # a relative or empty XDG_CACHE_HOME does not count
         cache = home / ".cache" / "numba"
     # A missing home folder is not made, and without one "~" would be made in the current folder.
-    has_place = cache.is_absolute() and (home.is_dir() or not cache.is_relative_to(home))
-    return cache / "exwarp" if has_place else None
+    if cache.is_absolute() and (home.is_dir() or not cache.is_relative_to(home)):
+        yield cache / "exwarp"
+    temporary = _temporary_folder()
+    if temporary is not None:
+        yield temporary
 
 
 def _temporary_folder() -> Path | None:
@@ -243,15 +228,6 @@ def _temporary_folder() -> Path | None:
         if is_own and not status.st_mode & 0o022:
             return folder
     return None
-
-
-def _is_writable(folder: Path) -> bool:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return True
-    except OSError:
-        return False
 
 
 @functools.cache

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import ParallelKernel, device_function, kernel
+from exwarp_cli.kernels._compile import ParallelKernel, kernel
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32, F64, I64
 
@@ -47,19 +47,6 @@ def write_ranges(
 BINS = 256
 
 
-@device_function
-def _bin_of(value: float, low: float, high: float) -> int:
-    """Return the bin of a value from `low` to `high`, 0 to BINS - 1."""
-    # Near an edge the edge itself decides, as in numpy.
-    scale, step = BINS / (high - low), (high - low) / BINS
-    k = int((value - low) * scale)
-    if value < low + k * step:
-        k -= 1
-    elif value >= low + (k + 1) * step:
-        k += 1
-    return min(max(k, 0), BINS - 1)
-
-
 @ParallelKernel
 def count_histograms(
     values: F32,  # [H, W, C]
@@ -78,11 +65,18 @@ def count_histograms(
             low, high = ranges[c, 0], ranges[c, 1]
             if low < high:
                 channel, counted, bins = values[rows, :, c], mask[rows], counts[strip, c]
+                scale, step = BINS / (high - low), (high - low) / BINS
                 for i in range(counted.shape[0]):
                     for j in range(counted.shape[1]):
-                        value = channel[i, j]
-                        if counted[i, j] and abs(value) < np.float32(np.inf):
-                            bins[_bin_of(np.float64(value), low, high)] += 1
+                        value = np.float64(channel[i, j])
+                        if counted[i, j] and abs(value) < np.inf:
+                            k = int((value - low) * scale)
+                            # Near an edge the edge itself decides, as in numpy.
+                            if value < low + k * step:
+                                k -= 1
+                            elif value >= low + (k + 1) * step:
+                                k += 1
+                            bins[min(max(k, 0), BINS - 1)] += 1
 
 
 class ValueDistribution:
@@ -97,11 +91,12 @@ class ValueDistribution:
         self._mask = np.ascontiguousarray(shown)
         self._ranges = np.zeros((values.shape[2], 2))
         self._shares = np.zeros((values.shape[2], BINS))
+        self._strips = -(-values.shape[0] // ROWS_PER_STRIP)
 
     @cached_property
     def range(self) -> F64:
         """Minimum and maximum of each channel, float64 [C, 2]; crossed when there is none."""
-        ends = np.empty((self._bands, self._values.shape[2], 2), np.float32)
+        ends = np.empty((self._strips, self._values.shape[2], 2), np.float32)
         write_ranges(self._values, self._mask, ends)
         low, high = ends[..., 0].min(axis=0), ends[..., 1].max(axis=0)
         return np.stack([low, high], axis=-1).astype(np.float64)
@@ -114,17 +109,12 @@ class ValueDistribution:
         # Often a channel has the range of the last call, as normals do: it is not counted again.
         new = (ranges != self._ranges).any(axis=1)
         if new.any():
-            counts = np.empty((self._bands, self._values.shape[2], BINS), np.int64)
+            counts = np.empty((self._strips, self._values.shape[2], BINS), np.int64)
             count_histograms(self._values, self._mask, np.where(new[:, None], ranges, 0.0), counts)
             total = counts.sum(axis=0).cumsum(axis=-1)
             self._shares[new] = (total / np.maximum(total[:, -1:], 1))[new]
             self._ranges = ranges
         return self._shares
-
-    @property
-    def _bands(self) -> int:
-        rows: int = self._values.shape[0]
-        return -(-rows // ROWS_PER_STRIP)
 
 
 def earth_movers_distances(
@@ -144,33 +134,6 @@ def earth_movers_distances(
     return areas
 
 
-@device_function
-def _has_any(mask: B8) -> bool:
-    # All are read, without branches: vectorised.
-    result = False
-    for j in range(mask.size):
-        result |= mask[j]
-    return result
-
-
-@device_function
-def _write_block_mean(motion: F32, mask: B8, mean: F64) -> None:
-    """Write the mean [2] of the values [R, C, 2] of a block that count; NaN without any."""
-    sum_x, sum_y, count = np.float64(0), np.float64(0), 0
-    for i in range(motion.shape[0]):
-        if mask.size > 0 and not _has_any(mask[i]):
-            continue  # as mostly in sky, half of all the time without
-        for j in range(motion.shape[1]):
-            vx, vy = np.float64(motion[i, j, 0]), np.float64(motion[i, j, 1])
-            # Two float32 cannot add up to infinity here.
-            if (mask.size == 0 or mask[i, j]) and math.isfinite(vx + vy):
-                sum_x += vx
-                sum_y += vy
-                count += 1
-    mean[0] = sum_x / count if count > 0 else np.nan
-    mean[1] = sum_y / count if count > 0 else np.nan
-
-
 @ParallelKernel
 def block_means(
     motion: F32,  # [H, W, 2] px
@@ -182,97 +145,27 @@ def block_means(
     """Write the mean motion of each block."""
     height, width, _ = motion.shape
     for block_row in band_range(out.shape[0], band):
-        rows = slice(block_row * size, min((block_row + 1) * size, height))
         for block in range(out.shape[1]):
-            columns = slice(block * size, min((block + 1) * size, width))
-            _write_block_mean(motion[rows, columns], mask[rows, columns], out[block_row, block])
-
-
-SAMPLES = 1 << 14  # values that locate the median roughly
-
-# Share of all values, on each side of the samples' median, that is searched for the median of all:
-# four times the standard error of so many samples. Twice the share took a fifth longer at 1080p.
-# In the rare case that the median lies beyond, all values are searched.
-SEARCH_SHARE = 0.016
-
-TALLY_SPAN = 256  # values that are tested together: most spans contain none that is picked
-
-MEDIAN_BANDS = 16  # parts of the values: the grain of the parallel loop
-
-
-@device_function
-def _tally(values: F32, mask: B8, low: float, high: float) -> tuple[int, int, int]:
-    """Return how many of a span count, lie below `low`, and from there to `high`."""
-    total, below, until = np.int32(0), np.int32(0), np.int32(0)
-    for n in range(values.size):
-        counts = mask[n] & (values[n] > np.float32(0))
-        total += np.int32(counts)
-        below += np.int32(counts & (values[n] < low))
-        until += np.int32(counts & (values[n] <= high))
-    return int(total), int(below), int(until - below)
-
-
-@device_function
-def _copy_between(values: F32, mask: B8, low: float, high: float, out: F32) -> None:
-    count = 0
-    for n in range(values.size):
-        value = values[n]
-        out[count] = value  # kept where the next one goes to another place
-        count += mask[n] & (value > np.float32(0)) & (value >= low) & (value <= high)
-
-
-@ParallelKernel
-def pick_between(
-    values: F32,  # [N]
-    mask: B8,  # [N]: those that count, where they are above 0
-    low: np.float32,  # both ends count
-    high: np.float32,
-    out: F32,  # [B, M + 1] for bands of M values; the beginning of each is written
-    counts: I64,  # [B, 3], written: how many of a band count, lie below `low`, and were copied
-    band: Band,
-) -> None:
-    """Copy values above 0 that lie from `low` to `high`, by bands."""
-    step = out.shape[1] - 1
-    for strip in band_range(out.shape[0], band):
-        total, below, count = 0, 0, 0
-        end = min((strip + 1) * step, values.size)
-        for begin in range(strip * step, end, TALLY_SPAN):
-            span = slice(begin, min(begin + TALLY_SPAN, end))
-            counting, lower, between = _tally(values[span], mask[span], low, high)
-            if between > 0:
-                _copy_between(values[span], mask[span], low, high, out[strip, count:])
-            total, below, count = total + counting, below + lower, count + between
-        counts[strip, 0], counts[strip, 1], counts[strip, 2] = total, below, count
+            sum_x, sum_y, count = np.float64(0), np.float64(0), 0
+            for i in range(block_row * size, min((block_row + 1) * size, height)):
+                for j in range(block * size, min((block + 1) * size, width)):
+                    if mask.size == 0 or mask[i, j]:
+                        vx, vy = np.float64(motion[i, j, 0]), np.float64(motion[i, j, 1])
+                        if math.isfinite(vx + vy):  # two float32 cannot add up to infinity here
+                            sum_x += vx
+                            sum_y += vy
+                            count += 1
+            out[block_row, block, 0] = sum_x / count if count > 0 else np.nan
+            out[block_row, block, 1] = sum_y / count if count > 0 else np.nan
 
 
 def positive_median(
     values: F32,  # [H, W]
     counted: B8,  # [H, W]: values that count if they are above 0
 ) -> np.float32:
-    """Return the median of values [H, W] above 0, as numpy does; NaN without any."""
-    flat, mask = np.ascontiguousarray(values).ravel(), np.ascontiguousarray(counted).ravel()
-    step = max(1, flat.size // SAMPLES)
-    samples = flat[::step][mask[::step]]
-    samples = np.sort(samples[samples > 0])
-    low, high = np.float32(0), np.float32(np.inf)
-    if step > 1 and samples.size:
-        near = max(1, round(SEARCH_SHARE * samples.size))
-        low, high = (
-            samples[max(0, samples.size // 2 - near)],
-            samples[min(samples.size // 2 + near, len(samples) - 1)],
-        )
-    out = np.empty((MEDIAN_BANDS, -(-flat.size // MEDIAN_BANDS) + 1), np.float32)
-    counts = np.empty((MEDIAN_BANDS, 3), np.int64)
-    pick_between(flat, mask, low, high, out, counts)
-    total, below, count = counts.sum(axis=0).tolist()
-    # An even number has two in the middle, whose mean is the median.
-    first, last = (total - 1) // 2 - below, total // 2 - below
-    if first < 0 or last >= count:
-        return np.float32(np.median(flat[mask & (flat > 0)])) if total else np.float32(np.nan)
-    picked = np.concatenate(
-        [values[:length] for values, length in zip(out, counts[:, 2], strict=True)]
-    )
-    return np.float32(np.partition(picked, (first, last))[first : last + 1].mean())
+    """Return the median of values above 0; NaN without any."""
+    positive = values[counted & (values > 0)]
+    return np.float32(np.median(positive)) if positive.size else np.float32(np.nan)
 
 
 RED, GREEN, BLUE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)

@@ -49,46 +49,32 @@ def _interpolate_pixel(
 def sample_border(
     pixels: F32, shape: tuple[int, int, int], x: np.float32, y: np.float32, out: F32, place: int
 ) -> bool:
-    """Sample where neighbours may lie outside the image; those get the edge's colour."""
+    """Sample where neighbours may lie outside the image; those get the edge's colour.
+
+    Return whether all values are finite. Else, and far from the image, 0 is written.
+    """
     height, width, channels = shape
-    left, top = math.floor(x), math.floor(y)
-    fx, fy = x - np.float32(left), y - np.float32(top)
-    x0, x1 = clamp(left, 0, width - 1), clamp(left + 1, 0, width - 1)
-    y0, y1 = clamp(top, 0, height - 1), clamp(top + 1, 0, height - 1)
-    x1 = x0 if fx == 0 else x1
-    y1 = y0 if fy == 0 else y1
-    at = (
-        U64((y0 * width + x0) * channels),
-        U64((x1 - x0) * channels),
-        U64((y1 - y0) * width * channels),
-    )
-    return bool(_interpolate_pixel(pixels, at, fx, fy, channels, out, place))
-
-
-@device_function
-def _show_border(
-    pixels: F32, shape: tuple[int, int, int], x: np.float32, y: np.float32, out: F32, place: int
-) -> bool:
-    height, width, channels = shape
-    shown = sample_border(pixels, shape, x, y, out, place)
-    if not shown:
-        clear_pixel(out, place, channels)
-    within = x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5
-    return shown and bool(within)
-
-
-@device_function
-def clear_pixel(out: F32, place: int, channels: int) -> None:
-    """Write 0 to the values of a pixel."""
+    if abs(x) < MAX_DISTANCE and abs(y) < MAX_DISTANCE:  # no for NaN
+        left, top = math.floor(x), math.floor(y)
+        fx, fy = x - np.float32(left), y - np.float32(top)
+        x0, x1 = clamp(left, 0, width - 1), clamp(left + 1, 0, width - 1)
+        y0, y1 = clamp(top, 0, height - 1), clamp(top + 1, 0, height - 1)
+        x1 = x0 if fx == 0 else x1
+        y1 = y0 if fy == 0 else y1
+        first, right = U64((y0 * width + x0) * channels), U64((x1 - x0) * channels)
+        at = first, right, U64((y1 - y0) * width * channels)
+        if _interpolate_pixel(pixels, at, fx, fy, channels, out, place):
+            return True
     for c in range(channels):
-        out[U64(place) + U64(c)] = np.float32(0.0)
+        out[U64(place) + U64(c)] = np.float32(0)
+    return False
 
 
 @inline
 def sample_pixel(
     pixels: F32, shape: tuple[int, int, int], x: np.float32, y: np.float32, out: F32, place: int
 ) -> bool:
-    """Write the pixel at (x, y), or 0; return whether a finite value lies there."""
+    """Write the pixel at (x, y), or 0; return whether it is finite, and within a pixel's area."""
     height, width, channels = shape
     if (x >= 0) & (y >= 0) & (x < np.float32(width - 1)) & (y < np.float32(height - 1)):
         left, top = np.int32(x), np.int32(y)  # rounds down
@@ -98,10 +84,9 @@ def sample_pixel(
         at = first, U64(0 if fx == 0 else channels), U64(0 if fy == 0 else width * channels)
         if _interpolate_pixel(pixels, at, fx, fy, channels, out, place):
             return True
-    elif abs(x) < MAX_DISTANCE and abs(y) < MAX_DISTANCE:
-        return bool(_show_border(pixels, shape, x, y, out, place))
-    clear_pixel(out, place, channels)
-    return False
+    is_finite = sample_border(pixels, shape, x, y, out, place)
+    within = x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5
+    return bool(is_finite and within)
 
 
 @ParallelKernel

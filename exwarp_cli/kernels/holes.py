@@ -8,7 +8,7 @@ import numpy as np
 
 from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
-from exwarp_cli.kernels.array_types import B8, F32, F64, I16, I32
+from exwarp_cli.kernels.array_types import B8, F32, I16, I32
 
 # Pixel footprints that two world positions of one surface may lie apart: the
 # nearest source pixel is up to 0.71 pixels off, and its own sample as much again.
@@ -168,127 +168,47 @@ DIRECTIONS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 
 
 MIN_WEIGHT = 1e-6
 
-INFINITE = np.int32(0x7F800000)  # The bits of infinity; those of NaN are greater
-
-
-@ParallelKernel
-def count_holes(
-    hole: B8,  # [H, W]
-    bits: I32,  # [H, W], bits of the depth, not negative; +inf background, NaN unknown
-    counts: I32,  # [H], written
-    furthest: I32,  # [H], written: bits of the greatest finite depth outside the holes, or of 0
-    band: Band,
-) -> None:
-    """Count each row's holes, and find the greatest visible depth."""
-    # Bits of non-negative floats sort as the floats do, and their maximum needs no branches.
-    height, _ = hole.shape
-    for i in band_range(height, band):
-        row, row_bits = hole[i], bits[i]
-        count, most = np.int32(0), np.int32(0)
-        for j in range(row.size):
-            count = np.int32(count + np.int32(row[j]))
-            visible = (not row[j]) & (row_bits[j] < INFINITE)
-            most = max(most, row_bits[j] if visible else np.int32(0))
-        counts[i], furthest[i] = count, most
-
-
-@ParallelKernel
-def list_holes(
-    hole: B8,  # [H, W]
-    first: I32,  # [H + 1]: number of holes in all rows above
-    column: I32,  # [N], written, row by row, ascending
-    band: Band,
-) -> None:
-    """List the holes' columns."""
-    height, width = hole.shape
-    for i in band_range(height, band):
-        begin, end = first[i], first[i + 1]
-        if begin < end:
-            row, columns = hole[i], np.empty(width, np.int32)
-            place = np.int64(0)
-            for j in range(row.size):
-                # Overwritten unless it is a hole: a branch took twice as long.
-                columns[np.uint64(place)] = j
-                place += np.int64(row[j])
-            for n in range(end - begin):
-                column[begin + n] = columns[n]
-
-
-@device_function
-def _march_across_rows(
-    direction: int, hole: B8, first: I32, column: I32, reach: int, steps: I16
-) -> None:
-    """Write one direction of `ray_march_visible` that leads to another row."""
-    # Against the direction, so that pixels read distances that are already known: 1 if visible,
-    # else one more than the pixel ahead; 0 out of reach, and beyond the frame.
-    height, width = hole.shape
-    dy, dx = DIRECTIONS[direction]
-    unit, limit = np.int16(1), np.int16(reach)
-    distances = np.zeros((2, width + 2), np.int16)
-    for row in range(height):
-        i = row if dy < 0 else height - 1 - row
-        ahead, current, row_hole = distances[row % 2], distances[1 - row % 2], hole[i]
-        for k in range(first[i], first[i + 1]):
-            steps[k] = ahead[np.uint64(column[k] + 1 + dx)]
-        row_ahead = ahead[1 + dx : 1 + dx + width]
-        for j in range(width):
-            step = row_ahead[j]
-            next_step = np.int16(step + unit) if (step > 0) & (step < limit) else np.int16(0)
-            current[j + 1] = next_step if row_hole[j] else unit
-
-
-@device_function
-def _march_along_row(dx: int, width: int, first: I32, column: I32, reach: int, steps: I16) -> None:
-    """Write one direction of `ray_march_visible` that stays in the row."""
-    for i in range(first.size - 1):
-        visited, distance = -2, 0
-        for n in range(first[i + 1] - first[i]):
-            k = first[i] + n if dx < 0 else first[i + 1] - 1 - n
-            ahead = column[k] + dx
-            step = distance if ahead == visited else (1 if 0 <= ahead < width else 0)
-            steps[k] = step
-            visited, distance = int(column[k]), (step + 1 if 0 < step < reach else 0)
-
 
 @ParallelKernel
 def ray_march_visible(
     hole: B8,  # [H, W]
-    first: I32,  # from `list_holes`, as is `column`
-    column: I32,
+    first: I32,  # [H + 1]: number of holes in all rows above
+    column: I32,  # [N]: the holes' columns, row by row, ascending
     reach: int,  # most steps, 1 to 32,766
     steps: I16,  # [8, N], written: steps to the visible pixel; 0 without one
     band: Band,
 ) -> None:
     """Find the first visible pixel that a hole sees in each of eight directions."""
-    # All pixels of a row answer, without branches: a third of the time of holes alone.
+    height, width = hole.shape
+    unit, limit = np.int16(1), np.int16(reach)
+    distances = np.empty((2, width + 2), np.int16)
     for direction in band_range(len(DIRECTIONS), band):
-        if DIRECTIONS[direction][0] == 0:
-            _march_along_row(
-                DIRECTIONS[direction][1], hole.shape[1], first, column, reach, steps[direction]
-            )
-        else:
-            _march_across_rows(direction, hole, first, column, reach, steps[direction])
-
-
-@device_function
-def _add_seen(
-    row: tuple[int, int, int],  # index of the row, pixels of a step, and C
-    columns: I32,  # [N], as `steps` and `weights`
-    steps: I16,
-    weights: F64,
-    pixels: F32,  # [H W C]
-    sums: F64,  # [N C], changed
-    totals: F64,  # [N], changed
-) -> None:
-    """Add the colours that a row's holes see in one direction to their weighted sums."""
-    at, stride, channels = row
-    for n in range(totals.size):
-        totals[n] += weights[n]
-    for n in range(weights.size):
-        if weights[n] != 0:
-            p = (at + columns[n] + np.int64(steps[n]) * stride) * channels
-            for c in range(channels):
-                sums[n * channels + c] += weights[n] * np.float64(pixels[p + c])
+        dy, dx = DIRECTIONS[direction]
+        away = steps[direction]
+        if dy == 0:
+            for i in range(height):
+                visited, distance = -2, 0
+                for n in range(first[i + 1] - first[i]):
+                    k = first[i] + n if dx < 0 else first[i + 1] - 1 - n
+                    ahead = column[k] + dx
+                    count = distance if ahead == visited else (1 if 0 <= ahead < width else 0)
+                    away[k] = count
+                    visited, distance = int(column[k]), (count + 1 if 0 < count < reach else 0)
+            continue
+        # Against the direction, so that pixels read distances that are already known: 1 if visible,
+        # else one more than the pixel ahead; 0 out of reach, and beyond the frame. All pixels of a
+        # row answer, without branches: a third of the time of holes alone.
+        distances[:] = 0
+        for row in range(height):
+            i = row if dy < 0 else height - 1 - row
+            line, current, row_hole = distances[row % 2], distances[1 - row % 2], hole[i]
+            for k in range(first[i], first[i + 1]):
+                away[k] = line[np.uint64(column[k] + 1 + dx)]
+            row_ahead = line[1 + dx : 1 + dx + width]
+            for j in range(width):
+                step = row_ahead[j]
+                next_step = np.int16(step + unit) if (step > 0) & (step < limit) else np.int16(0)
+                current[j + 1] = next_step if row_hole[j] else unit
 
 
 @device_function
@@ -333,8 +253,13 @@ def _fill_row(
             similarity = similarity * similarity if known[n] else similarity
             weight = (similarity + MIN_WEIGHT) / (steps_away * steps_away * squared)
             weights[n] = weight if steps_away > 0 else 0.0
-        origin = (at, dy * width + dx, channels)
-        _add_seen(origin, columns, away, weights, pixels, sums, totals)
+            totals[n] += weights[n]
+        stride = dy * width + dx
+        for n in range(count):
+            if weights[n] != 0:
+                p = (at + columns[n] + np.int64(away[n]) * stride) * channels
+                for c in range(channels):
+                    sums[n * channels + c] += weights[n] * np.float64(pixels[p + c])
     for n in range(count):
         p = (at + columns[n]) * channels
         for c in range(channels):
@@ -346,7 +271,7 @@ def _fill_row(
 def fill_holes(
     image: F32,  # [H, W, C], changed in holes
     depth: F32,  # [H, W], +inf background; in holes that of the missing surface, NaN if unknown
-    first: I32,  # from `list_holes`, as is `column`
+    first: I32,  # as `column`: see `ray_march_visible`
     column: I32,
     cap: np.float32,  # scene units; all that is further counts as equally far
     steps: I16,  # [8, N], from `ray_march_visible`

@@ -1,4 +1,4 @@
-"""Planes as networks take them, from interleaved pixels and back."""
+"""Planes as networks take them, from interleaved pixels."""
 
 from __future__ import annotations
 
@@ -35,23 +35,6 @@ Columns = tuple[int, int, int]
 
 
 @device_function
-def _fill_line(value: np.float32, line: F32) -> None:
-    for x in range(line.size):
-        line[x] = value
-
-
-@device_function
-def _repeat_ends(columns: Columns, y: int, out: F32) -> None:
-    begin, end, _ = columns
-    for plane in range(out.shape[0]):
-        line = out[plane, y]
-        for x in range(begin):
-            line[x] = line[begin]
-        for x in range(end, line.size):
-            line[x] = line[end - 1]
-
-
-@device_function
 def _write_colour(
     pixels: F32, at: int, channels: int, columns: Columns, out: F32, place: PlaneRow
 ) -> None:
@@ -69,48 +52,37 @@ def _write_colour(
 
 
 @device_function
-def _write_normals(normal: F32, at: int, columns: Columns, out: F32, place: PlaneRow) -> None:
-    """Write three lines of a row of normals [H W 3] that begins at pixel `at`; 0 without any."""
-    begin, end, _ = columns
-    plane, y = place
-    if normal.size == 0:
-        for c in range(3):
-            _fill_line(np.float32(0), out[plane + c, y])
-        return
-    _write_colour(normal, at, 3, columns, out, place)
-    for c in range(3):
-        line = out[plane + c, y][begin:end]
-        for n in range(line.size):
-            value = line[n]
-            line[n] = np.float32(0) if math.isinf(value) else _clamp_known(value, -1.0, 1.0, 0.0)
-
-
-@device_function
-def _write_depth(
-    depth: F32, at: int, columns: Columns, median: np.float32, unknown: float, line: F32
+def _write_surface_row(
+    rows: tuple[int, int],  # as `columns`, `out`: see `_write_input_row`
+    columns: Columns,
+    surface: tuple[F32, F32, F32, F32],  # as for `write_input_planes`, as are the next two
+    defaults: tuple[float, float, float],
+    median: np.float32,
+    out: F32,
 ) -> None:
-    """Write a line of relative depth from a row of `depth` [H W] that begins at pixel `at`."""
-    if depth.size == 0:
-        _fill_line(np.float32(unknown), line)
-        return
-    begin, end, start = columns
+    """Write one row of the planes of a slot's normal, depth, roughness and metallic."""
+    (i, y), (begin, end, start) = rows, columns
+    depth, normal, materials = surface[0], surface[1], (surface[2], surface[3])
+    if normal.size > 0:
+        _write_colour(normal.reshape(-1), i * normal.shape[1], 3, columns, out, (7, y))
+    for c in range(3):
+        line = out[7 + c, y]
+        for x in range(begin, end):
+            value = line[x] if normal.size > 0 else np.float32(0)
+            value = np.float32(0) if math.isinf(value) else value
+            line[x] = _clamp_known(value, -1.0, 1.0, 0.0)
     scale = max(median, MIN_MEDIAN)
     for n in range(end - begin):
-        value = depth[np.uint64(at + start + n)]
+        value = depth[i, start + n] if depth.size > 0 else np.float32(np.nan)
         distance = np.float32(0) if value < 0 else value
         nearness = np.float32(median / np.float32(distance + scale))
-        line[begin + n] = _clamp_known(np.float32(np.float32(1) - nearness), 0.0, 1.0, unknown)
-
-
-@device_function
-def _write_unit_values(values: F32, at: int, columns: Columns, unknown: float, line: F32) -> None:
-    """Write a line of values clamped to 0 and 1 from a row of `values` [H W]."""
-    if values.size == 0:
-        _fill_line(np.float32(unknown), line)
-        return
-    begin, end, start = columns
-    for n in range(end - begin):
-        line[begin + n] = _clamp_known(values[np.uint64(at + start + n)], 0.0, 1.0, unknown)
+        relative = np.float32(np.float32(1) - nearness)
+        out[10, y, begin + n] = _clamp_known(relative, 0.0, 1.0, defaults[0])
+    for k in range(2):
+        line, material, unknown = out[11 + k, y], materials[k], defaults[1 + k]
+        for n in range(end - begin):
+            value = material[i, start + n] if material.size > 0 else np.float32(np.nan)
+            line[begin + n] = _clamp_known(value, 0.0, 1.0, unknown)
 
 
 @device_function
@@ -119,16 +91,12 @@ def _write_input_row(
     columns: Columns,
     pixels: tuple[F32, F32, F32, F32],  # of the three frames, and of the filled one
     masks: tuple[B8, B8, B8],
-    # surface: depth and normal, then roughness and metallic
-    surface: tuple[tuple[F32, F32], tuple[F32, F32]],
-    defaults: tuple[float, float, float],
-    median: np.float32,
     out: F32,
 ) -> None:
-    """Write one row of a slot's planes."""
+    """Write one row of a slot's planes, but for those of its surface."""
     # Plane by plane: for one pixel after the other, lines of 25 planes, mostly a multiple of 4096
     # bytes apart, evicted each other from the cache.
-    (i, y), ((depth, normal), materials) = rows, surface
+    i, y = rows
     at = i * pixels[0].shape[1]
     for k in range(4):  # a call for each took twice as long to compile
         colour = pixels[k]
@@ -138,10 +106,6 @@ def _write_input_row(
         line, row = out[MASK_PLANES[k], y], masks[k][i]
         for n in range(end - begin):
             line[begin + n] = np.float32(row[start + n])
-    _write_normals(normal.reshape(-1), at, columns, out, (7, y))
-    _write_depth(depth.reshape(-1), at, columns, median, defaults[0], out[10, y])
-    for k in range(2):
-        _write_unit_values(materials[k].reshape(-1), at, columns, defaults[1 + k], out[11 + k, y])
     # Again the newest frame's mask, and its colour there alone.
     mask, copy = out[MASK_PLANES[0], y], out[6, y]
     for x in range(mask.size):  # as a slice, it took a second more to compile
@@ -150,7 +114,12 @@ def _write_input_row(
         colour_line, visible = out[COLOUR_PLANES[0] + c, y], out[c, y]
         for x in range(mask.size):
             visible[x] = colour_line[x] * mask[x]
-    _repeat_ends(columns, y, out)
+    for plane in range(out.shape[0]):  # beyond the frame its edge
+        line = out[plane, y]
+        for x in range(begin):
+            line[x] = line[begin]
+        for x in range(end, line.size):
+            line[x] = line[end - 1]
 
 
 @ParallelKernel
@@ -173,54 +142,10 @@ def write_input_planes(
     height, width, _ = filled.shape
     pixels = (frames[0][0], frames[1][0], frames[2][0], filled)
     masks = (frames[0][1], frames[1][1], frames[2][1])
-    shape, materials = (surface[0], surface[1]), (surface[2], surface[3])
     left, count = corner[1], out.shape[2]
     begin = clamp(-left, 0, count - 1)
     columns = begin, clamp(width - left, begin + 1, count), clamp(left + begin, 0, width - 1)
     for y in band_range(out.shape[1], band):
         i = clamp(corner[0] + y, 0, height - 1)
-        _write_input_row((i, y), columns, pixels, masks, (shape, materials), defaults, median, out)
-
-
-@ParallelKernel
-def write_network_frame(
-    colour: F32,  # [3, H, W], linear
-    modulation: F32,  # [H, W, 3], multiplied with it; [0, 0, 3] for none
-    filled: F32,  # [H, W, C]: the filled warp, whose further channels are copied
-    out: F32,  # [H, W, C], written
-    band: Band,
-) -> None:
-    """Write a network's output as a frame."""
-    height, width, channels = filled.shape
-    for i in band_range(height, band):
-        for j in range(width):
-            for c in range(3):
-                value = colour[c, i, j]
-                if modulation.size:
-                    value *= modulation[i, j, c]
-                out[i, j, c] = value
-            for c in range(3, channels):
-                out[i, j, c] = filled[i, j, c]
-
-
-@ParallelKernel
-def divide_by_albedo(
-    pixels: F32,  # [H, W, C], scene-linear
-    albedo: F32,  # [H, W, 3]; its sum with `specular`, within `bounds`, is the surface colour
-    specular: F32,
-    bounds: tuple[float, float],  # minimum and maximum
-    out: F32,  # [H, W, C], written
-    band: Band,
-) -> None:
-    """Divide a frame's colour by its surface colour; further channels are copied."""
-    height, width, channels = pixels.shape
-    for i in band_range(height, band):
-        diffuse, glossy = albedo[i].reshape(-1), specular[i].reshape(-1)
-        source, target = pixels[i].reshape(-1), out[i].reshape(-1)
-        for j in range(width):
-            for c in range(3):
-                both = np.float32(diffuse[3 * j + c] + glossy[3 * j + c])
-                colour = _clamp_known(both, bounds[0], bounds[1], np.nan)
-                target[channels * j + c] = source[channels * j + c] / colour
-            for k in range(channels * j + 3, channels * (j + 1)):
-                target[k] = source[k]
+        _write_surface_row((i, y), columns, surface, defaults, median, out)
+        _write_input_row((i, y), columns, pixels, masks, out)

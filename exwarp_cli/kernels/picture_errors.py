@@ -110,59 +110,39 @@ def _to_xyz(r: np.float32, g: np.float32, b: np.float32) -> tuple[np.float32, ..
     return x, y, z
 
 
-@device_function
-def _read_row(image: F32, row: int, lines: F32) -> None:
-    """Write the channels of a row to lines [3, W]."""
-    # LLVM vectorises what follows only where the values of a channel lie together.
-    for c in range(3):
-        for i in range(lines.shape[1]):
-            lines[c, i] = image[row, i, c]
-
-
-@device_function
-def _write_opponent_row(r: F32, g: F32, b: F32, row: int, planes: F32) -> None:
-    achromatic, red_green, blue_yellow = planes[0, row], planes[1, row], planes[2, row]
-    for i in range(r.size):
-        x, y, z = _to_xyz(r[i], g[i], b[i])
-        achromatic[i] = y
-        red_green[i] = x - y
-        blue_yellow[i] = y - z
-
-
 @ParallelKernel
-def decode_opponent(
-    image: F32,  # [H, W, 3 or more], 0 to 255 with sRGB primaries; clipped
+def write_opponent(
+    image: F32,  # [H, W, 3 or more], sRGB primaries
+    # gain: factor before the tone mapper, up to 2^25, of a scene-linear image, 0 to 65504; 0 for an
+    # image that is display-encoded, 0 to 255, and clipped to that
+    gain: np.float32,
     planes: F32,  # [OPPONENT_PLANES, H, W], written
     band: Band,
 ) -> None:
-    """Write the opponent colours of a display-encoded image."""
+    """Write the opponent colours of an image as displayed."""
+    # LLVM vectorises these loops only where the values of a channel lie together.
     lines = np.empty((3, image.shape[1]), np.float32)
+    r, g, b = lines[0], lines[1], lines[2]
     for row in band_range(image.shape[0], band):
-        _read_row(image, row, lines)
-        for line in lines:
+        for c in range(3):
+            line = lines[c]
             for i in range(line.size):
-                v = min(max(line[i], _ZERO), _PEAK) * _UNIT
-                curve = power(v * _SRGB_SCALE + _SRGB_OFFSET, _SRGB_EXPONENT)
-                line[i] = v * _SRGB_SLOPE if v <= _SRGB_TOE else curve
-        _write_opponent_row(lines[0], lines[1], lines[2], row, planes)
-
-
-@ParallelKernel
-def expose_opponent(
-    image: F32,  # [H, W, 3 or more], 0 to 65504 with sRGB primaries
-    gain: np.float32,  # factor before the tone mapper, up to 2^25
-    planes: F32,  # [OPPONENT_PLANES, H, W], written
-    band: Band,
-) -> None:
-    """Write the opponent colours of a scene-linear image as shown at an exposure."""
-    lines = np.empty((3, image.shape[1]), np.float32)
-    for row in band_range(image.shape[0], band):
-        _read_row(image, row, lines)
-        for line in lines:
-            for i in range(line.size):
-                v = line[i] * gain
-                line[i] = min(v * (v * _N2 + _N1) / (v * (v * _D2 + _D1) + _D0), _ONE)
-        _write_opponent_row(lines[0], lines[1], lines[2], row, planes)
+                line[i] = image[row, i, c]
+            if gain > 0:
+                for i in range(line.size):
+                    v = line[i] * gain
+                    line[i] = min(v * (v * _N2 + _N1) / (v * (v * _D2 + _D1) + _D0), _ONE)
+            else:
+                for i in range(line.size):
+                    v = min(max(line[i], _ZERO), _PEAK) * _UNIT
+                    curve = power(v * _SRGB_SCALE + _SRGB_OFFSET, _SRGB_EXPONENT)
+                    line[i] = v * _SRGB_SLOPE if v <= _SRGB_TOE else curve
+        achromatic, red_green, blue_yellow = planes[0, row], planes[1, row], planes[2, row]
+        for i in range(r.size):
+            x, y, z = _to_xyz(r[i], g[i], b[i])
+            achromatic[i] = y
+            red_green[i] = x - y
+            blue_yellow[i] = y - z
 
 
 # A 4K display, 0.7 m wide, seen from 0.7 m: 67.02.
@@ -183,8 +163,12 @@ def _total(weights: F64) -> float:
     return float(2 * weights.sum() - weights[0])
 
 
-def _bells() -> list[F64]:
-    """Return the Gaussians of the three channels; the last two down, and their share along."""
+def _filters() -> list[F64]:
+    """Return the Gaussians of the channels, the shares of the last two, and the detectors' three.
+
+    The last two Gaussians are those of one channel down, and their shares those along. Features are
+    found by a Gaussian and its first and second derivative.
+    """
     widest = max(b for _, b in _BLUE_YELLOW)
     radius = int(np.ceil(3 * np.sqrt(widest / (2 * np.pi**2)) * PIXELS_PER_DEGREE))
     x = np.arange(radius + 1) / PIXELS_PER_DEGREE
@@ -193,23 +177,19 @@ def _bells() -> list[F64]:
     heights = [a * np.sqrt(np.pi / b) for a, b in _BLUE_YELLOW]
     volume = sum(a * _total(bell) ** 2 for a, bell in zip(heights, blue_yellow, strict=True))
     shares = [a * bell / volume for a, bell in zip(heights, blue_yellow, strict=True)]
-    return [achromatic / _total(achromatic), red_green / _total(red_green), *blue_yellow, *shares]
-
-
-def _detectors() -> list[F64]:
-    """Return the Gaussian of the features, and its first and second derivative."""
-    # Positive weights sum to 1 and negative ones to -1.
+    channels = [achromatic / _total(achromatic), red_green / _total(red_green), *blue_yellow]
+    # Positive weights of the detectors sum to 1 and negative ones to -1.
     sigma = 0.5 * _FEATURE_WIDTH * PIXELS_PER_DEGREE
-    x = np.arange(int(np.ceil(3 * sigma)) + 1)
-    bell = np.exp(-(x**2) / (2 * sigma**2))
-    slope = x * bell
-    bend = (x**2 / sigma**2 - 1) * bell
+    steps = np.arange(int(np.ceil(3 * sigma)) + 1)
+    bell = np.exp(-(steps**2) / (2 * sigma**2))
+    slope = steps * bell
+    bend = (steps**2 / sigma**2 - 1) * bell
     outside, inside = np.where(bend > 0, bend, 0), np.where(bend < 0, bend, 0)
     bend = outside / _total(outside) - inside / _total(inside)
-    return [bell / _total(bell), slope / slope.sum(), bend]
+    return [*channels, *shares, bell / _total(bell), slope / slope.sum(), bend]
 
 
-_ALL = [*_bells(), *_detectors()]
+_ALL = _filters()
 # The filters' numbers.
 BRIGHT, RED_GREEN, WIDE, NARROW, WIDE_SHARE, NARROW_SHARE, BELL, SLOPE, BEND = range(len(_ALL))
 
@@ -249,37 +229,6 @@ def _lab_curve(value: np.float32) -> np.float32:
     """Return CIELAB's cube root with its straight toe, of 0 to 1."""
     toe = value * _LAB_SLOPE + _LAB_OFFSET
     return power(value, _THIRD) if value > _LAB_TOE else toe
-
-
-@inline
-def _clip_unit(value: np.float32) -> np.float32:
-    return min(max(value, _ZERO), _ONE)
-
-
-@device_function
-def _write_lab_row(filtered: F32, row: int, perceived: F32) -> None:
-    """Turn filtered opponent colours into CIELAB with Hunt's effect (section 4.1.2)."""
-    # What no display can show is clipped first; chroma is scaled by lightness.
-    achromatic, red_green, wide, narrow = filtered[0], filtered[1], filtered[2], filtered[3]
-    lightness, a, b = perceived[0, row], perceived[1, row], perceived[2, row]
-    for i in range(lightness.size):
-        y = achromatic[i]
-        x, z = y + red_green[i], y - (wide[i] + narrow[i])
-        red = _RX * x + _RY * y + _RZ * z
-        green = _GX * x + _GY * y + _GZ * z
-        blue = _BX * x + _BY * y + _BZ * z
-        x, y, z = _to_xyz(_clip_unit(red), _clip_unit(green), _clip_unit(blue))
-        fx, fy, fz = _lab_curve(x), _lab_curve(y), _lab_curve(z)
-        light = _L1 * fy - _L0
-        lightness[i] = light
-        a[i] = _HUNT * light * (_A1 * (fx - fy))
-        b[i] = _HUNT * light * (_B1 * (fy - fz))
-
-
-@device_function
-def _write_lengths(a: F32, b: F32, out: F32) -> None:
-    for i in range(out.size):
-        out[i] = np.sqrt(a[i] * a[i] + b[i] * b[i])
 
 
 # The plane, the filter down and the filter along. A table, as each call compiles for 0.1 s.
@@ -325,21 +274,35 @@ def write_perceived(
                 _add_pair(
                     out, _WEIGHTS[along, k], line[HALO - k :], _SIGNS[along], line[HALO + k :]
                 )
-        _write_lab_row(filtered, row, perceived)
-        _write_lengths(filtered[4], filtered[5], perceived[3, row])
-        _write_lengths(filtered[6], filtered[7], perceived[4, row])
+        # CIELAB with Hunt's effect (section 4.1.2). What no display can show is clipped first;
+        # chroma is scaled by lightness.
+        achromatic, red_green, wide, narrow = filtered[0], filtered[1], filtered[2], filtered[3]
+        lightness, a, b = perceived[0, row], perceived[1, row], perceived[2, row]
+        for i in range(width):
+            y = achromatic[i]
+            x, z = y + red_green[i], y - (wide[i] + narrow[i])
+            red = min(max(_RX * x + _RY * y + _RZ * z, _ZERO), _ONE)
+            green = min(max(_GX * x + _GY * y + _GZ * z, _ZERO), _ONE)
+            blue = min(max(_BX * x + _BY * y + _BZ * z, _ZERO), _ONE)
+            x, y, z = _to_xyz(red, green, blue)
+            fx, fy, fz = _lab_curve(x), _lab_curve(y), _lab_curve(z)
+            light = _L1 * fy - _L0
+            lightness[i] = light
+            a[i] = _HUNT * light * (_A1 * (fx - fy))
+            b[i] = _HUNT * light * (_B1 * (fy - fz))
+        for n in range(2):  # strengths of edges, and of points
+            right, down, length = filtered[4 + 2 * n], filtered[5 + 2 * n], perceived[3 + n, row]
+            for i in range(width):
+                length[i] = np.sqrt(right[i] * right[i] + down[i] * down[i])
 
 
 def _largest_distance() -> float:
     """Return the distance of green and blue, the colours farthest apart (section 4.1.3)."""
-
-    def lab(colour: tuple[int, int, int]) -> F64:
-        x, y, z = np.cbrt(TO_XYZ @ np.array(colour, np.float64))
-        lightness = 116 * y - 16
-        chroma = 0.01 * lightness
-        return np.array([lightness, chroma * 500 * (x - y), chroma * 200 * (y - z)])
-
-    difference = lab((0, 1, 0)) - lab((0, 0, 1))
+    x, y, z = np.cbrt(TO_XYZ[:, 1:])
+    lightness = 116 * y - 16
+    chroma = 0.01 * lightness
+    green, blue = np.transpose([lightness, chroma * 500 * (x - y), chroma * 200 * (y - z)])
+    difference = green - blue
     return float((abs(difference[0]) + np.hypot(difference[1], difference[2])) ** 0.7)
 
 
@@ -414,29 +377,6 @@ def _mirror_index(i: int, n: int) -> int:
     return i if i < n else 2 * n - 1 - i
 
 
-# The loops below are apart, with one array written in each, because LLVM vectorises only loops that
-# need few checks for overlap. As one loop over all four sums they took 132 ms instead of 44.
-@device_function
-def _add_values(total: F64, weight: float, a: F32, b: F32) -> None:
-    for i in range(total.size):
-        total[i] += weight * (np.float64(a[i]) + np.float64(b[i]))
-
-
-@device_function
-def _add_squares(total: F64, weight: float, a: F32, b: F32, c: F32, d: F32) -> None:
-    for i in range(total.size):
-        e, f, g, h = np.float64(a[i]), np.float64(b[i]), np.float64(c[i]), np.float64(d[i])
-        total[i] += weight * ((e * e + f * f) + (g * g + h * h))
-
-
-@device_function
-def _add_products(total: F64, weight: float, a: F32, b: F32, c: F32, d: F32) -> None:
-    for i in range(total.size):
-        total[i] += weight * (
-            np.float64(a[i]) * np.float64(b[i]) + np.float64(c[i]) * np.float64(d[i])
-        )
-
-
 @device_function
 def _blur_columns(x: F32, y: F32, row: int, halo: int, sums: F64) -> None:
     """Blur x, y, x*x + y*y and x*y downwards, for one row, into the four lines of `sums`."""
@@ -449,22 +389,18 @@ def _blur_columns(x: F32, y: F32, row: int, halo: int, sums: F64) -> None:
     for k, weight in enumerate((0.5 * W0, W1, W2, W3, W4, W5)):
         above, below = _mirror_index(row - k, x.shape[0]), _mirror_index(row + k, x.shape[0])
         a, b, c, d = x[above], y[above], x[below], y[below]
-        _add_values(sx, weight, a, c)
-        _add_values(sy, weight, b, d)
-        _add_squares(ss, weight, a, b, c, d)
-        _add_products(sp, weight, a, b, c, d)
-
-
-@device_function
-def _blur_row(line: F64, s: int, out: F64) -> None:
-    """Blur a line whose samples of one channel are s apart."""
-    a, b, c, d, e = line, line[s:], line[2 * s :], line[3 * s :], line[4 * s :]
-    f, g, h = line[5 * s :], line[6 * s :], line[7 * s :]
-    p, q, r = line[8 * s :], line[9 * s :], line[10 * s :]
-    for i in range(out.size):
-        out[i] = W0 * f[i] + W1 * (e[i] + g[i]) + W2 * (d[i] + h[i])
-    for i in range(out.size):
-        out[i] += W3 * (c[i] + p[i]) + W4 * (b[i] + q[i]) + W5 * (a[i] + r[i])
+        # Loops apart, with one array written in each, because LLVM vectorises only loops that need
+        # few checks for overlap. As one loop they took 132 ms instead of 44.
+        for i in range(sx.size):
+            sx[i] += weight * (np.float64(a[i]) + np.float64(c[i]))
+        for i in range(sy.size):
+            sy[i] += weight * (np.float64(b[i]) + np.float64(d[i]))
+        for i in range(ss.size):
+            e, f, g, h = np.float64(a[i]), np.float64(b[i]), np.float64(c[i]), np.float64(d[i])
+            ss[i] += weight * ((e * e + f * f) + (g * g + h * h))
+        for i in range(sp.size):
+            e, f, g, h = np.float64(a[i]), np.float64(b[i]), np.float64(c[i]), np.float64(d[i])
+            sp[i] += weight * (e * f + g * h)
 
 
 @ParallelKernel
@@ -482,7 +418,15 @@ def _write_ssim(x: F32, y: F32, channels: int, out: F32, band: Band) -> None:
                 for c in range(channels):
                     line[p * channels + c] = line[left + c]
                     line[(p + width + SSIM_RADIUS) * channels + c] = line[right + c]
-            _blur_row(line, channels, means[j])
+            # Blurred along, where the samples of one channel are so far apart.
+            mean, s = means[j], channels
+            a, b, c, d, e = line, line[s:], line[2 * s :], line[3 * s :], line[4 * s :]
+            f, g, h = line[5 * s :], line[6 * s :], line[7 * s :]
+            t, u, v = line[8 * s :], line[9 * s :], line[10 * s :]
+            for i in range(span):
+                mean[i] = W0 * f[i] + W1 * (e[i] + g[i]) + W2 * (d[i] + h[i])
+            for i in range(span):
+                mean[i] += W3 * (c[i] + t[i]) + W4 * (b[i] + u[i]) + W5 * (a[i] + v[i])
         mean_x, mean_y, squares, products = means[0], means[1], means[2], means[3]
         similarity = out[row]
         for i in range(similarity.size):

@@ -9,7 +9,7 @@ import numpy as np
 from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32, I32
-from exwarp_cli.kernels.gather import MAX_DISTANCE, clear_pixel, sample_border
+from exwarp_cli.kernels.gather import sample_border
 from exwarp_cli.kernels.holes import DEPTH_TOLERANCE, Steps, same_depth
 
 Parts = tuple[F32, F32, F32, F32]
@@ -30,56 +30,20 @@ def _nearest_end(
 
 
 @device_function
-def _sample_colour(
-    colour: F32, shape: tuple[int, int, int], x: np.float32, y: np.float32, out: F32, place: int
-) -> None:
-    is_finite = False
-    if abs(x) < MAX_DISTANCE and abs(y) < MAX_DISTANCE:
-        is_finite = sample_border(colour, shape, x, y, out, place)
-    if not is_finite:
-        clear_pixel(out, place, shape[2])
-
-
-@inline
-def _copy_parts(source: Parts, q: int, p: int, target: Parts, i: int, j: int) -> None:
-    depth, normal, roughness, metallic = source
-    # Unsigned indices need no test for counting from the end.
-    y, x, row, column = np.uint64(q), np.uint64(p), np.uint64(i), np.uint64(j)
-    if depth.size > 0:
-        target[0][row, column] = depth[y, x]
-    if normal.size > 0:
-        for c in range(3):
-            target[1][row, column, c] = normal[y, x, c]
-    if roughness.size > 0:
-        target[2][row, column] = roughness[y, x]
-    if metallic.size > 0:
-        target[3][row, column] = metallic[y, x]
-
-
-@inline
 def _clear_surface(target: Parts, colours: Colours, i: int, j: int, place: int) -> None:
-    depth, normal, roughness, metallic = target
-    row, column = np.uint64(i), np.uint64(j)
-    if depth.size > 0:
-        depth[row, column] = np.float32(np.nan)
-    for c in range(3):
-        if normal.size > 0:
-            normal[row, column, c] = np.float32(0)
-        if colours[0].size > 0:
-            colours[0][place + c] = np.float32(0)
-        if colours[1].size > 0:
-            colours[1][place + c] = np.float32(0)
-    if roughness.size > 0:
-        roughness[row, column] = np.float32(0)
-    if metallic.size > 0:
-        metallic[row, column] = np.float32(0)
+    for part in range(len(target)):
+        for c in range(target[part].shape[2]):
+            target[part][i, j, c] = np.float32(0 if part > 0 else np.nan)
+    for k in range(len(colours)):
+        if colours[k].size > 0:
+            colours[k][place : place + 3] = np.float32(0)
 
 
 @ParallelKernel
 def copy_surface(
     field: F32,  # [H, W, 2] px from the slot to the frame; NaN where it shows nothing
-    # source: depth, normal, roughness, metallic of the frame, by nearest pixel; [0, 0(, 3)] if
-    # unknown
+    # source: depth first, normal, roughness, metallic of the frame, [H, W, 1 or 3], by nearest
+    # pixel; [0, 0, 0] if unknown
     source: Parts,
     colours: Colours,  # albedo and specular of the frame, [H W 3], bilinear; [0] if unknown
     target: Parts,  # the slot's, changed; may be empty where the frame's are
@@ -97,33 +61,17 @@ def copy_surface(
                 continue
             q, p = _nearest_end(i, j, field[i, j, 0], field[i, j, 1], height, width)
             place = (i * width + np.int64(j)) * 3
-            if q < 0:
-                if blanks:
-                    _clear_surface(target, target_colours, i, j, place)
-                continue
-            unknown[i, j] = False
-            _copy_parts(source, q, p, target, i, j)
-            x, y = np.float32(j) + field[i, j, 0], np.float32(i) + field[i, j, 1]
-            if colours[0].size > 0:
-                _sample_colour(colours[0], shape, x, y, target_colours[0], place)
-            if colours[1].size > 0:
-                _sample_colour(colours[1], shape, x, y, target_colours[1], place)
-
-
-@ParallelKernel
-def fill_predicted(
-    predicted: F32,  # [H, W, 2] px; NaN where there is none
-    moved: F32,  # [H, W, 2] px, changed where it is NaN
-    lost: B8,  # [H, W], changed: False for these
-    band: Band,
-) -> None:
-    """Give points of unknown origin the predicted place."""
-    height, width, _ = moved.shape
-    for i in band_range(height, band):
-        for j in range(width):
-            if math.isnan(moved[i, j, 0]) and not math.isnan(predicted[i, j, 0]):
-                moved[i, j, 0], moved[i, j, 1] = predicted[i, j, 0], predicted[i, j, 1]
-                lost[i, j] = False
+            if q >= 0:
+                unknown[i, j] = False
+                for part in range(len(source)):
+                    for c in range(source[part].shape[2]):
+                        target[part][i, j, c] = source[part][q, p, c]
+                x, y = np.float32(j) + field[i, j, 0], np.float32(i) + field[i, j, 1]
+                for k in range(len(colours)):
+                    if colours[k].size > 0:
+                        sample_border(colours[k], shape, x, y, target_colours[k], place)
+            elif blanks:
+                _clear_surface(target, target_colours, i, j, place)
 
 
 Vector = tuple[np.float32, np.float32]
@@ -160,21 +108,6 @@ OTHER_SURFACE, MAYBE_SAME, SAME = 0, 1, 2
 
 
 @inline
-def _trust(
-    vx: np.float32, vy: np.float32, ex: np.float32, ey: np.float32, scale: np.float32
-) -> np.float32:
-    """Return the weight of a vector given the expected one, 0 to 1."""
-    away_x, away_y = (vx - ex) / scale, (vy - ey) / scale
-    doubt = np.float32(1) + away_x * away_x + away_y * away_y
-    return np.float32(1) / (doubt * doubt)
-
-
-@inline
-def _trust_scale(ex: np.float32, ey: np.float32) -> np.float32:
-    return max(np.float32(MIN_SCALE), np.float32(RELATIVE_SCALE) * np.sqrt(ex * ex + ey * ey))
-
-
-@inline
 def _match_surface(shown: InstantSurface, point: PointIdentity, q: np.uint64, p: np.uint64) -> int:
     stencil, depth, rounded, close = shown
     ident, point_depth = point
@@ -197,25 +130,22 @@ def _match_surface(shown: InstantSurface, point: PointIdentity, q: np.uint64, p:
 
 
 @inline
-def _floor_small(value: np.float32) -> int:
-    # `math.floor` is a call.
-    whole = np.int64(value)
-    return int(whole - 1 if value < np.float32(whole) else whole)
-
-
-@device_function
-def sample_step(
-    step: F32, shown: InstantSurface, point: PointIdentity, place: Vector, expected: Vector
-) -> tuple[np.float32, np.float32]:
-    """Return the step like `_point_step`; samples may be outside, of other surfaces, or NaN."""
+def _point_step(
+    step: F32,  # as `shown`: see `follow_points`
+    shown: InstantSurface,
+    point: PointIdentity,
+    place: Vector,  # position of the point
+    expected: Vector,  # its expected motion
+) -> Vector:
+    """Return a point's motion over a step: the expected one, or NaN, if no sample counts."""
     height, width, _ = step.shape
     unit = np.float32(1)
     (x, y), (ex, ey) = place, expected
     has_expected = not math.isnan(ex + ey)
     total, sum_x, sum_y = np.float32(0), np.float32(0), np.float32(0)
-    scale = _trust_scale(ex, ey)
+    scale = max(np.float32(MIN_SCALE), np.float32(RELATIVE_SCALE) * np.sqrt(ex * ex + ey * ey))
     near = x > -unit and y > -unit and x < width and y < height  # no for NaN
-    left, top = (_floor_small(x), _floor_small(y)) if near else (-2, -2)
+    left, top = (int(np.floor(x)), int(np.floor(y))) if near else (-2, -2)
     fx, fy = x - np.float32(left), y - np.float32(top)
     counted, covered, best = 0, np.float32(0), np.float32(0)
     for corner in range(4):
@@ -231,11 +161,13 @@ def sample_step(
             continue
         weight = (fx if corner % 2 else unit - fx) * (fy if corner // 2 else unit - fy)
         if has_expected:
-            weight_trust = _trust(vx, vy, ex, ey, scale)
-            if likeness == MAYBE_SAME and weight_trust < np.float32(MIN_TRUST):
+            away_x, away_y = (vx - ex) / scale, (vy - ey) / scale
+            doubt = unit + away_x * away_x + away_y * away_y
+            trust = unit / (doubt * doubt)
+            if likeness == MAYBE_SAME and trust < np.float32(MIN_TRUST):
                 continue
-            counted, covered, best = counted + 1, covered + weight, max(best, weight_trust)
-            weight *= weight_trust
+            counted, covered, best = counted + 1, covered + weight, max(best, trust)
+            weight *= trust
         total += weight
         sum_x += weight * vx
         sum_y += weight * vy
@@ -248,58 +180,6 @@ def sample_step(
     if total > 0:
         return sum_x / total, sum_y / total
     return np.float32(np.nan), np.float32(np.nan)
-
-
-@inline
-def _sum_same_surface(
-    step: F32, shown: InstantSurface, point: PointIdentity, place: Vector, expected: Vector
-) -> tuple[np.float32, np.float32, np.float32]:
-    """Return the sum of weights and the weighted sums of x and y; 0 unless all samples count."""
-    height, width, _ = step.shape
-    zero, unit = np.float32(0), np.float32(1)
-    (x, y), (ex, ey) = place, expected
-    if not (x >= zero and y >= zero and x < width - 1 and y < height - 1):  # no for NaN
-        return zero, zero, zero
-    left, top = np.int64(x), np.int64(y)
-    x0, x1 = np.uint64(left), np.uint64(left + 1)  # no test for counting from the end
-    y0, y1 = np.uint64(top), np.uint64(top + 1)
-    if point[0] != np.int32(-2) or not math.isnan(point[1]):
-        least = min(_match_surface(shown, point, y0, x0), _match_surface(shown, point, y0, x1))
-        least = min(
-            least, _match_surface(shown, point, y1, x0), _match_surface(shown, point, y1, x1)
-        )
-        if least != SAME:
-            return zero, zero, zero
-    ax, ay, bx, by = step[y0, x0, 0], step[y0, x0, 1], step[y0, x1, 0], step[y0, x1, 1]
-    cx, cy, dx, dy = step[y1, x0, 0], step[y1, x0, 1], step[y1, x1, 0], step[y1, x1, 1]
-    fx, fy = x - np.float32(left), y - np.float32(top)
-    a, b = (unit - fx) * (unit - fy), fx * (unit - fy)
-    c, d = (unit - fx) * fy, fx * fy
-    total, sum_x, sum_y = zero, zero, zero
-    if not math.isnan(ex + ey):
-        scale = _trust_scale(ex, ey)
-        a, b = a * _trust(ax, ay, ex, ey, scale), b * _trust(bx, by, ex, ey, scale)
-        c, d = c * _trust(cx, cy, ex, ey, scale), d * _trust(dx, dy, ex, ey, scale)
-    total = total + a + b + c + d
-    sum_x = sum_x + a * ax + b * bx + c * cx + d * dx
-    sum_y = sum_y + a * ay + b * by + c * cy + d * dy
-    return total, sum_x, sum_y
-
-
-@inline
-def _point_step(
-    step: F32,  # as `shown`: see `follow_points`
-    shown: InstantSurface,
-    point: PointIdentity,
-    place: Vector,  # position of the point
-    expected: Vector,  # its expected motion
-) -> tuple[np.float32, np.float32]:
-    """Return a point's motion over a step: the expected one, or NaN, if no sample counts."""
-    total, sum_x, sum_y = _sum_same_surface(step, shown, point, place, expected)
-    if total > 0 and not math.isnan(sum_x + sum_y):
-        return sum_x / total, sum_y / total
-    step_xy: Vector = sample_step(step, shown, point, place, expected)
-    return step_xy
 
 
 @ParallelKernel

@@ -1,8 +1,4 @@
-"""Projection by cameras: motion of static points, and the passes that fit a camera.
-
-Sums are left to BLAS, whose order of additions no loop here would keep. In numpy the same passes
-took four times as long.
-"""
+"""Projection by cameras: motion of static points, and the equations of a camera's fit."""
 
 from __future__ import annotations
 
@@ -16,39 +12,18 @@ from exwarp_cli.kernels.array_types import B8, F32, F64
 
 
 @inline
-def project_point(
-    camera: F64, point: tuple[float, float, float, float]
-) -> tuple[float, float, float]:
-    """Return the homogeneous image point of a homogeneous point; `camera` is [3, 4]."""
-    a, b, c, d = point
-    u = camera[0, 0] * a + camera[0, 1] * b + camera[0, 2] * c + camera[0, 3] * d
-    v = camera[1, 0] * a + camera[1, 1] * b + camera[1, 2] * c + camera[1, 3] * d
-    w = camera[2, 0] * a + camera[2, 1] * b + camera[2, 2] * c + camera[2, 3] * d
-    return u, v, w
-
-
-@inline
-def screen_displacement(
-    x: float, y: float, projected: tuple[float, float, float]
-) -> tuple[np.float32, np.float32]:
-    """Return the displacement from a pixel to a homogeneous place; NaN behind the camera."""
-    u, v, w = projected
-    if w > 0:
-        return np.float32(u / w - x), np.float32(v / w - y)
-    return np.float32(np.nan), np.float32(np.nan)
-
-
-@inline
-def _rigid_displacement(
+def rigid_displacement(
     position: F32, depth: F32, camera: F64, at_infinity: F64, i: int, j: int
 ) -> tuple[np.float32, np.float32]:
-    """Return the displacement of pixel (i, j) if its point is static; NaN where it is unseen."""
+    """Return how pixel (i, j) moves if its point is static; NaN if it is behind the camera.
+
+    Arrays are those of `write_rigid_motion`.
+    """
     x, y = np.float64(j), np.float64(i)
     if math.isinf(depth[i, j]):
         u = at_infinity[0, 0] * x + at_infinity[0, 1] * y + at_infinity[0, 2]
         v = at_infinity[1, 0] * x + at_infinity[1, 1] * y + at_infinity[1, 2]
         w = at_infinity[2, 0] * x + at_infinity[2, 1] * y + at_infinity[2, 2]
-        place = (u, v, w)
     else:
         a, b, c, d = x, y, 1.0, 1.0 / np.float64(depth[i, j])
         if position.shape[0] > 0:
@@ -56,9 +31,12 @@ def _rigid_displacement(
             b = np.float64(position[i, j, 1])
             c = np.float64(position[i, j, 2])
             d = np.float64(1.0)
-        place = project_point(camera, (a, b, c, d))
-    away_x, away_y = screen_displacement(x, y, place)
-    return away_x, away_y
+        u = camera[0, 0] * a + camera[0, 1] * b + camera[0, 2] * c + camera[0, 3] * d
+        v = camera[1, 0] * a + camera[1, 1] * b + camera[1, 2] * c + camera[1, 3] * d
+        w = camera[2, 0] * a + camera[2, 1] * b + camera[2, 2] * c + camera[2, 3] * d
+    if w > 0:
+        return np.float32(u / w - x), np.float32(v / w - y)
+    return np.float32(np.nan), np.float32(np.nan)
 
 
 @ParallelKernel
@@ -81,30 +59,9 @@ def write_rigid_motion(
         for j in range(width):
             if has_selection and not selected[i, j]:
                 continue
-            x, y = _rigid_displacement(position, depth, camera, at_infinity, i, j)
+            x, y = rigid_displacement(position, depth, camera, at_infinity, i, j)
             if not (keep_unseen and math.isnan(x)):
                 out[i, j, 0], out[i, j, 1] = x, y
-
-
-@ParallelKernel
-def mark_static(
-    position: F32,  # as `depth`, `camera`, `at_infinity`: see `write_rigid_motion`
-    depth: F32,
-    camera: F64,
-    at_infinity: F64,
-    step: F32,  # [H, W, 2] px of motion to the other camera's frame; NaN where unknown
-    tolerance: np.float32,  # px by which either component may differ
-    out: B8,  # [H, W], written
-    band: Band,
-) -> None:
-    """Mark the pixels that move as static points do."""
-    height, width = depth.shape
-    for i in band_range(height, band):
-        for j in range(width):
-            x, y = _rigid_displacement(position, depth, camera, at_infinity, i, j)
-            near_x = np.float32(abs(np.float32(step[i, j, 0] - x))) <= tolerance
-            near_y = np.float32(abs(np.float32(step[i, j, 1] - y))) <= tolerance
-            out[i, j] = near_x and near_y
 
 
 @kernel
@@ -135,49 +92,3 @@ def write_equations(
                 rows[down + 8 + c] = -pixels[n, 1] * value
             row += 1
     return count
-
-
-@kernel
-def write_projection_errors(
-    image: F64,  # [N, 3], homogeneous; behind the camera where the last is not above 0
-    pixels: F64,  # [N, 2]
-    errors: F64,  # [N] px, written: +inf behind the camera and where it is not finite
-) -> None:
-    """Write the reprojection errors of points."""
-    for n in range(len(errors)):
-        errors[n] = np.inf
-        if image[n, 2] > 0:
-            dx = image[n, 0] / image[n, 2] - pixels[n, 0]
-            dy = image[n, 1] / image[n, 2] - pixels[n, 1]
-            distance = math.sqrt(dx * dx + dy * dy)
-            errors[n] = distance if distance < np.inf else np.inf
-
-
-@kernel
-def mark_inliers(errors: F64, limit: float, inliers: B8) -> tuple[int, bool]:
-    """Mark errors up to a limit; return their number, and whether the same were marked before."""
-    count, same = 0, True
-    for n in range(len(errors)):
-        inside = errors[n] <= limit
-        same &= inside == inliers[n]
-        inliers[n] = inside
-        count += inside
-    return count, same
-
-
-@kernel
-def write_inlier_weights(
-    errors: F64,  # [N], as `inliers`
-    inliers: B8,
-    # depths: [N], third homogeneous coordinates; by them an algebraic error becomes one of pixels
-    depths: F64,
-    unit: float,  # scale of the errors
-    weights: F64,  # [N], written; 0 for outliers
-) -> None:
-    """Write the weights of the next round (Geman and McClure)."""
-    for n in range(len(weights)):
-        weights[n] = 0.0
-        if inliers[n]:
-            ratio = errors[n] / unit
-            scale = np.maximum(abs(depths[n]), 1e-9)
-            weights[n] = 1.0 / (scale * (1.0 + ratio * ratio))

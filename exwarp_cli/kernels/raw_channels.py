@@ -5,8 +5,6 @@ Serial except for vectors: each takes 5 to 20 ms for 1080p, and several frames a
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from exwarp_cli.kernels._compile import ParallelKernel, inline, kernel
@@ -26,47 +24,31 @@ def scale_vectors(
     """Write two channels times their scales."""
     rows = band_range(out.shape[0], band)
     values, vectors = raw[rows.start : rows.stop], out[rows.start : rows.stop]
-    if values.shape[1] == 4 and channels[1] == channels[0] + 1:
-        # Two adjacent channels of four: strides that the compiler knows halve the time.
-        flat, pairs = values.reshape(-1)[channels[0] :], vectors.reshape(-1)
-        for n in range(pairs.size // 2):
-            x, y = flat[4 * n] * scales[0], flat[4 * n + 1] * scales[1]
-            is_finite = abs(x + y) < np.float32(np.inf)
-            pairs[2 * n] = x if is_finite else np.float32(np.nan)
-            pairs[2 * n + 1] = y if is_finite else np.float32(np.nan)
-        return
     for n in range(vectors.shape[0]):
         x, y = values[n, channels[0]] * scales[0], values[n, channels[1]] * scales[1]
-        is_finite = math.isfinite(x + y)
+        is_finite = abs(x + y) < np.float32(np.inf)
         vectors[n, 0] = x if is_finite else np.float32(np.nan)
         vectors[n, 1] = y if is_finite else np.float32(np.nan)
 
 
 @kernel
-def write_depths(depth: F32, far: np.float32, out: F32) -> None:
-    """Write distances [N] that are above 0 and below `far`; +inf for all others and NaN."""
-    infinite = np.float32(np.inf)
-    for n in range(out.size):
-        value = depth[n]
-        out[n] = value if np.float32(0) < value < far else infinite
-
-
-@kernel
-def write_depths_by_normal(depth: F32, normals: F32, far: np.float32, out: F32) -> bool:
-    """Write distances as `write_depths`, and +inf where the normal is (-1, -1, -1).
-
-    Return whether all normals [3 N] are finite.
-    """
+def write_depths(
+    depth: F32,  # [N]
+    normals: F32,  # [3 N]; [0] if unknown
+    far: np.float32,
+    out: F32,  # [N], written: depths above 0 and below `far`; else, and where NaN, +inf
+) -> bool:
+    """Write depths, +inf where the normal is (-1, -1, -1); return whether normals are finite."""
     # In the same pass: one of its own took as long as this.
     infinite, mark = np.float32(np.inf), np.float32(-1)
     finite = True
     for n in range(out.size):
-        x, y, z = normals[3 * n], normals[3 * n + 1], normals[3 * n + 2]
-        value = depth[n]
-        is_valid = (np.float32(0) < value) & (value < far)
-        is_valid &= (x != mark) | (y != mark) | (z != mark)
-        out[n] = value if is_valid else infinite
-        finite &= (abs(x) < infinite) & (abs(y) < infinite) & (abs(z) < infinite)
+        is_valid = (np.float32(0) < depth[n]) & (depth[n] < far)
+        if normals.size > 0:
+            x, y, z = normals[3 * n], normals[3 * n + 1], normals[3 * n + 2]
+            is_valid &= (x != mark) | (y != mark) | (z != mark)
+            finite &= (abs(x) < infinite) & (abs(y) < infinite) & (abs(z) < infinite)
+        out[n] = depth[n] if is_valid else infinite
     return finite
 
 

@@ -8,13 +8,12 @@ odd below 0 and continued above 1.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
+from exwarp_cli.kernels._compile import ParallelKernel, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
-from exwarp_cli.kernels.array_types import B8, F32, F64
+from exwarp_cli.kernels.array_types import B8, F32
 from exwarp_cli.kernels.gather import clamp, sample_pixel
 
 U64 = np.uint64
@@ -28,34 +27,16 @@ PHASES = 1024  # steps of a pixel that have weights; places are rounded to the n
 
 
 def lanczos_weights() -> F32:
-    """Return the table of weights of Lanczos-3; see `tabulate_weights`."""
-    return tabulate_weights(lambda x: np.sinc(x) * np.sinc(x / RADIUS))
-
-
-def tabulate_weights(
-    # kernel: maps distances in px to weights, 0 beyond RADIUS; they need not sum to 1
-    kernel: Callable[[F64], F64],
-) -> F32:
-    """Return the weights of the taps for each phase, float32 [PHASES + 1, TAPS]; rows sum to 1.
+    """Return the weights of Lanczos-3 for each phase, float32 [PHASES + 1, TAPS]; rows sum to 1.
 
     Tap RADIUS - 1 is the pixel at or before the place.
     """
     offset = np.arange(1 - RADIUS, RADIUS + 1)[None] - np.arange(PHASES + 1)[:, None] / PHASES
-    weights = kernel(offset)
+    weights = np.sinc(offset) * np.sinc(offset / RADIUS)
     weights /= weights.sum(axis=1, keepdims=True)
     weights[[0, -1]] = 0
     weights[0, RADIUS - 1] = weights[-1, RADIUS] = 1
     return weights.astype(np.float32)
-
-
-@inline
-def _clamp_value(value: np.float32, low: np.float32, high: np.float32) -> np.float32:
-    return min(max(value, low), high)
-
-
-@inline
-def _is_inside(first: int, size: int) -> bool:
-    return (first >= 0) & (first + TAPS <= size)
 
 
 @inline
@@ -84,88 +65,36 @@ def _sum_taps(
     return value, low, high
 
 
-@device_function
-def _sample_inside(
+Taps = tuple[F32, int, int, int, tuple[F32, F32]]
+
+
+@inline
+def _find_taps(
     pixels: F32,  # [H W C]
-    width: int,
-    channels: int,
-    at: tuple[int, int],  # index of the first tap, and `corner` of `_sum_taps`
-    weights: tuple[F32, F32],  # [TAPS] across and down
-    out: F32,  # [C], written
-) -> bool:
-    """Write the sum clamped to the 3x3 about the nearest pixel; return whether it is finite."""
-    first, corner = at
-    pitch = width * channels
-    check = np.float32(0)
-    for c in range(channels):
-        value, low, high = _sum_taps(pixels, first + c, (pitch, channels), corner, weights)
-        check += value * np.float32(0)  # NaN from infinity and NaN on
-        out[c] = _clamp_value(value, low, high)
-    return bool(check == 0)
-
-
-@device_function
-def _taps_at(
-    x: np.float32, y: np.float32, table: F32
-) -> tuple[tuple[int, int], int, tuple[F32, F32]]:
-    """Return column and row of a place's first tap, the corner of its 3x3, and its weights."""
+    shape: tuple[int, int, int],
+    x: np.float32,
+    y: np.float32,
+    table: F32,
+    patch: F32,  # [TAPS TAPS C], written where taps lie outside, which get the edge's colour
+) -> Taps:
+    """Return what `_sum_taps` needs of a place: pixels, step of a row, start, corner, weights."""
+    height, width, channels = shape
     left, top = math.floor(x), math.floor(y)
     across = table[round((x - np.float32(left)) * np.float32(PHASES))]
     down = table[round((y - np.float32(top)) * np.float32(PHASES))]
     row, column = math.floor(y + 0.5) - top, math.floor(x + 0.5) - left
     corner = (row + RADIUS - 2) * TAPS + column + RADIUS - 2
-    return (left - RADIUS + 1, top - RADIUS + 1), corner, (across, down)
-
-
-@device_function
-def _copy_patch(pixels: F32, shape: tuple[int, int, int], at: tuple[int, int], patch: F32) -> None:
-    """Copy the taps of a place to [TAPS TAPS C]; those outside get the edge's colour."""
-    height, width, channels = shape
-    left, top = at
+    left, top = left - RADIUS + 1, top - RADIUS + 1
+    if left >= 0 and top >= 0 and left + TAPS <= width and top + TAPS <= height:
+        first = (top * width + left) * channels
+        return pixels, width * channels, first, corner, (across, down)
     for p in range(TAPS):
-        y = clamp(top + p, 0, height - 1)
+        i = clamp(top + p, 0, height - 1)
         for q in range(TAPS):
-            x = clamp(left + q, 0, width - 1)
+            j = clamp(left + q, 0, width - 1)
             for c in range(channels):
-                patch[(p * TAPS + q) * channels + c] = pixels[(y * width + x) * channels + c]
-
-
-@device_function
-def _limit_inside(
-    pixels: F32,  # as `width`, `channels`, `at`, `weights`: see `_sample_inside`
-    width: int,
-    channels: int,
-    at: tuple[int, int],
-    weights: tuple[F32, F32],
-    smooth: F32,  # [C], the bilinear sample, which is always in bounds
-    sharp: F32,  # [C], written
-) -> np.float32:
-    """Write the unclamped sum; return the part of the way to it that stays in bounds.
-
-    The way begins at `smooth`. 0 if a tap is not finite.
-    """
-    first, corner = at
-    pitch = width * channels
-    check, limit = np.float32(0), np.float32(1)
-    for c in range(channels):
-        value, low, high = _sum_taps(pixels, first + c, (pitch, channels), corner, weights)
-        check += value * np.float32(0)
-        sharp[c] = value
-        bound = _clamp_value(value, low, high)
-        if bound != value:
-            fraction = (bound - smooth[c]) / (value - smooth[c])
-            limit = min(limit, max(fraction, np.float32(0)))
-    return limit if check == 0 else np.float32(0)
-
-
-@device_function
-def _sharpen(smooth: F32, sharp: F32, limit: np.float32) -> None:
-    check = np.float32(0)
-    for c in range(smooth.size):
-        check += sharp[c] * np.float32(0)
-    if limit > 0 and check == 0:
-        for c in range(smooth.size):
-            smooth[c] += limit * (sharp[c] - smooth[c])
+                patch[(p * TAPS + q) * channels + c] = pixels[(i * width + j) * channels + c]
+    return patch, TAPS * channels, 0, corner, (across, down)
 
 
 @ParallelKernel
@@ -180,7 +109,7 @@ def resample_alike(
     band: Band,
 ) -> None:
     """Sample like `resample`, but linearly, so that layers still sum to the beauty."""
-    height, width, channels = image.shape
+    channels = image.shape[2]
     pixels = np.ascontiguousarray(image).reshape(-1)
     patch, sharp = np.empty(TAPS * TAPS * channels, np.float32), np.empty(channels, np.float32)
     for i in band_range(out.shape[0], band):
@@ -193,20 +122,29 @@ def resample_alike(
                 if leads:
                     limit[i, j] = 0
                 continue
-            first, corner, weights = _taps_at(x, y, table)
             smooth = target[channels * j : channels * (j + 1)]
-            if _is_inside(first[0], width) and _is_inside(first[1], height):
-                at = (first[1] * width + first[0]) * channels, corner
-                within = _limit_inside(pixels, width, channels, at, weights, smooth, sharp)
-            else:
-                _copy_patch(pixels, image.shape, first, patch)
-                within = _limit_inside(patch, TAPS, channels, (0, corner), weights, smooth, sharp)
+            taps, pitch, first, corner, weights = _find_taps(
+                pixels, image.shape, x, y, table, patch
+            )
+            steps, check = (pitch, channels), np.float32(0)
+            within = np.float32(1)  # the part of the way to `sharp` that stays in bounds
+            for c in range(channels):
+                value, low, high = _sum_taps(taps, first + c, steps, corner, weights)
+                sharp[c] = value
+                check += value * np.float32(0)  # NaN from infinity and NaN on
+                bound = min(max(value, low), high)
+                if bound != value:
+                    share = (bound - smooth[c]) / (value - smooth[c])
+                    within = min(within, max(share, np.float32(0)))
+            within = within if check == 0 else np.float32(0)
             if leads:
                 clear = channels == RGBA and (
                     smooth[RGBA - 1] + within * (sharp[RGBA - 1] - smooth[RGBA - 1]) <= 0
                 )
                 limit[i, j] = np.float32(0) if clear else within
-            _sharpen(smooth, sharp, limit[i, j])
+            if limit[i, j] > 0 and check == 0:
+                for c in range(channels):
+                    smooth[c] += limit[i, j] * (sharp[c] - smooth[c])
 
 
 @ParallelKernel
@@ -235,18 +173,18 @@ def resample(
             place = channels * j
             near = x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5
             if near:
-                first, corner, weights = _taps_at(x, y, table)
-                sampled = target[place : place + channels]
-                if _is_inside(first[0], width) and _is_inside(first[1], height):
-                    start = (first[1] * width + first[0]) * channels
-                    at = start, corner
-                    finite = _sample_inside(pixels, width, channels, at, weights, sampled)
-                else:
-                    _copy_patch(pixels, image.shape, first, patch)
-                    finite = _sample_inside(patch, TAPS, channels, (0, corner), weights, sampled)
+                taps, pitch, first, corner, weights = _find_taps(
+                    pixels, image.shape, x, y, table, patch
+                )
+                check = np.float32(0)
+                steps = (pitch, channels)
+                for c in range(channels):
+                    value, low, high = _sum_taps(taps, first + c, steps, corner, weights)
+                    check += value * np.float32(0)  # NaN from infinity and NaN on
+                    target[place + c] = min(max(value, low), high)
                 # Colour must not be where the bound has made alpha 0.
-                clear = channels == RGBA and sampled[RGBA - 1] <= 0
-                if finite and not clear:
+                clear = channels == RGBA and target[place + RGBA - 1] <= 0
+                if check == 0 and not clear:
                     row_hole[j] = False
                     continue
             row_hole[j] = not sample_pixel(pixels, image.shape, x, y, target, place)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32, F64, I32
-from exwarp_cli.kernels.projection import project_point, screen_displacement
+from exwarp_cli.kernels.projection import rigid_displacement
 
 Line = npt.NDArray[Any]
 
@@ -81,7 +81,7 @@ def find_edges(
 def _mark_rim(above: F32, current: F32, below: F32, rim: B8) -> None:
     """Mark the pixels of a row with a clearly nearer surface among their four neighbours.
 
-    Rows are depths [W]. NaN is not nearer, and nothing is nearer than NaN.
+    Rows are depths [W], not negative. NaN is not nearer, and nothing is nearer than NaN.
     """
     last = current.size - 1
     for j in range(current.size):
@@ -93,18 +93,6 @@ def _mark_rim(above: F32, current: F32, below: F32, rim: B8) -> None:
         rim[j + 1] |= current[j] < current[j + 1] * (np.float32(1) - SAME_DEPTH)
 
 
-@device_function
-def _mark_rim_row(depth: F32, i: int, rim: B8) -> None:
-    height, width = depth.shape
-    if 0 < i < height - 1:
-        _mark_rim(depth[i - 1], depth[i], depth[i + 1], rim)
-        return
-    beyond = np.full(width, np.inf, np.float32)
-    above = depth[i - 1] if i > 0 else beyond
-    below = depth[i + 1] if i + 1 < height else beyond
-    _mark_rim(above, depth[i], below, rim)
-
-
 @ParallelKernel
 def _mark_rims(
     depth: F32,  # [H, W]
@@ -113,7 +101,9 @@ def _mark_rims(
 ) -> None:
     height, width = depth.shape
     for i in band_range(height, band):
-        _mark_rim_row(depth, i, rims[i * width : (i + 1) * width])
+        above, below = max(i - 1, 0), min(i + 1, height - 1)
+        rim = rims[i * width : (i + 1) * width]
+        _mark_rim(depth[above], depth[i], depth[below], rim)
 
 
 @ParallelKernel
@@ -131,7 +121,8 @@ def _mark_ghosts(
     source = np.empty(width, np.int32)  # the nearest pixel, counted along the rows
     for i in band_range(height, band):
         ghosts, line = ghost[i], np.ascontiguousarray(field[i]).reshape(-1)
-        _mark_rim_row(near, i, ghosts)
+        above, below = max(i - 1, 0), min(i + 1, height - 1)
+        _mark_rim(near[above], near[i], near[below], ghosts)
         for j in range(source.size):
             x, y = np.float32(j) + line[2 * j], np.float32(i) + line[2 * j + 1]
             is_inside = (x >= -half) & (y >= -half) & (x <= end_x) & (y <= end_y)
@@ -162,25 +153,25 @@ def find_ghosts(
 
 
 @device_function
-def _has_depth_jump(depth: F32, at: tuple[int, int]) -> bool:
-    """Return whether the depths of the 3x3 pixels differ by DEPTH_JUMP; NaN is far."""
+def _is_moving_edge(depth: F32, field: F32, at: tuple[int, int]) -> bool:
+    """Return whether the 3x3 pixels differ in depth, where NaN is far, and in motion.
+
+    Unknown motion differs from any.
+    """
     height, width = depth.shape
+    top, bottom = max(at[0] - 1, 0), min(at[0] + 2, height)
+    left, right = max(at[1] - 1, 0), min(at[1] + 2, width)
     nearest, farthest = np.float32(np.inf), np.float32(0)
-    for i in range(max(at[0] - 1, 0), min(at[0] + 2, height)):
-        for j in range(max(at[1] - 1, 0), min(at[1] + 2, width)):
+    for i in range(top, bottom):
+        for j in range(left, right):
             z = np.float32(np.inf) if math.isnan(depth[i, j]) else depth[i, j]
             nearest, farthest = min(nearest, z), max(farthest, z)
-    return bool(farthest > DEPTH_JUMP * nearest)
-
-
-@device_function
-def _has_motion_gap(field: F32, at: tuple[int, int]) -> bool:
-    """Return whether the motion of the 3x3 pixels differs, or some is unknown."""
-    height, width, _ = field.shape
+    if not farthest > DEPTH_JUMP * nearest:
+        return False
     for axis in range(2):
         least, most, is_known = np.float32(np.inf), np.float32(-np.inf), True
-        for i in range(max(at[0] - 1, 0), min(at[0] + 2, height)):
-            for j in range(max(at[1] - 1, 0), min(at[1] + 2, width)):
+        for i in range(top, bottom):
+            for j in range(left, right):
                 component = field[i, j, axis]
                 is_known &= not math.isnan(component)
                 least, most = min(least, component), max(most, component)
@@ -201,8 +192,8 @@ def find_moving_edges(
     height, width = depth.shape
     for i in band_range(height, band):
         for j in range(width):
-            if not (edge[i, j] | excluded[i, j]) and _has_depth_jump(depth, (i, j)):
-                edge[i, j] = _has_motion_gap(field, (i, j))
+            if not (edge[i, j] | excluded[i, j]):
+                edge[i, j] = _is_moving_edge(depth, field, (i, j))
 
 
 Surfaces = tuple[F32, F32, I32, B8]
@@ -222,17 +213,17 @@ NEAR, FAR = 0, 1  # Which camera is for points, and which for the background
 
 
 @device_function
-def _place_row(position: F32, depth: F32, points: F64) -> None:
+def _place_row(i: int, position: F32, depth: F32, points: F64) -> None:
     """Write the points of a row as four coordinates [4, W], by position or else by depth."""
-    a, b, c, d = points[0], points[1], points[2], points[3]
-    if position.size > 0:
-        for j in range(depth.size):
-            a[j] = np.float64(position[3 * j])
-            b[j] = np.float64(position[3 * j + 1])
-            c[j] = np.float64(position[3 * j + 2])
+    if position.shape[0] > 0:
+        for axis in range(3):
+            line = points[axis]
+            for j in range(line.size):
+                line[j] = np.float64(position[i, j, axis])
     else:
-        for j in range(depth.size):
-            d[j] = 1.0 / np.float64(depth[j])
+        line = points[3]
+        for j in range(line.size):
+            line[j] = 1.0 / np.float64(depth[i, j])
 
 
 @device_function
@@ -253,16 +244,6 @@ def _project_row(points: F64, camera: F64, columns: F64, row: float, out: F32) -
 
 
 @device_function
-def _copy_background(depth: F32, far: F32, rigid: F32) -> None:
-    """Take the motion of a row's background from `far`; both [2, W]."""
-    right, down, away_right, away_down = rigid[0], rigid[1], far[0], far[1]
-    for j in range(depth.size):
-        right[j] = away_right[j] if abs(depth[j]) == np.float32(np.inf) else right[j]
-    for j in range(depth.size):
-        down[j] = away_down[j] if abs(depth[j]) == np.float32(np.inf) else down[j]
-
-
-@device_function
 def _clean_row(
     vectors: F32, rigid: F32, depth: F32, moving: B8, tolerance: np.float32, out: F32
 ) -> None:
@@ -278,32 +259,6 @@ def _clean_row(
 
 
 @inline
-def _rigid_motion(
-    i: int, j: int, position: F32, depth: F32, cameras: F64
-) -> tuple[np.float32, np.float32]:
-    """Return `_project_row` of one pixel."""
-    x, y = np.float64(j), np.float64(i)
-    a, b, c, d, camera = x, y, 1.0, -0.0, FAR
-    if not math.isinf(depth[i, j]):
-        camera = NEAR
-        d = 1.0 / np.float64(depth[i, j])
-        if position.shape[0] > 0:
-            a = np.float64(position[i, 3 * j])
-            b = np.float64(position[i, 3 * j + 1])
-            c = np.float64(position[i, 3 * j + 2])
-            d = 1.0
-    away_x, away_y = screen_displacement(x, y, project_point(cameras[camera], (a, b, c, d)))
-    return away_x, away_y
-
-
-@inline
-def _is_same_depth(first: np.float32, second: np.float32) -> bool:
-    if math.isinf(first) or math.isinf(second):
-        return math.isinf(first) == math.isinf(second)
-    return bool(abs(first - second) <= SAME_DEPTH * max(first, second))
-
-
-@inline
 def _nearest_unmixed(
     i: int, j: int, depth: F32, stencil: I32, edge: B8, vectors: F32
 ) -> tuple[int, int]:
@@ -315,7 +270,9 @@ def _nearest_unmixed(
             continue
         if edge[y, x] or (stencil.shape[0] > 0 and stencil[y, x] != stencil[i, j]):
             continue
-        if _is_same_depth(depth[i, j], depth[y, x]) and math.isfinite(vectors[y, 2 * x]):
+        own, farther = depth[i, j], max(depth[i, j], depth[y, x])
+        is_near = abs(own - depth[y, x]) <= SAME_DEPTH * farther and farther < np.inf
+        if (is_near or own == depth[y, x]) and math.isfinite(vectors[y, 2 * x]):
             return y, x
     return -1, -1
 
@@ -345,7 +302,8 @@ def _clean_edges(
             if y < 0:
                 y, x = i, j
             elif static:
-                right, down = _rigid_motion(y, x, position, depth, cameras)
+                at_infinity = cameras[FAR, :, :3]
+                right, down = rigid_displacement(position, depth, cameras[NEAR], at_infinity, y, x)
                 dx, dy = vectors[y, 2 * x] - right, vectors[y, 2 * x + 1] - down
                 static = dx * dx + dy * dy <= tolerance * tolerance
         out[2 * j] = rigid[0, j] if static else vectors[y, 2 * x]
@@ -356,9 +314,10 @@ def _clean_edges(
 def clean_vectors(
     # vectors: [H, 2 W] each, x and y in px; NaN where unusable, [0, 0] without any
     vectors: tuple[F32, F32],
-    surfaces: Surfaces,  # positions [H, 3 W] or [0, 0]; depth, stencil and edges as in `find_edges`
+    # surfaces: positions [H, W, 3] or [0, 0, 3]; depth, stencil and edges as in `find_edges`
+    surfaces: Surfaces,
     # cameras: [2, 2, 3, 4] by frame: for (X, Y, Z, 1) or (x, y, 1, 1/depth); for background (x, y,
-    # 1)
+    # 1), with a last column of 1
     cameras: F64,
     tolerance: np.float32,  # px by which vectors and the motion of static points may differ
     out: tuple[F32, F32],  # [H, 2 W] each, written; [0, 0] without vectors
@@ -382,11 +341,11 @@ def clean_vectors(
     # Times the last column of its camera, 1, this leaves every number as it is, zeros' signs too.
     sky[3] = -0.0
     rigid, far = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
-    moving, no_positions = np.zeros(width, np.bool_), np.empty(0, np.float32)
+    moving = np.zeros(width, np.bool_)
     for i in band_range(height, band):
         row, depths, background = np.float64(i), depth[i], False
         points[1], sky[1] = row, row
-        _place_row(position[i] if position.shape[0] > 0 else no_positions, depths, points)
+        _place_row(i, position, depth, points)
         if stencil.shape[0] > 0:
             ids = stencil[i]
             for j in range(width):
@@ -399,6 +358,9 @@ def clean_vectors(
             _project_row(points, cameras[side, NEAR], sky[0], row, rigid)
             if background:
                 _project_row(sky, cameras[side, FAR], sky[0], row, far)
-                _copy_background(depths, far, rigid)
+                for axis in range(2):
+                    motion, away = rigid[axis], far[axis]
+                    for j in range(width):
+                        motion[j] = away[j] if abs(depths[j]) == np.float32(np.inf) else motion[j]
             _clean_row(vectors[side][i], rigid, depths, moving, tolerance, out[side][i])
             _clean_edges(i, vectors[side], rigid, surfaces, cameras[side], tolerance, out[side][i])

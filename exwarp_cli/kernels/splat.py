@@ -147,32 +147,6 @@ def _write_places(
 REACH_SPAN = 64
 
 
-def row_extents_shape(shape: tuple[int, ...]) -> tuple[int, int, int]:
-    """Return the shape of the extents that `splat_row_extents` writes for a frame [H, W]."""
-    return shape[0], -(-shape[1] // REACH_SPAN) + 1, 2
-
-
-@device_function
-def _write_row_extents(i: int, line: F32, extents: F32) -> None:
-    """Write the extents [S + 1, 2] of source row i, whose displacements are [2 W]."""
-    spans, row = extents.shape[0] - 1, np.float32(i)
-    low, high = np.float32(np.inf), np.float32(-np.inf)
-    for span in range(spans):
-        moves = line[2 * span * REACH_SPAN : min(2 * (span + 1) * REACH_SPAN, line.size)]
-        # Two at a time, as each comparison waits for the one before it.
-        least, most = np.float32(np.inf), np.float32(-np.inf)
-        lesser, greater = least, most
-        last = moves.size - 2
-        for j in range(0, moves.size, 4):
-            y, z = row + moves[j + 1], row + moves[min(j + 2, last) + 1]
-            least, lesser = y if y < least else least, z if z < lesser else lesser
-            most, greater = y if y > most else most, z if z > greater else greater
-        least, most = min(least, lesser), max(most, greater)
-        extents[span, 0], extents[span, 1] = least - PATCH_REACH, most + PATCH_REACH
-        low, high = min(low, least), max(high, most)
-    extents[spans, 0], extents[spans, 1] = low - PATCH_REACH, high + PATCH_REACH
-
-
 @ParallelKernel
 def splat_row_extents(
     displacement: F32,  # as in `splat`
@@ -182,10 +156,24 @@ def splat_row_extents(
     band: Band,
 ) -> None:
     """Find which target rows each source row touches."""
-    height, width, _ = displacement.shape
-    moves = np.ascontiguousarray(displacement).reshape(height, 2 * width)
+    height, spans = displacement.shape[0], extents.shape[1] - 1
     for i in band_range(height, band):
-        _write_row_extents(i, moves[i], extents[i])
+        line, row = np.ascontiguousarray(displacement[i]).reshape(-1), np.float32(i)
+        low, high = np.float32(np.inf), np.float32(-np.inf)
+        for span in range(spans):
+            moves = line[2 * span * REACH_SPAN : min(2 * (span + 1) * REACH_SPAN, line.size)]
+            # Two at a time, as each comparison waits for the one before it.
+            least, most = np.float32(np.inf), np.float32(-np.inf)
+            lesser, greater = least, most
+            last = moves.size - 2
+            for j in range(0, moves.size, 4):
+                y, z = row + moves[j + 1], row + moves[min(j + 2, last) + 1]
+                least, lesser = y if y < least else least, z if z < lesser else lesser
+                most, greater = y if y > most else most, z if z > greater else greater
+            least, most = min(least, lesser), max(most, greater)
+            extents[i, span, 0], extents[i, span, 1] = least - PATCH_REACH, most + PATCH_REACH
+            low, high = min(low, least), max(high, most)
+        extents[i, spans, 0], extents[i, spans, 1] = low - PATCH_REACH, high + PATCH_REACH
 
 
 # Pixels of acceleration in a key interval that are always applied; half a pixel of way.
@@ -232,32 +220,6 @@ def quadratic_displacement(
 ROWS_PER_STRIP = 32
 
 
-@inline
-def _splat_patch(
-    at: tuple[int, int],
-    move: tuple[np.float32, np.float32],
-    matrix: Matrix,
-    z: np.float32,
-    size: tuple[int, int, int],
-    field: F32,
-    near: F32,
-) -> None:
-    """Write one patch where it is nearest; `at` is the source pixel, row and column."""
-    i, j = np.float32(at[0]), np.float32(at[1])
-    x, y = j + move[0], i + move[1]
-    a, b, c, d = matrix
-    first_row, last_row, first_column, last_column = _patch_bounds(x, y, matrix, size)
-    for row in range(int(first_row), int(last_row) + 1):
-        for column in range(int(first_column), int(last_column) + 1):
-            rx, ry = np.float32(column) - x, np.float32(row) - y
-            u, v, is_hit = _source_in_patch(rx, ry, matrix, a * d - b * c)
-            p = np.uint64((row - size[0]) * size[2] + column)
-            if is_hit and (z < near[p] or math.isnan(near[p])):
-                near[p] = z
-                field[np.uint64(2) * p] = j + u - np.float32(column)
-                field[np.uint64(2) * p + np.uint64(1)] = i + v - np.float32(row)
-
-
 @device_function
 def _splat_span(
     start: tuple[int, int],  # as `motion`, `size`: see `_write_places`
@@ -273,11 +235,11 @@ def _splat_span(
     place, found_x, found_y = landings
     _write_places(start, motion, size, landings)
     count, length = depth.size, np.int64(0)
-    for j in range(count):
-        order[np.uint64(length)] = j
-        length += np.int64(place[j] != NO_TARGET)
-        order[np.uint64(length)] = count + j
-        length += np.int64(place[count + j] != NO_TARGET)
+    for k in range(count):
+        order[np.uint64(length)] = k
+        length += np.int64(place[k] != NO_TARGET)
+        order[np.uint64(length)] = count + k
+        length += np.int64(place[count + k] != NO_TARGET)
     for k in range(length):
         target = np.uint64(order[k])
         n = np.uint64(target if target < depth.size else target - np.uint64(depth.size))
@@ -291,8 +253,20 @@ def _splat_span(
                 field[np.uint64(2) * p + np.uint64(1)] = found_y[target]
         else:
             m = np.int64(n)
-            at, move = (start[0], start[1] + m), (line[2 * m], line[2 * m + 1])
-            _splat_patch(at, move, _jacobian(across, down, m), depth[n], size, field, near)
+            matrix = _jacobian(across, down, m)
+            a, b, c, d = matrix
+            i, j = np.float32(start[0]), np.float32(start[1] + m)
+            x, y = j + line[2 * m], i + line[2 * m + 1]
+            first_row, last_row, first_column, last_column = _patch_bounds(x, y, matrix, size)
+            for row in range(int(first_row), int(last_row) + 1):
+                for column in range(int(first_column), int(last_column) + 1):
+                    rx, ry = np.float32(column) - x, np.float32(row) - y
+                    u, v, is_hit = _source_in_patch(rx, ry, matrix, a * d - b * c)
+                    p = np.uint64((row - size[0]) * size[2] + column)
+                    if is_hit and (depth[n] < near[p] or math.isnan(near[p])):
+                        near[p] = depth[n]
+                        field[np.uint64(2) * p] = j + u - np.float32(column)
+                        field[np.uint64(2) * p + np.uint64(1)] = i + v - np.float32(row)
 
 
 @device_function

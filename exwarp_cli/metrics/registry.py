@@ -27,6 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.domain.colour import PEAK, encode_display, round_display
 from exwarp_cli.domain.frame import Bool, Float32, UInt8
 from exwarp_cli.domain.metric import DEFAULT_METRICS
 from exwarp_cli.domain.results import Score
@@ -35,13 +36,11 @@ from exwarp_cli.kernels.picture_errors import (
     PERCEIVED_PLANES,
     SATURATED,
     SSIM_RADIUS,
-    decode_opponent,
-    expose_opponent,
     raise_flip_error,
     ssim_map,
+    write_opponent,
     write_perceived,
 )
-from exwarp_cli.metrics.display import PEAK, encode_display, round_display
 from exwarp_cli.metrics.temporal import measure_pulse
 
 MAX_DB = 100.0  # PSNR of equal images, in place of infinity, and the largest of any pair
@@ -98,21 +97,23 @@ def measure_ssim(reference: Float32, test: Float32) -> MetricMap:
     return MetricMap(mean, margin=SSIM_RADIUS if inside else 0)
 
 
-def _perceive(planes: Float32) -> Float32:
-    out = np.empty((PERCEIVED_PLANES, *planes.shape[1:]), np.float32)
-    write_perceived(planes, out)
-    return out
+def _raise_flip_error(images: tuple[Float32, Float32], gain: float, error: Float32) -> None:
+    """Raise an error map to the FLIP error of a pair of images; `gain` as in `write_opponent`."""
+    planes = np.empty((OPPONENT_PLANES, *error.shape), np.float32)
+    views = []
+    for image in images:
+        write_opponent(image, np.float32(gain), planes)
+        view = np.empty((PERCEIVED_PLANES, *error.shape), np.float32)
+        write_perceived(planes, view)
+        views.append(view)
+    raise_flip_error(*views, error)
 
 
 def measure_flip(reference: Float32, test: Float32) -> MetricMap:
     """Return the map of LDR-FLIP at 67 pixels per degree, 0 (equal) to 1."""
-    shape = reference.shape[:2]
-    planes, error = np.empty((OPPONENT_PLANES, *shape), np.float32), np.zeros(shape, np.float32)
-    views = []
-    for image in (reference, test):
-        decode_opponent(np.ascontiguousarray(image, np.float32), planes)
-        views.append(_perceive(planes))
-    raise_flip_error(*views, error)
+    error = np.zeros(reference.shape[:2], np.float32)
+    images = np.ascontiguousarray(reference, np.float32), np.ascontiguousarray(test, np.float32)
+    _raise_flip_error(images, 0, error)
     return MetricMap(error)
 
 
@@ -165,14 +166,9 @@ def measure_hdr_flip(reference: Float32, test: Float32) -> MetricMap:
     The largest FLIP error of each pixel counts, 0 to 1. A black reference is compared as it is.
     """
     images = hdr_flip_colour(reference), hdr_flip_colour(test)
-    shape = reference.shape[:2]
-    planes, error = np.empty((OPPONENT_PLANES, *shape), np.float32), np.zeros(shape, np.float32)
+    error = np.zeros(reference.shape[:2], np.float32)
     for stops in hdr_flip_exposures(images[0]):
-        views = []
-        for image in images:
-            expose_opponent(image, np.float32(2.0**stops), planes)
-            views.append(_perceive(planes))
-        raise_flip_error(*views, error)
+        _raise_flip_error(images, 2.0**stops, error)
     return MetricMap(error)
 
 

@@ -32,9 +32,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from exwarp_cli.domain.colour import encode_display
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.kernels import gather
-from exwarp_cli.metrics.display import encode_display
 
 
 @dataclass(frozen=True)
@@ -44,13 +44,9 @@ class Transition:
     per_pixel: Float32  # [H, W], display levels, at the pixels of the later frame; finite
     counted: Bool  # [H, W]: both frames show this surface point
 
-    def mean(self) -> float | None:
-        """Return the value over the pixels that count; None without any."""
-        return self.within(np.ones_like(self.counted))
-
-    def within(self, mask: Bool) -> float | None:
-        """Return the value over those of a mask, bool [H, W], that count; None without any."""
-        chosen = self.counted & mask
+    def mean(self, mask: Bool | None = None) -> float | None:
+        """Return the value over the pixels that count, or those of them in a mask; None without."""
+        chosen = self.counted if mask is None else self.counted & mask
         return float(self.per_pixel[chosen].mean(dtype=np.float64)) if chosen.any() else None
 
 
@@ -105,7 +101,7 @@ def interval_flicker(
     """
     overall = frame_flicker([None if step is None else step.mean() for step in transitions])
     inside = [
-        None if step is None or mask is None else step.within(mask)
+        None if step is None or mask is None else step.mean(mask)
         for step, mask in zip(transitions, masks, strict=False)
     ]
     return list(zip(overall, inside, strict=True))

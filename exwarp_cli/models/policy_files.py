@@ -153,7 +153,21 @@ def load_policy(path: Path | None, shipped: str = SHIPPED_POLICY) -> PolicyFile:
         raise _misfit(path, "its metadata are no JSON object")
     if metadata.get("format") != FORMAT:
         raise _misfit(path, f"its format is {metadata.get('format')!r}, not {FORMAT}")
-    network = _network(path, arrays)
+    layers = []
+    try:
+        for k in takewhile(lambda k: f"weights{k}" in arrays, count()):
+            weights = _array(path, arrays, f"weights{k}", np.int8)
+            biases = _array(path, arrays, f"biases{k}", np.int32)
+            scale = None
+            if f"multipliers{k}" in arrays:
+                multipliers = _array(path, arrays, f"multipliers{k}", np.int32)
+                scale = Requantisation(multipliers, _array(path, arrays, f"shifts{k}", np.uint8))
+            layers.append(QuantisedLayer(weights, biases, scale))
+        multipliers = _array(path, arrays, "input_multipliers", np.int32)
+        inputs = Requantisation(multipliers, _array(path, arrays, "input_shifts", np.uint8))
+        network = QuantisedMlp(inputs, tuple(layers))
+    except ValueError as error:  # of its own checks of ranges
+        raise _misfit(path, str(error)) from error
     floats = []
     for k in takewhile(lambda k: f"w{k}" in arrays, count()):
         weights, biases = (_array(path, arrays, f"{name}{k}", np.float32) for name in "wb")
@@ -162,25 +176,6 @@ def load_policy(path: Path | None, shipped: str = SHIPPED_POLICY) -> PolicyFile:
         floats.append((weights, biases))
     checksum = hashlib.sha256(data).hexdigest()
     return PolicyFile(path, checksum, network, metadata, tuple(floats))
-
-
-def _network(path: Path, arrays: dict[str, Array]) -> QuantisedMlp:
-    def requantisation(multipliers: str, shifts: str) -> Requantisation:
-        return Requantisation(
-            _array(path, arrays, multipliers, np.int32), _array(path, arrays, shifts, np.uint8)
-        )
-
-    try:
-        layers = []
-        for k in takewhile(lambda k: f"weights{k}" in arrays, count()):
-            weights = _array(path, arrays, f"weights{k}", np.int8)
-            biases = _array(path, arrays, f"biases{k}", np.int32)
-            is_hidden = f"multipliers{k}" in arrays
-            scale = requantisation(f"multipliers{k}", f"shifts{k}") if is_hidden else None
-            layers.append(QuantisedLayer(weights, biases, scale))
-        return QuantisedMlp(requantisation("input_multipliers", "input_shifts"), tuple(layers))
-    except ValueError as error:  # of its own checks of ranges
-        raise _misfit(path, str(error)) from error
 
 
 def _array(path: Path, arrays: dict[str, Array], name: str, dtype: type) -> Array:

@@ -196,10 +196,8 @@ def outcomes_of(
     measure them as they are made. Returns float64 [5, 2, 2], as `exwarp_cli.policy.outcomes` has
     it.
     """
-    from exwarp_cli.metrics.display import (
-        encode_display,  # numba: only an oracle measures while it decides
-    )
-    from exwarp_cli.metrics.registry import METRICS
+    from exwarp_cli.domain.colour import encode_display
+    from exwarp_cli.metrics.registry import METRICS  # numba: only an oracle measures in decisions
     from exwarp_cli.policy.outcomes import METRICS as JUDGED
 
     canvas = interval.key.image.data_window

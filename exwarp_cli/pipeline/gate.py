@@ -188,7 +188,7 @@ class Gate:
 
     def decide(self, inputs: TrialInputs) -> Trial:
         """Return the trial of an interval, of which it or one before brought the material along."""
-        from exwarp_cli.metrics.display import encode_display
+        from exwarp_cli.domain.colour import encode_display
         from exwarp_cli.metrics.registry import measure_psnr
 
         if inputs.key is None:
@@ -221,7 +221,7 @@ def mean_tile_psnr(error: npt.NDArray[np.floating]) -> float:
 
     `error` is [H, W]: squared errors on the scale of 255.
     """
-    from exwarp_cli.metrics.display import PEAK
+    from exwarp_cli.domain.colour import PEAK
 
     # Over twice as long a gap errors are larger than between key frames, above all the largest
     # ones, and a network that mends these may harm all the rest. With the PSNR of the whole frame a

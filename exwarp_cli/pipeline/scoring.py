@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from exwarp_cli.domain.colour import round_display
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Image, UInt8, Window, place_on_canvas
 from exwarp_cli.domain.metric import WITHOUT_TRUTH
 from exwarp_cli.domain.results import BrokenPixels, FrameRecord, Score
@@ -20,7 +21,6 @@ from exwarp_cli.io.display_colour import to_display
 from exwarp_cli.io.ffmpeg import VmafStream, compute_vmaf, require_vmaf_size
 from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.io.frames import GEOMETRY, read_raw
-from exwarp_cli.metrics.display import round_display
 from exwarp_cli.metrics.temporal import (
     Transition,
     compare_with_previous,
@@ -354,7 +354,7 @@ class MetricScorer:
             if into is not None and before is not None:
                 change = compare_with_previous(self._error, before, *into)
                 value = change.mean()
-                masked = None if pair.mask is None else change.within(pair.mask)
+                masked = None if pair.mask is None else change.mean(pair.mask)
             self._transitions.append(value)
             inside = None if inside is None else replace(inside, flicker=masked)
         self._scores.append((overall, inside))

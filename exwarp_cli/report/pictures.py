@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from exwarp_cli.domain.colour import PEAK, encode_display
 from exwarp_cli.domain.frame import Bool, Float32, UInt8
-from exwarp_cli.metrics.display import PEAK, encode_display
 
 # Media types of colour and errors, and of masks.
 WEBP, PNG = "image/webp", "image/png"

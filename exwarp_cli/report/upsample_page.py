@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from exwarp_cli.domain.colour import PEAK
 from exwarp_cli.domain.decision import CHOICES, FEATURES, HOLD, LOOKAHEAD, NODES, SOFTSPLAT
 from exwarp_cli.domain.metric import KEY_FRAMES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.settings import SRGB_VIEW
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import pluralise
-from exwarp_cli.metrics.display import PEAK
 from exwarp_cli.report.gallery import Album, worst_frame
 from exwarp_cli.report.html import (
     BY_FIELD,

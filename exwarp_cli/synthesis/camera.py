@@ -171,11 +171,8 @@ def standing(scene: Scene, camera: F64, step: Float32, tolerance: float) -> Bool
 
     `tolerance` is in pixels, for either component; unknown motion (NaN) is not still.
     """
-    out = np.empty(scene.depth.shape, np.bool_)
-    at_infinity = camera[:, :3] @ scene.to_ray
-    points = scene.position, scene.depth
-    projection.mark_static(*points, camera, at_infinity, step, np.float32(tolerance), out)
-    return out
+    near = np.abs(step - seen_by(scene, camera)) <= np.float32(tolerance)
+    return np.asarray(near[..., 0] & near[..., 1])
 
 
 def fit(
@@ -214,24 +211,30 @@ def fit(
     weights = np.ones(len(points))
     if movers:
         weights = _least_median_weights(unit_points, unit_pixels)
-    errors, inliers = np.empty(len(points)), np.ones(len(points), np.bool_)
+    inliers = np.ones(len(points), np.bool_)
     for count in range(ROUNDS):
         unit = _least_algebraic_error(unit_points, unit_pixels, weights, buffers)
         if unit is None:
             return None
         matrix = from_unit @ unit @ to_unit
-        projection.write_projection_errors(points @ matrix.T, pixels, errors)
+        image = points @ matrix.T
+        with np.errstate(all="ignore"):  # points behind the camera, and at infinity
+            errors = np.linalg.norm(image[:, :2] / image[:, 2:] - pixels, axis=1)
+        errors = np.where((image[:, 2] > 0) & np.isfinite(errors), errors, np.inf)
         median = float(np.median(errors))
         limit = max(4.0 * median, INLIER_FLOOR)
-        inside, is_same = projection.mark_inliers(errors, limit, inliers)
-        if inside < MIN_SAMPLES or not math.isfinite(median):
+        before, inliers = inliers, errors <= limit
+        if np.count_nonzero(inliers) < MIN_SAMPLES or not math.isfinite(median):
             return None
-        if count and is_same:
+        if count and np.array_equal(inliers, before):
             break
         # Without these weights an object on a sixth of the points drags the camera with it: it
         # pulls the first fit so far that it stays within four median errors.
-        depths = unit_points @ unit[2]
-        projection.write_inlier_weights(errors, inliers, depths, max(median, INLIER_FLOOR), weights)
+        with np.errstate(over="ignore"):  # of outliers
+            doubt = 1 + (errors / max(median, INLIER_FLOOR)) ** 2
+        # By depth an algebraic error becomes one of pixels.
+        depths = np.maximum(np.abs(unit_points @ unit[2]), 1e-9)
+        weights = np.where(inliers, 1 / (depths * doubt), 0)
     return matrix if np.median(errors[inliers]) <= MAX_MEDIAN_ERROR else None
 
 

@@ -120,8 +120,10 @@ class Prepared:
     def finish(self, answer: Float32) -> Float32:
         """Turn the network's answer, float32 [3, H, W], into scene-linear colour [H, W, C]."""
         out: Float32 = pool.empty(self.warped.shape, np.float32)
-        modulation = NO_VECTORS if self.modulation is None else self.modulation
-        network_planes.write_network_frame(decode(answer), modulation, self.warped, out)
+        out[..., :3] = np.moveaxis(decode(answer), 0, -1)
+        if self.modulation is not None:
+            out[..., :3] *= self.modulation
+        out[..., 3:] = self.warped[..., 3:]
         hold_within(out, self.sources)
         return out
 
@@ -202,12 +204,12 @@ def modulation_of(gbuffer: GBuffer) -> Float32 | None:
 
 def demodulated(frame: KeyFrame) -> Float32 | None:
     """Return a frame's pixels, float32 [H, W, C], divided by its :func:`modulation_of`, if any."""
-    gbuffer, pixels = frame.gbuffer, np.ascontiguousarray(frame.image.pixels)
-    if gbuffer is None or gbuffer.albedo is None or gbuffer.specular is None:
+    modulation = None if frame.gbuffer is None else modulation_of(frame.gbuffer)
+    if modulation is None:
         return None
-    out = np.empty_like(pixels)
-    surface = np.ascontiguousarray(gbuffer.albedo), np.ascontiguousarray(gbuffer.specular)
-    network_planes.divide_by_albedo(pixels, *surface, (DARKEST, BRIGHTEST), out)
+    out = np.array(frame.image.pixels, order="C")
+    with np.errstate(over="ignore"):  # of the largest floats
+        out[..., :3] /= modulation
     return out
 
 

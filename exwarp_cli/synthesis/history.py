@@ -167,7 +167,9 @@ def look_back_reprojected(
                 place_still(older.scene, camera, older.stands, motion)
             scratch.page_out()
             predicted = splat_motion(gbuffer, motion).field
-            point_motion.fill_predicted(predicted, moved, lost)
+            # Points of unknown origin get the predicted place.
+            fills = np.isnan(moved[..., 0]) & ~np.isnan(predicted[..., 0])
+            moved[fills], lost[fills] = predicted[fills], False
             sources.append((gbuffer, predicted))
         fields.append(moved)
         hidden.append(lost)
@@ -243,9 +245,8 @@ def _reproject_surfaces(
     def plane(name: str, values: Float32 | None) -> Float32:
         """Return what the kernel takes, nothing for what is not taken over."""
         if values is None or name not in parts:
-            channels = (3,) if name == "normal" or name in SMOOTH else ()
-            return np.zeros((0, 0, *channels), np.float32)
-        return np.ascontiguousarray(values)
+            return np.zeros((0, 0, 0), np.float32)
+        return np.ascontiguousarray(values).reshape(*values.shape[:2], -1)
 
     for count, (gbuffer, motion) in enumerate(sources):
         own = {name: getattr(gbuffer, name) for name in (*NEAREST, *SMOOTH)}

@@ -109,7 +109,7 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
     if not gbuffer.has_motion:
         return gbuffer
     scene, vectors = scene_of(gbuffer), (gbuffer.to_previous, gbuffer.to_next)
-    position = _NO_PLANE if scene is None else _as_rows(scene.position)
+    position = _NO_VECTORS if scene is None else np.ascontiguousarray(scene.position)
     surfaces = position, depth_of(gbuffer), stencil_of(gbuffer), edges_of(gbuffer)
     rendered = tuple(_NO_PLANE if each is None else _as_rows(each) for each in vectors)
     settled = tuple(pool.empty(each.shape, np.float32) for each in rendered)

@@ -94,7 +94,8 @@ def displacement(
 
 def reach_of(motion: Float32) -> Float32:
     """Return the target rows of displacements [H, W, 2], as the splatting kernel takes them."""
-    reach = np.empty(splat.row_extents_shape(motion.shape), np.float32)
+    spans = -(-motion.shape[1] // splat.REACH_SPAN)
+    reach = np.empty((motion.shape[0], spans + 1, 2), np.float32)
     splat.splat_row_extents(motion, reach)
     return reach
 

@@ -197,15 +197,12 @@ class HoleNeighbourhood(NamedTuple):
 def find_hole_neighbours(depth: Float32, hole: Bool) -> HoleNeighbourhood | None:
     """Find what is visible around holes; parameters as of `fill_holes`. None without holes."""
     hole = np.ascontiguousarray(hole)
-    counts, bits = np.empty(len(hole), np.int32), np.empty(len(hole), np.int32)
-    holes.count_holes(hole, depth.view(np.int32), counts, bits)
-    first = np.zeros(len(hole) + 1, np.int32)
-    np.cumsum(counts, out=first[1:])
-    if first[-1] == 0:
+    rows, columns = np.nonzero(hole)
+    if not len(rows):
         return None
-    column = np.empty(first[-1], np.int32)
-    holes.list_holes(hole, first, column)
-    furthest = float(bits.max(keepdims=True).view(np.float32)[0])
+    first = np.searchsorted(rows, np.arange(len(hole) + 1)).astype(np.int32)
+    column = columns.astype(np.int32)
+    furthest = float(depth[~hole & (depth < np.inf)].max(initial=0))
     cap = BEYOND * furthest if furthest > 0 else 1.0
     reach = min(int(FILL_REACH * max(hole.shape)) + 1, 32000)
     steps = np.empty((len(holes.DIRECTIONS), len(column)), np.int16)
@@ -238,9 +235,11 @@ def mix_by_depth(
     """
     depth: Float32 = pool.empty(before.depth.shape, np.float32)
     hole: Bool = pool.empty(before.hole.shape, np.bool_)
-    sides = [(side.pixels, side.depth, side.hole, side.fringe) for side in (before, after)]
+    later: Float32 = pool.empty(before.depth.shape, np.float32)
+    first, second = ((side.depth, side.hole, side.fringe) for side in (before, after))
+    blend.write_later_weights(first, second, np.float32(time), later, depth, hole)
     # In place: three frames of 1920x1080 in several threads are memory.
-    blend.blend(*sides, np.float32(time), before.pixels, depth, hole)
+    blend.mix_frames(before.pixels, after.pixels, later, before.pixels)
     return before.pixels, depth, hole
 
 

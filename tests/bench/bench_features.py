@@ -29,7 +29,7 @@ from tests.bench.running import module, run
 from tests.bench.street import SIZE, key_frame
 from tests.bench.timing import ROUNDS, Work, compare
 
-LABELLING_GOALS = {"label, a block": 1.5, "label, forty discs": 1.5}
+LABELLING_GOALS = {"areas, a block": 1.5, "areas, forty discs": 1.5}
 EMD_GOALS = {"distances, normals": 1 / 50, "distances, positions": 1 / 50}
 LINES = 480
 DISCS = 40
@@ -45,8 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     large = [_gbuffer(instant, SIZE) for instant in (1, 2)]
     assert large[1].stencil is not None
     works = {
-        "label, a block": _labelling(large[1].stencil),
-        "label, forty discs": _labelling(_discs()),
+        "areas, a block": _labelling(large[1].stencil),
+        "areas, forty discs": _labelling(_discs()),
     }
     ratios = compare(works, options.rounds)
     title = f"objects at {SIZE[1]}x{SIZE[0]}, {ran}"
@@ -67,12 +67,12 @@ def _gbuffer(instant: int, size: tuple[int, int]) -> GBuffer:
 
 
 def _labelling(stencil: Int32) -> tuple[Work, Work]:
-    labels = np.empty(stencil.shape, np.int32)
+    areas = np.empty(stencil.size + 1, np.int64)
     mask = (stencil > 0).astype(np.uint8)
     theirs = np.empty(stencil.shape, np.int32)
 
     def ours() -> int:
-        return connected_components.label_components(stencil, labels)
+        return connected_components.measure_component_areas(stencil, areas) - 1
 
     def peer() -> int:
         return cv2.connectedComponents(mask, theirs, 8, cv2.CV_32S)[0] - 1

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 from skimage.metrics import structural_similarity
 
+from exwarp_cli.domain.colour import PEAK, encode_display
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.kernels.picture_errors import SSIM_SIGMA, ssim_map
 from exwarp_cli.metrics import registry, temporal
-from exwarp_cli.metrics.display import PEAK, encode_display
 from exwarp_cli.metrics.registry import score_frame
 from tests.bench import goals
 from tests.bench.street import key_frame

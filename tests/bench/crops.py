@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
+from exwarp_cli.domain.colour import round_display
 from exwarp_cli.domain.frame import UInt8
 from exwarp_cli.io.generated_frames import read_picture
-from exwarp_cli.metrics.display import round_display
 
 SCALE = 4
 WIDTH, HEIGHT = 72, 44

@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.domain.colour import PEAK, encode_display
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io import ffmpeg
-from exwarp_cli.metrics.display import PEAK, encode_display
 
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]

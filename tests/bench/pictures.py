@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from exwarp_cli.domain.colour import encode_display
 from exwarp_cli.domain.frame import Bool, GBuffer, Image
 from exwarp_cli.domain.metric import DEFAULT_METRICS
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import RenderedScene, find_scenes
-from exwarp_cli.metrics.display import encode_display
 from exwarp_cli.metrics.registry import psnr_from_mse, score_frame
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.motion_fields import SlotField

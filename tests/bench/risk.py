@@ -20,11 +20,11 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 from scipy.stats import spearmanr
 
+from exwarp_cli.domain.colour import encode_display
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.tiles import TILE_ROWS, tile_edges
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import RenderedScene, find_scenes
-from exwarp_cli.metrics.display import encode_display
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis import predicted_error
 from exwarp_cli.synthesis.interval import Interval

@@ -18,7 +18,7 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, read_raw
 from exwarp_cli.io.shot import open_shot
-from exwarp_cli.kernels.resample import tabulate_weights
+from exwarp_cli.kernels.resample import PHASES, RADIUS
 from exwarp_cli.metrics.registry import score_frame
 from exwarp_cli.metrics.temporal import measure_pulse
 from exwarp_cli.pipeline.motion_convention import motion_names, parse_motion
@@ -86,12 +86,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for light, (codes, back) in LIGHTS.items():
         for name, kernel in KERNELS.items():
             with (
-                mock.patch.object(warp, "LANCZOS", tabulate_weights(kernel)),
+                mock.patch.object(warp, "LANCZOS", _weights(kernel)),
                 mock.patch.object(warp, "as_shown", codes),
                 mock.patch.object(warp, "as_light", back),
             ):
                 cells = [_cell(method, keys, files) for method in ("softsplat", "s6")]
             print(f"| {name} | {light} | {' | '.join(cells)} |", flush=True)
+
+
+def _weights(kernel: Curve) -> Float32:
+    """Return what `lanczos_weights` returns, of another kernel; its values need not sum to 1."""
+    offset = np.arange(1 - RADIUS, RADIUS + 1)[None] - np.arange(PHASES + 1)[:, None] / PHASES
+    weights = kernel(offset)
+    weights /= weights.sum(axis=1, keepdims=True)
+    weights[[0, -1]] = 0
+    weights[0, RADIUS - 1] = weights[-1, RADIUS] = 1
+    return weights.astype(np.float32)
 
 
 def _cell(method: str, keys: Sequence[KeyFrame], truth: Sequence[Path]) -> str:

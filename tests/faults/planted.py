@@ -58,9 +58,9 @@ DEFECTS = (
         "blend-sides",
         "kernels/blend.py",
         "early = np.float32(1) - time if shared[j] else early * (np.float32(1) - time)\n"
-        "        late = time if shared[j] else late * time",
+        "            late = time if shared[j] else late * time",
         "early = time if shared[j] else early * (np.float32(1) - time)\n"
-        "        late = np.float32(1) - time if shared[j] else late * time",
+        "            late = np.float32(1) - time if shared[j] else late * time",
         "unit/test_kernels_blend.py",
     ),
     Defect(
@@ -157,8 +157,8 @@ DEFECTS = (
     Defect(
         "flicker-pixels",
         "metrics/temporal.py",
-        "chosen = self.counted & mask",
-        "chosen = mask",
+        "else self.counted & mask",
+        "else mask",
         "unit/test_flicker.py",
     ),
     Defect(

@@ -38,10 +38,7 @@ def build(module: ModuleType, name: str, serial: bool) -> Callable[..., None]:
     kernel = getattr(module, name)
 
     def on_one_thread(*arguments: object) -> None:
-        if hasattr(kernel, "serial"):
-            kernel.serial(*arguments)
-            return
-        set_threads(1)  # a function that calls kernels
+        set_threads(1)
         try:
             kernel(*arguments)
         finally:
@@ -113,7 +110,8 @@ def followed(
 
 
 def reached(displacement: np.ndarray, serial: bool = False) -> Arrays:
-    found = np.zeros(splat.row_extents_shape(displacement.shape), np.float32)
+    height, width, _ = displacement.shape
+    found = np.zeros((height, -(-width // splat.REACH_SPAN) + 1, 2), np.float32)
     build(splat, "splat_row_extents", serial)(displacement, found)
     return (found,)
 
@@ -148,24 +146,16 @@ def marked(
     return (hole,)
 
 
-def listed(hole: np.ndarray, serial: bool = False) -> Arrays:
+def listed(hole: np.ndarray) -> Arrays:
     """Where each row's holes begin in the list, and their columns."""
-    counts, _ = holes_counted(hole, np.ones(hole.shape, np.float32), serial)
-    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-    column = np.full(first[-1], -1, np.int32)
-    build(holes, "list_holes", serial)(hole, first, column)
-    return first, column
-
-
-def holes_counted(hole: np.ndarray, depth: np.ndarray, serial: bool = False) -> Arrays:
-    counts, furthest = np.full(len(hole), -1, np.int32), np.full(len(hole), -1, np.int32)
-    build(holes, "count_holes", serial)(hole, depth.view(np.int32), counts, furthest)
-    return counts, furthest.view(np.float32)
+    rows, columns = np.nonzero(hole)
+    first = np.searchsorted(rows, np.arange(len(hole) + 1))
+    return first.astype(np.int32), columns.astype(np.int32)
 
 
 def seen(hole: np.ndarray, reach: int, serial: bool = False) -> Arrays:
     """The steps from each hole, [8, N]."""
-    first, column = listed(hole, serial)
+    first, column = listed(hole)
     steps = np.full((8, len(column)), -1, np.int16)
     build(holes, "ray_march_visible", serial)(hole, first, column, reach, steps)
     return (steps,)
@@ -181,7 +171,7 @@ def filled(
 ) -> Arrays:
     out = image.copy()
     (steps,) = seen(hole, reach, serial)
-    build(holes, "fill_holes", serial)(out, depth, *listed(hole, serial), np.float32(cap), steps)
+    build(holes, "fill_holes", serial)(out, depth, *listed(hole), np.float32(cap), steps)
     return (out,)
 
 
@@ -213,7 +203,8 @@ def settled(
 
     given = tuple(map(flat, vectors))
     out = tuple(np.full(way.shape, np.nan, np.float32) for way in given)
-    surfaces = flat(places), depth, stencil, edges_found(depth, stencil, serial)[0]
+    positions = NO_VECTORS if places is None else places
+    surfaces = positions, depth, stencil, edges_found(depth, stencil, serial)[0]
     build(silhouettes, "clean_vectors", serial)(given, surfaces, cameras, np.float32(0.25), out)
     return tuple(way.reshape(*depth.shape, 2) if way.size else way for way in out)
 
@@ -235,10 +226,9 @@ def moving_edges_found(
 
 
 def blended(before: Side, after: Side, time: float, serial: bool = False) -> Arrays:
-    out, depth = np.zeros_like(before[0]), np.zeros_like(before[1])
-    hole = np.zeros(depth.shape, np.bool_)
-    build(blend, "blend", serial)(before, after, np.float32(time), out, depth, hole)
-    return out, depth, hole
+    """Pixels, depth, hole and ghost of either side, blended as the synthesis does."""
+    later, depth, hole = weighed(before[1:], after[1:], time, serial)
+    return (*mixed(before[0], after[0], later, serial), depth, hole)
 
 
 def weighed(before: Seen, after: Seen, time: float, serial: bool = False) -> Arrays:
@@ -303,11 +293,9 @@ def counted(
     return (counts,)
 
 
-def labelled(stencil: np.ndarray) -> Arrays:
-    labels = np.full(stencil.shape, -1, np.int32)
-    connected_components.label_components(stencil, labels)
+def areas_measured(stencil: np.ndarray) -> Arrays:
     areas = np.full(stencil.size + 1, -1, np.int64)
-    return labels, areas[: connected_components.measure_component_areas(stencil, areas)]
+    return (areas[: connected_components.measure_component_areas(stencil, areas)],)
 
 
 def scaled(
@@ -318,18 +306,6 @@ def scaled(
     scale = build(raw_channels, "scale_vectors", serial)
     scale(raw, axes, (np.float32(x), np.float32(y)), out)
     return (out,)
-
-
-def picked(values: np.ndarray, shown: np.ndarray, ends: Pair, serial: bool = False) -> Arrays:
-    out = np.full(
-        (frame_statistics.MEDIAN_BANDS, -(-values.size // frame_statistics.MEDIAN_BANDS) + 1),
-        -1,
-        np.float32,
-    )
-    counts = np.full((frame_statistics.MEDIAN_BANDS, 3), -1, np.int64)
-    build(frame_statistics, "pick_between", serial)(values, shown, *ends, out, counts)
-    # What lies beyond is whatever was passed over last.
-    return counts, *(some[:count] for some, count in zip(out, counts[:, 2], strict=True))
 
 
 def rounded(values: np.ndarray) -> Arrays:
@@ -358,15 +334,9 @@ def missed_along(
     return (losses,)
 
 
-def decoded(image: np.ndarray, serial: bool = False) -> Arrays:
+def opponent_written(image: np.ndarray, gain: float = 0, serial: bool = False) -> Arrays:
     planes = np.full((picture_errors.OPPONENT_PLANES, *image.shape[:2]), np.nan, np.float32)
-    build(picture_errors, "decode_opponent", serial)(image, planes)
-    return (planes,)
-
-
-def exposed(image: np.ndarray, gain: float, serial: bool = False) -> Arrays:
-    planes = np.full((picture_errors.OPPONENT_PLANES, *image.shape[:2]), np.nan, np.float32)
-    build(picture_errors, "expose_opponent", serial)(image, np.float32(gain), planes)
+    build(picture_errors, "write_opponent", serial)(image, np.float32(gain), planes)
     return (planes,)
 
 
@@ -409,9 +379,7 @@ def adopted(
     cap, reach = limits
     (steps,) = seen(hole, reach, serial)
     out, side = pixel.copy(), later.copy()
-    build(blend, "adopt_sources", serial)(
-        out, side, depth, *listed(hole, serial), np.float32(cap), steps
-    )
+    build(blend, "adopt_sources", serial)(out, side, depth, *listed(hole), np.float32(cap), steps)
     return out, side
 
 

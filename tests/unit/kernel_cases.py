@@ -191,7 +191,13 @@ def unbounded(seed: int) -> np.ndarray:
 
 
 def opponents(seed: int) -> np.ndarray:
-    return calls.decoded(encoded(seed), serial=True)[0]
+    return calls.opponent_written(encoded(seed), serial=True)[0]
+
+
+def write_opponent(serial: bool) -> calls.Arrays:
+    """Of a display-encoded image, and of a scene-linear one at an exposure."""
+    decoded = calls.opponent_written(encoded(40), 0, serial)
+    return decoded + calls.opponent_written(unbounded(41), 3.5, serial)
 
 
 def differ(serial: bool) -> calls.Arrays:
@@ -213,8 +219,6 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "splat_row_extents": lambda serial: calls.reached(field(2), serial),
     "splat": lambda serial: calls.splatted(field(2), depth(2), serial),
     "mark_holes": mark,
-    "count_holes": lambda serial: calls.holes_counted(ids(26) > 0, depth(26), serial),
-    "list_holes": lambda serial: calls.listed(ids(26) > 0, serial),
     "fill_holes": fill,
     "quadratic_displacement": lambda serial: calls.displaced(field(27), field(28), 0.75, serial),
     "ray_march_visible": lambda serial: calls.seen(ids(26) > 0, 9, serial),
@@ -231,13 +235,9 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "find_fringe": lambda serial: calls.fringe_found(field(18), depth(18), depth(19), serial),
     "block_means": lambda serial: calls.averaged(field(34), 8, shown(35), serial),
     "scale_vectors": scale,
-    "pick_between": lambda serial: calls.picked(
-        depth(70).reshape(-1), shown(71).reshape(-1), (np.float32(2), np.float32(6)), serial
-    ),
     "write_ranges": lambda serial: calls.extended(image(36), shown(37), serial),
     "count_histograms": count,
-    "decode_opponent": lambda serial: calls.decoded(encoded(40), serial),
-    "expose_opponent": lambda serial: calls.exposed(unbounded(41), 3.5, serial),
+    "write_opponent": write_opponent,
     "write_perceived": lambda serial: calls.perceived(opponents(42), serial),
     "raise_flip_error": differ,
     "choose_sources": choose,
@@ -255,6 +255,6 @@ ONE_BUILD: dict[str, Callable[[], calls.Arrays]] = {
         scattered(68)[:, :1] + np.zeros(image(67).shape[2]),
         scattered(69)[:, 0] ** 2,
     ),
-    "label": lambda: calls.labelled(ids(38) * ids(39)),
+    "label": lambda: calls.areas_measured(ids(38) * ids(39)),
 }
 """Kernels that are only serial: compiled and interpreted."""

@@ -6,28 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from exwarp_cli.kernels import gather, network_planes, point_motion, projection
+from exwarp_cli.kernels import gather, network_planes, point_motion
 from tests.unit import kernel_calls as calls
 from tests.unit import kernel_cases as cases
 from tests.unit.kernel_calls import Arrays, build
 
 Frame = tuple[np.ndarray, np.ndarray]
 NO_PLANE = np.zeros((0, 0), np.float32)
-
-
-def stood(
-    position: np.ndarray | None,
-    depth: np.ndarray,
-    cameras: tuple[np.ndarray, np.ndarray],
-    step: np.ndarray,
-    tolerance: float,
-    serial: bool = False,
-) -> Arrays:
-    out = np.zeros(depth.shape, np.bool_)
-    places = calls.NO_VECTORS if position is None else position
-    call = build(projection, "mark_static", serial)
-    call(places, depth, *cameras, step, np.float32(tolerance), out)
-    return (out,)
 
 
 def shown_followed(
@@ -51,21 +36,22 @@ def taken_over(
     serial: bool = False,
     blanks: bool = False,
 ) -> Arrays:
-    """Parts and colours as the kernel has them, but colours [H, W, 3]."""
+    """Parts and colours as frames have them; empty ones are unknown."""
     made = tuple(np.full_like(part, -9) for part in parts)
+    planes = [
+        tuple(
+            part.reshape(*part.shape[:2], -1) if part.size else np.zeros((0, 0, 0), np.float32)
+            for part in group
+        )
+        for group in (parts, made)
+    ]
     mixed = tuple(np.full_like(colour, -9) for colour in colours)
     rest = unknown.copy()
     flat = [tuple(colour.reshape(-1) for colour in group) for group in (colours, mixed)]
-    build(point_motion, "copy_surface", serial)(field, parts, flat[0], made, flat[1], rest, blanks)
+    build(point_motion, "copy_surface", serial)(
+        field, planes[0], flat[0], planes[1], flat[1], rest, blanks
+    )
     return (*made, *mixed, rest)
-
-
-def gone_on(
-    predicted: np.ndarray, moved: np.ndarray, lost: np.ndarray, serial: bool = False
-) -> Arrays:
-    out, missed = moved.copy(), lost.copy()
-    build(point_motion, "fill_predicted", serial)(predicted, out, missed)
-    return out, missed
 
 
 def spread(
@@ -81,23 +67,6 @@ def spread(
     defaults, corner = (0.5, 0.25, 0.0), (rows.start, columns.start)
     call = build(network_planes, "write_input_planes", serial)
     call(frames, filled, parts, defaults, np.float32(median), corner, out)
-    return (out,)
-
-
-def joined(
-    colour: np.ndarray, modulation: np.ndarray | None, filled: np.ndarray, serial: bool = False
-) -> Arrays:
-    out = np.full_like(filled, np.nan)
-    given = calls.NO_VECTORS if modulation is None else modulation
-    build(network_planes, "write_network_frame", serial)(colour, given, filled, out)
-    return (out,)
-
-
-def demodulated(
-    pixels: np.ndarray, albedo: np.ndarray, specular: np.ndarray, serial: bool = False
-) -> Arrays:
-    out = np.full_like(pixels, np.nan)
-    build(network_planes, "divide_by_albedo", serial)(pixels, albedo, specular, (0.2, 2.0), out)
     return (out,)
 
 
@@ -154,13 +123,6 @@ def colours(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return cases.image(seed)[..., :3].copy(), np.abs(cases.vectors(seed, 0.4, (1, 0, 0)))
 
 
-def _standing(serial: bool) -> Arrays:
-    """With positions, and by depth alone."""
-    places, depth, step = cases.wide(cases.vectors(23, 0.3)), cases.depth(24), cases.field(25)
-    placed = stood(places, depth, cameras(22), step, 2.0, serial)
-    return placed + stood(None, depth, cameras(22), step, 2.0, serial)
-
-
 def _follow_shown(serial: bool) -> Arrays:
     """With ids, and without."""
     moved, lost = cases.field(31), seen(34)
@@ -186,14 +148,6 @@ def _spread(serial: bool) -> Arrays:
     return full + spread(frames, filled, nothing, 1.0, slice(3, 9), slice(2, 7), serial)
 
 
-def _join(serial: bool) -> Arrays:
-    """With and without surface colour."""
-    filled = frame(79)[0]
-    colour = np.ascontiguousarray(frame(80)[0][..., :3].transpose(2, 0, 1))
-    divided = joined(colour, np.abs(cases.vectors(81, 0.3)), filled, serial)
-    return divided + joined(colour, None, filled[..., :3].copy(), serial)
-
-
 def _raise_bounds(serial: bool) -> Arrays:
     """All pixels of a frame, and those whose alpha is 0 alone."""
     pixels = cases.image(87)
@@ -211,13 +165,9 @@ def _hold(serial: bool) -> Arrays:
 
 
 CASES: dict[str, Callable[[bool], Arrays]] = {
-    "mark_static": _standing,
     "follow_visible": _follow_shown,
     "copy_surface": _take_over,
-    "fill_predicted": lambda serial: gone_on(cases.field(82), cases.field(83), seen(84), serial),
     "write_input_planes": _spread,
-    "write_network_frame": _join,
     "raise_bounds": _raise_bounds,
     "clamp_to_bounds": _hold,
-    "divide_by_albedo": lambda serial: demodulated(frame(85)[0], *colours(86), serial),
 }

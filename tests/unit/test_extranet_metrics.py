@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from exwarp_cli.domain.colour import round_display
 from exwarp_cli.io.display_colour import to_display
-from exwarp_cli.metrics.display import round_display
 from exwarp_cli.metrics.registry import score_like_extranet, uniform_ssim
 from tests.reference import quality, scikit
 

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from exwarp_cli.domain.colour import encode_display
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.kernels._compile import kernel
 from exwarp_cli.kernels.picture_errors import power
 from exwarp_cli.metrics import registry
-from exwarp_cli.metrics.display import encode_display
 from tests.reference import flip as naive
 
 Pair = tuple[np.ndarray, np.ndarray]

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from exwarp_cli.domain.colour import encode_display
 from exwarp_cli.domain.frame import GBuffer, Window
-from exwarp_cli.metrics.display import encode_display
 from exwarp_cli.metrics.registry import METRICS
 from exwarp_cli.synthesis import motion_fields
 from exwarp_cli.synthesis.gbuffer_values import (

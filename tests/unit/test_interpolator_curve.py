@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from exwarp_cli.domain.colour import ENCODINGS, MIN_WHITE, ShoulderCurve
-from exwarp_cli.metrics.display import PEAK, encode_display
+from exwarp_cli.domain.colour import ENCODINGS, MIN_WHITE, PEAK, ShoulderCurve, encode_display
 from tests.reference import curve as reference
 
 PEAKS = (1.0, 1.0001, 1.5, 4.0, 1000.0, 65504.0, 1e30)

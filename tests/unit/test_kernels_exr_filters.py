@@ -100,6 +100,6 @@ def test_rounding_to_half_interpreted(tmp_path):
 def test_depths_that_are_known(values, far):
     depth = np.array([*values, far, 0.0, -0.0, np.nan], np.float32)
     out = np.empty_like(depth)
-    write_depths(depth, np.float32(far), out)
+    write_depths(depth, np.zeros(0, np.float32), np.float32(far), out)
     expected = [value if 0 < value < far else np.inf for value in depth.tolist()]
     assert out.tolist() == expected

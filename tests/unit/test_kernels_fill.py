@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.synthesis.warp import fill_holes
+from exwarp_cli.synthesis.warp import BEYOND, fill_holes, find_hole_neighbours
 from tests.reference import fill as naive
-from tests.unit.kernel_calls import filled, holes_counted, listed, seen
+from tests.unit.kernel_calls import filled, seen
 
 SHAPE = (14, 17)
 WALL = np.full(SHAPE, 5, np.float32)
@@ -26,15 +26,16 @@ def scene(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 class TestFill:
     @pytest.mark.parametrize("seed", [0, 1])
-    def test_counting_and_listing_equal_the_naive_twins(self, seed):
+    def test_holes_are_listed_as_by_the_naive_twins(self, seed):
         _, depth, hole = scene(seed)
         hole[2], depth[5] = True, np.inf
-        counts, furthest = holes_counted(hole, depth)
-        expected = naive.count_holes(hole, depth)
-        assert (counts.tolist(), furthest.tolist()) == expected
-        first, column = listed(hole)
-        assert column.tolist() == naive.list_holes(hole)
-        assert np.diff(first).tolist() == expected[0]
+        found = find_hole_neighbours(depth, hole)
+        assert found is not None
+        counts, furthest = naive.count_holes(hole, depth)
+        assert found.column.tolist() == naive.list_holes(hole)
+        assert np.diff(found.first).tolist() == counts
+        assert found.cap == np.float32(BEYOND * max(furthest))
+        assert find_hole_neighbours(depth, np.zeros_like(hole)) is None
 
     @pytest.mark.parametrize("seed", [0, 1])
     @pytest.mark.parametrize("reach", [2, 20])

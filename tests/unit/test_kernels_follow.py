@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.kernels.point_motion import sample_step
 from tests.reference.follow import follow
-from tests.unit.kernel_calls import NO_IDS, followed
+from tests.unit.kernel_calls import followed
 from tests.unit.kernel_cases import SHAPE, depth, field, ids
-
-EXACT = np.float32(0), np.float32(0)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -33,20 +30,6 @@ def test_with_depths_it_is_the_naive_twin(seed, known, rounded):
     (found,) = followed(step, expected, moved, stencils, depths=depths, rounded=rounded)
     twin = follow(step, expected, moved, stencils, depths=depths, rounded=rounded)
     np.testing.assert_allclose(found, twin, atol=2e-4)
-
-
-def test_both_ways_through_the_kernel_add_up_the_same_bits():
-    """Beyond an edge of NaN, samples are taken one by one; without it, all four at once."""
-    step, expected, moved = np.nan_to_num(field(3)), field(13), np.nan_to_num(field(23))
-    depths = depth(3), depth(43)
-    (inside,) = followed(step, expected, moved, depths=depths)
-    shown = NO_IDS, depths[0], EXACT, np.float32(0.02)
-    bits = np.empty_like(moved)
-    for i, j in np.ndindex(SHAPE):
-        place = np.float32(j) + moved[i, j, 0], np.float32(i) + moved[i, j, 1]
-        point = np.int32(-2), depths[1][i, j]
-        bits[i, j] = sample_step(step, shown, point, place, tuple(expected[i, j]))
-    np.testing.assert_array_equal(inside, moved + bits)
 
 
 def constant(x: float, y: float) -> np.ndarray:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window
+from exwarp_cli.synthesis.extrapolation import BRIGHTEST, DARKEST, demodulated
 from tests.reference import slot_planes as naive
 from tests.unit import slot_kernel_calls as calls
 from tests.unit.kernel_cases import SHAPE
@@ -35,25 +37,16 @@ def test_what_is_not_shown_keeps_the_sign_of_its_nothing():
     np.testing.assert_array_equal(np.signbit(found[:3][:, ~seen].T), hidden)
 
 
-@pytest.mark.parametrize("modulated", [True, False])
-@pytest.mark.parametrize("channels", [3, 4, 5])
-def test_an_answer_becomes_a_frame(modulated, channels):
-    rng = np.random.default_rng(channels)
-    filled = rng.normal(size=(*SHAPE, channels)).astype(np.float32)
-    colour = rng.normal(size=(3, *SHAPE)).astype(np.float32)
-    modulation = rng.uniform(0.2, 2, (*SHAPE, 3)).astype(np.float32) if modulated else None
-    (found,) = calls.joined(colour, modulation, filled)
-    expected = colour.transpose(1, 2, 0) * (1 if modulation is None else modulation)
-    np.testing.assert_array_equal(found, np.concatenate([expected, filled[..., 3:]], axis=-1))
-
-
 def test_shading_is_colour_without_the_surface_s():
     pixels = calls.frame(6)[0]
     albedo = np.full((*SHAPE, 3), 0.3, np.float32)
     specular = np.full((*SHAPE, 3), 0.3, np.float32)
     albedo[:5], specular[5:9], albedo[9:12] = 0, 5, 0.1
     specular[9:12] = 0
-    (found,) = calls.demodulated(pixels, albedo, specular)
-    surface = np.clip(albedo + specular, np.float32(0.2), np.float32(2))
+    window = Window(0, 0, SHAPE[1], SHAPE[0])
+    gbuffer = GBuffer(window, albedo=albedo, specular=specular)
+    found = demodulated(KeyFrame(1, Image(pixels, window, window), gbuffer))
+    assert found is not None
+    surface = np.clip(albedo + specular, np.float32(DARKEST), np.float32(BRIGHTEST))
     np.testing.assert_array_equal(found[..., :3], pixels[..., :3] / surface)
     np.testing.assert_array_equal(found[..., 3], pixels[..., 3])

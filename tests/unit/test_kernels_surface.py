@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from exwarp_cli.synthesis.camera import Scene, standing
 from tests.reference import gather as naive_gather
 from tests.reference import project as naive_project
 from tests.reference import slot_planes as naive
@@ -50,20 +51,15 @@ def test_points_follow_what_is_shown_where_they_are(seed):
     np.testing.assert_array_equal(found, same)
 
 
-def test_points_that_are_lost_go_on_where_a_place_is_predicted():
-    moved, predicted = np.zeros((2, 2, 2), np.float32), np.ones((2, 2, 2), np.float32)
-    moved[0], predicted[:, 0] = np.nan, np.nan
-    found, lost = calls.gone_on(predicted, moved, np.ones((2, 2), bool))
-    np.testing.assert_array_equal(found[..., 0], [[np.nan, 1], [0, 0]])
-    np.testing.assert_array_equal(lost, [[True, False], [True, True]])
-
-
 @pytest.mark.parametrize("placed", [True, False])
 def test_what_stands_still_moves_as_the_cameras_do(placed):
     position = wide(vectors(1, 0.3)) if placed else None
     motion = naive_project.rigid(position, depth(2), *calls.cameras(3))
     step = (motion + np.random.default_rng(4).normal(0, 0.3, motion.shape)).astype(np.float32)
-    (found,) = calls.stood(position, depth(2), calls.cameras(3), step, 0.25)
+    camera, at_infinity = calls.cameras(3)
+    positions = np.zeros((0, 0, 3), np.float32) if position is None else position
+    to_ray = np.linalg.inv(camera[:, :3]) @ at_infinity
+    found = standing(Scene(positions, depth(2), to_ray), camera, step, 0.25)
     away = np.abs(step - motion).max(axis=-1)
     clear = np.abs(away - 0.25) > 1e-4
     np.testing.assert_array_equal(found[clear], (away <= 0.25)[clear])

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exwarp_cli.domain import metric as metric_names
+from exwarp_cli.domain.colour import encode_display
 from exwarp_cli.domain.results import Score
 from exwarp_cli.metrics import registry
-from exwarp_cli.metrics.display import encode_display
 from exwarp_cli.metrics.registry import FRAME_METRICS, LINEAR_METRICS, METRICS, score_frame
 from tests.reference import quality, scikit
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from exwarp_cli.domain.colour import encode_display
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io import ffmpeg as module
 from exwarp_cli.io.ffmpeg import minterpolate
-from exwarp_cli.metrics.display import encode_display
 
 STEP = 8
 """Pixels that the picture moves in a key interval."""

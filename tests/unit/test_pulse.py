@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.metrics.display import PEAK
+from exwarp_cli.domain.colour import PEAK
 from exwarp_cli.metrics.registry import score_frame
 from exwarp_cli.metrics.temporal import (
     MAX_PULSE,

@@ -21,11 +21,11 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.accelerator.mlp import QuantisedMlp
+from exwarp_cli.domain.colour import encode_display
 from exwarp_cli.domain.tiles import LOOK_AHEAD_FEATURES, LOOK_AHEAD_STATE
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.files import atomic_write_text, make_folder
-from exwarp_cli.metrics.display import encode_display
 from exwarp_cli.models.picture_network import OnnxLookAhead, load_lookahead
 from exwarp_cli.models.policy_files import SHIPPED_LOOK_AHEAD_POLICY, save_network
 from exwarp_cli.policy.state import INPUTS, look_ahead_inputs

@@ -24,6 +24,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from exwarp_cli.accelerator.mlp import QuantisedMlp
+from exwarp_cli.domain.colour import encode_display
 from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.network_api import NetworkModel
 from exwarp_cli.domain.tiles import REWARP, TILE_FEATURES, TILE_STATE
@@ -31,7 +32,6 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
 from exwarp_cli.io.files import atomic_write_text, make_folder
-from exwarp_cli.metrics.display import encode_display
 from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import OnnxExtrapolator
 from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, save_network

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from exwarp_cli.accelerator.mlp import to_fixed
+from exwarp_cli.domain.colour import encode_display
 from exwarp_cli.domain.decision import PATHS
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.metrics.display import encode_display
 from exwarp_cli.metrics.registry import METRICS
 from exwarp_cli.models.model_file import CHECKSUMS, shipped_folder
 from exwarp_cli.models.picture_network import (
