@@ -138,7 +138,12 @@ def exwarp(ctx: click.Context, config: str | None) -> None:
 
 def main() -> NoReturn:
     """Run the command line of this process and exit with its code."""
-    _use_utf8()
+    # OpenEXR, farms and renderers name files in UTF-8, whatever the locale of this terminal is. So
+    # start again in Python's UTF-8 mode where the locale has another encoding.
+    is_utf8 = os.name == "nt" or sys.getfilesystemencoding() == "utf-8"
+    if not is_utf8 and "PYTHONUTF8" not in os.environ and sys.executable:
+        os.environ["PYTHONUTF8"] = "1"
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
     codes: list[int] = []
     if is_supervised():
         atexit.register(_exit_now, codes)  # before all others, which run before it
@@ -167,18 +172,6 @@ def main() -> NoReturn:
         code = code or _fail(str(error), error.exit_code)
     codes.append(code)
     sys.exit(code)
-
-
-def _use_utf8() -> None:
-    """Start again in Python's UTF-8 mode where the locale has another encoding.
-
-    OpenEXR, farms and renderers name files in UTF-8, whatever the locale of this terminal is.
-    """
-    is_utf8 = os.name == "nt" or sys.getfilesystemencoding() == "utf-8"
-    if is_utf8 or "PYTHONUTF8" in os.environ or not sys.executable:
-        return
-    os.environ["PYTHONUTF8"] = "1"
-    os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
 def _exit_now(codes: list[int]) -> None:

@@ -223,6 +223,7 @@ def summary_lines(
         describe_nonfinite,
         describe_review,
         format_rendered,
+        format_time,
     )
 
     frames, fps, gate = document["frames"], document["fps"], document["decisions"]["gate"]
@@ -247,7 +248,15 @@ def summary_lines(
         (document["nonfinite"], describe_nonfinite),
     )
     lines += [describe(value) for value, describe in remarks if value]
-    return lines + _file_lines(document)
+    if document["verified"] is not None:
+        lines.append(f"{pluralise(document['verified'], 'file')} read back, all as written")
+    if (times := document["render_time"]) is not None:  # by the renderer's own times
+        lines.append(
+            f"render time saved: {format_time(times['saved_s'])} ({times['saved_share']:.0%}); "
+            f"a key frame took {format_time(times['key_frame_s'])} to render, a new one takes "
+            f"{format_time(times['generated_frame_s'])}"
+        )
+    return lines
 
 
 def _decision_lines(decisions: dict[str, Any]) -> list[str]:
@@ -289,20 +298,4 @@ def _quality_lines(document: dict[str, Any], is_scored: bool | None) -> list[str
         mean, worst = (BY_OPTION["pulse"].with_unit(pulse[name]) for name in ("mean", "worst"))
         count = pluralise(pulse["frames"], "frame")
         lines.append(f"pulse against {pulse['against']} ({count}): {mean}, at worst {worst}")
-    return lines
-
-
-def _file_lines(document: dict[str, Any]) -> list[str]:
-    """Say what was read back, and what rendering would have taken by the renderer's own times."""
-    from exwarp_cli.report.sentences import format_time
-
-    lines = []
-    if document["verified"] is not None:
-        lines.append(f"{pluralise(document['verified'], 'file')} read back, all as written")
-    if (times := document["render_time"]) is not None:
-        lines.append(
-            f"render time saved: {format_time(times['saved_s'])} ({times['saved_share']:.0%}); "
-            f"a key frame took {format_time(times['key_frame_s'])} to render, a new one takes "
-            f"{format_time(times['generated_frame_s'])}"
-        )
     return lines
