@@ -14,7 +14,6 @@ import os.path
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -303,11 +302,11 @@ _Dumper.add_representer(
 
 def yaml_text(document: Data) -> str:
     """Write a document as YAML that every version reads alike."""
-    dump = partial(yaml.dump, document, Dumper=_Dumper, sort_keys=False, width=100)
-    text: str = dump(allow_unicode=True)
+    style: dict[str, Any] = {"Dumper": _Dumper, "sort_keys": False, "width": 100}
+    text: str = yaml.dump(document, allow_unicode=True, **style)
     if has_control_chars(text.replace("\n", "")):
         # Invisible characters, such as marks that turn the direction of a line, are escaped.
-        text = dump(allow_unicode=False)
+        text = yaml.dump(document, allow_unicode=False, **style)
     return text
 
 
