@@ -79,24 +79,16 @@ class LazyGroup(click.Group):
         """Return the names of the commands, in the order of the table."""
         return list(COMMANDS)
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command."""
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command:
+        """Import a command; UsageError where there is none of that name."""
         if cmd_name not in COMMANDS:
-            return None
+            if ctx.resilient_parsing:  # a shell asks for completions, and there are none
+                return click.Command(cmd_name)
+            ctx.fail(f"there is no command {cmd_name!r}; the commands are {', '.join(COMMANDS)}")
         from exwarp_cli.commands.options import with_settings
 
         module = importlib.import_module(f"exwarp_cli.commands.{cmd_name.replace('-', '_')}")
         return with_settings(module.command, (cmd_name,), completing=ctx.resilient_parsing)
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command that the arguments name."""
-        if args[0] not in COMMANDS:
-            if ctx.resilient_parsing:  # a shell asks for completions, and there are none
-                return args[0], click.Command(args[0]), []
-            ctx.fail(f"there is no command {args[0]!r}; the commands are {', '.join(COMMANDS)}")
-        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing any."""
