@@ -219,8 +219,7 @@ def tile_policy(
     require_train()
     from exwarp_cli.research.training.tile_policy_training import TRAINING
 
-    settings = TilePolicySettings(**options)  # type: ignore[arg-type]
-    _train_tiles(TRAINING, (data, extrapolator, tables), output, settings, as_json)
+    _train_tiles(TRAINING, (data, extrapolator, tables), output, as_json, options)
 
 
 @command.command("look-ahead-policy", context_settings={"show_default": True})
@@ -243,18 +242,17 @@ def look_ahead_policy(
     require_train()
     from exwarp_cli.research.training.look_ahead_policy import TRAINING
 
-    settings = TilePolicySettings(**options)  # type: ignore[arg-type]
-    _train_tiles(TRAINING, (data, interpolator, tables), output, settings, as_json)
+    _train_tiles(TRAINING, (data, interpolator, tables), output, as_json, options)
 
 
 def _train_tiles(
     training: TileTraining[Any, Any],
     sources: tuple[Path | None, Path | None, Path | None],  # scenes, network, tables
     output: Path,
-    settings: TilePolicySettings,
     as_json: bool,
+    options: dict[str, Any],  # of TilePolicySettings
 ) -> None:
-    """Train a policy of tiles, and print its scores."""
+    settings = TilePolicySettings(**options)
     require_sane_policy(settings)
     found = training.find(*sources, output, _say)
     scores = training.train(found, output, settings, _say)

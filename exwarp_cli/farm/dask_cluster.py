@@ -303,7 +303,6 @@ def chunks_of(
 
 
 def _spread(where: ClusterSettings, workers: int, threads: int | None) -> str:
-    """Describe the workers, for a message."""
     if where.address is not None:
         return f"{pluralise(workers, 'worker')} of {where.address}"
     each = pluralise(threads_per_worker(workers, threads), "thread")
