@@ -79,24 +79,16 @@ class LazyGroup(click.Group):
         """Return the names of the commands, in the order of the table."""
         return list(COMMANDS)
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command."""
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command:
+        """Import a command; UsageError where there is none of that name."""
         if cmd_name not in COMMANDS:
-            return None
+            if ctx.resilient_parsing:  # a shell asks for completions, and there are none
+                return click.Command(cmd_name)
+            ctx.fail(f"there is no command {cmd_name!r}; the commands are {', '.join(COMMANDS)}")
         from exwarp_cli.commands.options import with_settings
 
         module = importlib.import_module(f"exwarp_cli.commands.{cmd_name.replace('-', '_')}")
         return with_settings(module.command, (cmd_name,), completing=ctx.resilient_parsing)
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command that the arguments name."""
-        if args[0] not in COMMANDS:
-            if ctx.resilient_parsing:  # a shell asks for completions, and there are none
-                return args[0], click.Command(args[0]), []
-            ctx.fail(f"there is no command {args[0]!r}; the commands are {', '.join(COMMANDS)}")
-        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing any."""
@@ -138,7 +130,12 @@ def exwarp(ctx: click.Context, config: str | None) -> None:
 
 def main() -> NoReturn:
     """Run the command line of this process and exit with its code."""
-    _use_utf8()
+    # OpenEXR, farms and renderers name files in UTF-8, whatever the locale of this terminal is. So
+    # start again in Python's UTF-8 mode where the locale has another encoding.
+    is_utf8 = os.name == "nt" or sys.getfilesystemencoding() == "utf-8"
+    if not is_utf8 and "PYTHONUTF8" not in os.environ and sys.executable:
+        os.environ["PYTHONUTF8"] = "1"
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
     codes: list[int] = []
     if is_supervised():
         atexit.register(_exit_now, codes)  # before all others, which run before it
@@ -167,18 +164,6 @@ def main() -> NoReturn:
         code = code or _fail(str(error), error.exit_code)
     codes.append(code)
     sys.exit(code)
-
-
-def _use_utf8() -> None:
-    """Start again in Python's UTF-8 mode where the locale has another encoding.
-
-    OpenEXR, farms and renderers name files in UTF-8, whatever the locale of this terminal is.
-    """
-    is_utf8 = os.name == "nt" or sys.getfilesystemencoding() == "utf-8"
-    if is_utf8 or "PYTHONUTF8" in os.environ or not sys.executable:
-        return
-    os.environ["PYTHONUTF8"] = "1"
-    os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
 def _exit_now(codes: list[int]) -> None:

@@ -72,7 +72,17 @@ def toml_value(option: click.Option, value: object, folder: Path, origin: str) -
 
     Relative paths begin at `folder`. Raises UsageError for a value of a wrong type.
     """
-    expected, types = _expected_types(option)
+    types: tuple[type, ...]
+    if option.is_flag:
+        expected, types = "true or false", (bool,)
+    elif isinstance(option.type, click.IntRange | type(click.INT)):
+        expected, types = "a whole number", (int,)
+    elif isinstance(option.type, click.FloatRange | type(click.FLOAT)):
+        expected, types = "a number", (int, float)
+    elif names_paths(option):
+        expected, types = "text, a path", (str,)
+    else:
+        expected, types = "text", (str, int, float)
     # One value may hold several, with commas between.
     is_list = bool(_metavar_words(option) & LIST_WORDS) or "," in (option.metavar or "")
     has_several = option.multiple or (isinstance(option.type, StringParamType) and is_list)
@@ -92,17 +102,6 @@ def toml_value(option: click.Option, value: object, folder: Path, origin: str) -
     if isinstance(value, list):
         return ",".join(map(str, items))
     return _anchored(option, str(value), folder)
-
-
-def _expected_types(option: click.Option) -> tuple[str, tuple[type, ...]]:
-    """Return the name of what a config file may hold for an option, and the types."""
-    if option.is_flag:
-        return "true or false", (bool,)
-    if isinstance(option.type, click.IntRange | type(click.INT)):
-        return "a whole number", (int,)
-    if isinstance(option.type, click.FloatRange | type(click.FLOAT)):
-        return "a number", (int, float)
-    return ("text, a path", (str,)) if names_paths(option) else ("text", (str, int, float))
 
 
 def _anchored(option: click.Option, text: str, folder: Path) -> str:

@@ -84,20 +84,18 @@ class SuggestedText(StringParamType):
             return [CompletionItem(incomplete, type="file")]
         if not equals:
             return [CompletionItem(f"{name}=") for name in ROLES if name.startswith(role)]
-        return [CompletionItem(f"{role}={text}") for text in _paths_from(path)]
-
-
-def _paths_from(start: str) -> Iterator[str]:
-    """Yield files and folders whose paths begin so; shells do it where a path is the whole word."""
-    folder, name = os.path.split(start)
-    try:
-        entries = sorted(Path(folder or ".").iterdir())
-    except OSError:
-        return
-    for entry in entries:
-        if entry.name.startswith(name) and (name.startswith(".") or entry.name[0] != "."):
-            slash = "/" if entry.is_dir() else ""
-            yield f"{folder}{'/' if folder not in ('', '/') else ''}{entry.name}{slash}"
+        # Shells list files themselves only where a path is the whole word.
+        folder, name = os.path.split(path)
+        begin = f"{role}={folder}" if folder in ("", "/") else f"{role}={folder}/"
+        try:
+            entries = sorted(Path(folder or ".").iterdir())
+        except OSError:
+            return []
+        return [
+            CompletionItem(f"{begin}{entry.name}{'/' if entry.is_dir() else ''}")
+            for entry in entries
+            if entry.name.startswith(name) and (name.startswith(".") or entry.name[0] != ".")
+        ]
 
 
 def with_suggestions(command: click.Command) -> click.Command:

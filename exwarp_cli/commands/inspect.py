@@ -123,9 +123,18 @@ def _finding_lines(inspection: Inspection, data: Mapping[str, Any]) -> Iterator[
 
 def _structure_lines(data: dict[str, Any]) -> list[str]:
     """Say what else there is: pictures, views, AOVs' files, tiles, deep parts, Cryptomattes."""
+    from exwarp_cli.io.cryptomatte import MAX_NAMES, quote_name
+
     lines = []
-    if data["pictures"] is not None:
-        lines += [_pictures_line(data["pictures"]), _ESTIMATED]
+    if (pictures := data["pictures"]) is not None:
+        line = f"{pictures['kind']} of {pictures['bits']} bits, {pictures['colour']}"
+        if pictures["pixel_aspect"] != 1:
+            line += f", pixel aspect {pictures['pixel_aspect']:g}"
+        if pictures["alpha"] is not None:
+            line += f", alpha {pictures['alpha']}"
+        if pictures["kind"] == "video":
+            line += f", sound {', '.join(pictures['sound'])}" if pictures["sound"] else ", no sound"
+        lines += [line, _ESTIMATED]
     if data["views"]:
         lines.append(f"views {', '.join(data['views'])}; shown is {data['view']}")
     lines += [f"AOV {aov} in {pattern}" for aov, pattern in data["aovs"].items()]
@@ -135,30 +144,16 @@ def _structure_lines(data: dict[str, Any]) -> list[str]:
         if names:
             subject = "the file" if len(names) == len(parts) else f"part {', '.join(names)}"
             lines.append(f"{subject} is {meaning}")
-    lines += [_cryptomatte_line(matte) for matte in data["cryptomattes"]]
+    for matte in data["cryptomattes"]:
+        name = matte["name"] if matte["aov"] is None else f"{matte['aov']}:{matte['name']}"
+        subject = f"Cryptomatte {name} ({matte['kind']})"
+        if matte["problem"]:
+            lines.append(f"{subject}: {matte['problem']}")
+            continue
+        names, count = matte["names"], len(matte["names"])
+        listed = ", ".join(map(quote_name, names[:MAX_NAMES]))
+        more = f" and {count - MAX_NAMES} more" if count > MAX_NAMES else ""
+        lines.append(f"{subject}, {pluralise(count, 'name')}: {listed}{more}")
     if data["dynamic"] is not None:
         lines.append(f"moving by name: {', '.join(data['dynamic'])}")
     return lines
-
-
-def _pictures_line(pictures: dict[str, Any]) -> str:
-    line = f"{pictures['kind']} of {pictures['bits']} bits, {pictures['colour']}"
-    if pictures["pixel_aspect"] != 1:
-        line += f", pixel aspect {pictures['pixel_aspect']:g}"
-    if pictures["alpha"] is not None:
-        line += f", alpha {pictures['alpha']}"
-    if pictures["kind"] == "video":
-        line += f", sound {', '.join(pictures['sound'])}" if pictures["sound"] else ", no sound"
-    return line
-
-
-def _cryptomatte_line(matte: dict[str, Any]) -> str:
-    from exwarp_cli.io.cryptomatte import MAX_NAMES, quote_name
-
-    name = matte["name"] if matte["aov"] is None else f"{matte['aov']}:{matte['name']}"
-    if matte["problem"]:
-        return f"Cryptomatte {name} ({matte['kind']}): {matte['problem']}"
-    names, count = matte["names"], len(matte["names"])
-    listed = ", ".join(quote_name(object_name) for object_name in names[:MAX_NAMES])
-    more = f" and {count - MAX_NAMES} more" if count > MAX_NAMES else ""
-    return f"Cryptomatte {name} ({matte['kind']}), {pluralise(count, 'name')}: {listed}{more}"

@@ -215,21 +215,14 @@ def summary_lines(
     is_scored: bool | None = None,  # ground truth was given; None to tell by the scores
 ) -> list[str]:
     """Say in a few lines what a run of `upsample` did."""
-    from exwarp_cli.report.sentences import (
-        describe_cuts,
-        describe_gate,
-        describe_holds,
-        describe_left_out,
-        describe_nonfinite,
-        describe_review,
-        format_rendered,
-    )
+    from exwarp_cli.report import sentences
 
-    frames, fps, gate = document["frames"], document["fps"], document["decisions"]["gate"]
+    frames, fps, decisions = document["frames"], document["fps"], document["decisions"]
     effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
     lines = [
         f"{pluralise(frames['written'], 'frame')}{place and f' in {place}'}: "
-        f"{format_rendered(frames)}, {frames['generated']} generated, {frames['dropped']} repeated",
+        f"{sentences.format_rendered(frames)}, {frames['generated']} generated, "
+        f"{frames['dropped']} repeated",
         f"{fps['base']:g} fps in, {fps['output']:g} out{effective}",
     ]
     if frames["resumed"] or frames["replaced"]:
@@ -237,30 +230,41 @@ def summary_lines(
             f"{frames['resumed']} kept of an earlier run, {frames['made']} made, "
             f"{frames['replaced']} replaced"
         )
-    shots = ((document["cuts"], describe_cuts), (document["held"], describe_holds))
+    shots = (
+        (document["cuts"], sentences.describe_cuts),
+        (document["held"], sentences.describe_holds),
+    )
     lines += [describe(value) for value, describe in shots if value]
-    lines += [*_decision_lines(document["decisions"]), *([describe_gate(gate)] if gate else [])]
+    # A method outside the paper's decision tree has no paths.
+    paths = {name: count for name, count in decisions["paths"].items() if count}
+    if paths and decisions["cost"] is None:
+        listed = ", ".join(f"{name} {count}" for name, count in paths.items())
+        share = f"{decisions['warp_share']:.0%} of the decisions are warps"
+        lines.append(f"paths of the key intervals: {listed}; {share}")
+    elif paths:
+        total = sum(paths.values())
+        listed = ", ".join(f"{name} {count / total:.0%}" for name, count in paths.items())
+        share = f"the network made {decisions['cost']:.0%} of the new frames' area"
+        lines.append(f"paths of the tiles: {listed}; {share}")
+    if decisions["gate"]:
+        lines.append(sentences.describe_gate(decisions["gate"]))
     lines += _quality_lines(document, is_scored)
     remarks = (
-        (document["review"], describe_review),
-        (document["left_out"], describe_left_out),
-        (document["nonfinite"], describe_nonfinite),
+        (document["review"], sentences.describe_review),
+        (document["left_out"], sentences.describe_left_out),
+        (document["nonfinite"], sentences.describe_nonfinite),
     )
     lines += [describe(value) for value, describe in remarks if value]
-    return lines + _file_lines(document)
-
-
-def _decision_lines(decisions: dict[str, Any]) -> list[str]:
-    paths = {name: count for name, count in decisions["paths"].items() if count}
-    if not paths:  # a method outside the paper's decision tree
-        return []
-    share, cost = decisions["warp_share"], decisions["cost"]
-    if cost is None:
-        listed = ", ".join(f"{name} {count}" for name, count in paths.items())
-        return [f"paths of the key intervals: {listed}; {share:.0%} of the decisions are warps"]
-    total = sum(paths.values())
-    listed = ", ".join(f"{name} {count / total:.0%}" for name, count in paths.items())
-    return [f"paths of the tiles: {listed}; the network made {cost:.0%} of the new frames' area"]
+    if document["verified"] is not None:
+        lines.append(f"{pluralise(document['verified'], 'file')} read back, all as written")
+    if (times := document["render_time"]) is not None:  # by the renderer's own times
+        lines.append(
+            f"render time saved: {sentences.format_time(times['saved_s'])} "
+            f"({times['saved_share']:.0%}); a key frame took "
+            f"{sentences.format_time(times['key_frame_s'])} to render, a new one takes "
+            f"{sentences.format_time(times['generated_frame_s'])}"
+        )
+    return lines
 
 
 def _quality_lines(document: dict[str, Any], is_scored: bool | None) -> list[str]:
@@ -289,20 +293,4 @@ def _quality_lines(document: dict[str, Any], is_scored: bool | None) -> list[str
         mean, worst = (BY_OPTION["pulse"].with_unit(pulse[name]) for name in ("mean", "worst"))
         count = pluralise(pulse["frames"], "frame")
         lines.append(f"pulse against {pulse['against']} ({count}): {mean}, at worst {worst}")
-    return lines
-
-
-def _file_lines(document: dict[str, Any]) -> list[str]:
-    """Say what was read back, and what rendering would have taken by the renderer's own times."""
-    from exwarp_cli.report.sentences import format_time
-
-    lines = []
-    if document["verified"] is not None:
-        lines.append(f"{pluralise(document['verified'], 'file')} read back, all as written")
-    if (times := document["render_time"]) is not None:
-        lines.append(
-            f"render time saved: {format_time(times['saved_s'])} ({times['saved_share']:.0%}); "
-            f"a key frame took {format_time(times['key_frame_s'])} to render, a new one takes "
-            f"{format_time(times['generated_frame_s'])}"
-        )
     return lines

@@ -154,10 +154,8 @@ def _train_network(
     chosen = select_scenes(data, scenes, exclude, _say)
     crops = cache or data.resolve().parent / "crops"
     model = train(chosen, output, crops, settings(**options), every, threads, _say, start)
-    if as_json:
-        print_json(_result(kind, output, model, last_row(output / CURVE)))
-    else:
-        show(f"{model}: give it to exwarp upsample {use}")
+    scores, advice = last_row(output / CURVE), f"{model}: give it to exwarp upsample {use}"
+    _print_outcome(kind, output, model, scores, advice, as_json)
 
 
 @command.command("policy", context_settings={"show_default": True})
@@ -197,8 +195,8 @@ def policy(
     survey = Survey(data, extrapolator, cache, jobs)
     scenes = find_tables(survey, tables, output, _say)
     scores = train_policy(scenes, output, settings, _say)
-    result = _result("policy", output, output / SHIPPED_POLICY, scores)
-    _print_scores(result, policy_card, as_json)
+    model, text = output / SHIPPED_POLICY, policy_card(scores)
+    _print_outcome("policy", output, model, scores, text, as_json)
 
 
 @command.command("tile-policy", context_settings={"show_default": True})
@@ -221,8 +219,7 @@ def tile_policy(
     require_train()
     from exwarp_cli.research.training.tile_policy_training import TRAINING
 
-    settings = TilePolicySettings(**options)  # type: ignore[arg-type]
-    _train_tiles(TRAINING, (data, extrapolator, tables), output, settings, as_json)
+    _train_tiles(TRAINING, (data, extrapolator, tables), output, as_json, options)
 
 
 @command.command("look-ahead-policy", context_settings={"show_default": True})
@@ -245,45 +242,41 @@ def look_ahead_policy(
     require_train()
     from exwarp_cli.research.training.look_ahead_policy import TRAINING
 
-    settings = TilePolicySettings(**options)  # type: ignore[arg-type]
-    _train_tiles(TRAINING, (data, interpolator, tables), output, settings, as_json)
+    _train_tiles(TRAINING, (data, interpolator, tables), output, as_json, options)
 
 
 def _train_tiles(
     training: TileTraining[Any, Any],
     sources: tuple[Path | None, Path | None, Path | None],  # scenes, network, tables
     output: Path,
-    settings: TilePolicySettings,
     as_json: bool,
+    options: dict[str, Any],  # of TilePolicySettings
 ) -> None:
-    """Train a policy of tiles, and print its scores."""
+    settings = TilePolicySettings(**options)
     require_sane_policy(settings)
     found = training.find(*sources, output, _say)
     scores = training.train(found, output, settings, _say)
-    result = _result(training.kind, output, output / training.model, scores)
-    _print_scores(result, training.card, as_json)
+    model, text = output / training.model, training.card(scores)
+    _print_outcome(training.kind, output, model, scores, text, as_json)
 
 
-def _result(kind: str, folder: Path, model: Path, scores: dict[str, Any]) -> dict[str, Any]:
-    """Return what --json prints: where things are, and how good the network is."""
-    return {
-        "schema": "exwarp.training/1",
-        "kind": kind,
-        "folder": str(folder),
-        "model": str(model),
-        "scores": scores,
-    }
-
-
-def _print_scores(
-    result: dict[str, Any], card: Callable[[dict[str, Any]], str], as_json: bool
+def _print_outcome(
+    kind: str, folder: Path, model: Path, scores: dict[str, Any], text: str, as_json: bool
 ) -> None:
-    """Print what a training of a policy came to: as JSON, or its scores as Markdown."""
+    """Print what a training came to: `text` for people, or as JSON where things are."""
     if as_json:
-        print_json(result)
+        print_json(
+            {
+                "schema": "exwarp.training/1",
+                "kind": kind,
+                "folder": str(folder),
+                "model": str(model),
+                "scores": scores,
+            }
+        )
         return
     with summary_of_files():
-        for line in card(result["scores"]).split("\n"):
+        for line in text.split("\n"):
             show(line)
 
 

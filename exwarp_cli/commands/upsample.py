@@ -316,7 +316,6 @@ def _import_run() -> None:
 def _print_dry_run(
     job: Job, distribution: ClusterSettings, folder: Path | None, reporter: Progress, as_json: bool
 ) -> None:
-    """Find out and print what the job would do."""
     from exwarp_cli.pipeline.dry_run import foresee, require_writable
     from exwarp_cli.report.command_text import dry_run_document, dry_run_lines
 
@@ -340,7 +339,6 @@ def _print_dry_run(
 
 
 def _print_summary(result: UpsampleResult, settings: UpsampleSettings, as_json: bool) -> None:
-    """Say in a few lines what was done, or print the report's document."""
     from exwarp_cli.io.video_reader import is_clip
 
     document = result.document

@@ -71,6 +71,13 @@ ATTEMPTS = 4  # a chunk that ends its worker every time would end them all
 RESULT_S = 60.0  # seconds that the records of a finished chunk may take to arrive
 CANCEL_S = 10.0  # seconds to wait for cancelled chunks, which stop at their next frame
 
+DASK_SETTINGS = {
+    "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
+    # Processes of this machine need no web pages.
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+}
+
 
 def require_dask() -> Any:
     """Return the module `distributed`; MissingExtraError where it is not installed."""
@@ -99,8 +106,17 @@ def connected(where: ClusterSettings, threads: int | None) -> Iterator[Any]:
     is not installed.
     """
     distributed = require_dask()
+    import dask
+
     with ExitStack() as stack:
-        stack.enter_context(_silenced())
+        # Hide Dask's log and warnings: what matters becomes a message of ExWarp. Its loggers have
+        # levels of their own, and one handler. It stays silent after the block, because processes
+        # that do not end in time are killed, which Dask logs later.
+        for handler in logging.getLogger("distributed").handlers:
+            handler.setLevel(logging.CRITICAL + 1)
+        stack.enter_context(dask.config.set(DASK_SETTINGS))
+        stack.enter_context(warnings.catch_warnings())
+        warnings.simplefilter("ignore")
         address = where.address
         if address is None:
             address = stack.enter_context(_local_cluster(distributed, where.workers or 1, threads))
@@ -182,26 +198,6 @@ def _kill(nannies: Iterable[Any]) -> None:
         if nanny.pid:
             with suppress(OSError):  # ended meanwhile
                 os.kill(nanny.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
-
-
-@contextmanager
-def _silenced() -> Iterator[None]:
-    """Hide Dask's log and warnings: what matters becomes a message of ExWarp."""
-    import dask
-
-    # Dask's loggers have levels of their own, and one handler. It stays silent after the block,
-    # because processes that do not end in time are killed, which Dask logs later.
-    for handler in logging.getLogger("distributed").handlers:
-        handler.setLevel(logging.CRITICAL + 1)
-    settings = {
-        "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
-        # Processes of this machine need no web pages.
-        "distributed.scheduler.http.routes": [],
-        "distributed.worker.http.routes": [],
-    }
-    with dask.config.set(settings), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 def run_on_cluster(
@@ -307,7 +303,6 @@ def chunks_of(
 
 
 def _spread(where: ClusterSettings, workers: int, threads: int | None) -> str:
-    """Describe the workers, for a message."""
     if where.address is not None:
         return f"{pluralise(workers, 'worker')} of {where.address}"
     each = pluralise(threads_per_worker(workers, threads), "thread")

@@ -35,13 +35,6 @@ AFTERWARDS = ("report_folder", "video")
 SCORING = ("ground_truth", "metrics")
 
 
-class DataFlow(Enum):
-    """Whether a job reads or writes a path, by the names of Open Job Description."""
-
-    READ = "IN"
-    WRITTEN = "OUT"
-
-
 class ValueKind(Enum):
     """What an option takes."""
 
@@ -58,7 +51,7 @@ class PathRole:
     name: str  # name of the job's parameter, an identifier
     label: str
     kind: ValueKind  # what the option takes
-    flow: DataFlow = DataFlow.READ  # whether the job reads or writes the files
+    is_written: bool = False  # whether the job writes the files; else it reads them
 
 
 # By the name of the parameter in `upsample`; no other parameter names files.
@@ -72,10 +65,10 @@ PATH_ROLES: Mapping[str, PathRole] = {
     "extrapolator": PathRole("Extrapolator", "Network that extrapolates", ValueKind.FILE),
     "interpolator": PathRole("Interpolator", "Network that interpolates", ValueKind.FILE),
     "policy": PathRole("Policy", "Policy", ValueKind.FILE),
-    "output": PathRole("Output", "Output frames", ValueKind.SEQUENCE, DataFlow.WRITTEN),
-    "write_holes": PathRole("Holes", "Hole masks", ValueKind.SEQUENCE, DataFlow.WRITTEN),
-    "report_folder": PathRole("Report", "Report", ValueKind.FOLDER, DataFlow.WRITTEN),
-    "video": PathRole("Video", "Video", ValueKind.FILE, DataFlow.WRITTEN),
+    "output": PathRole("Output", "Output frames", ValueKind.SEQUENCE, is_written=True),
+    "write_holes": PathRole("Holes", "Hole masks", ValueKind.SEQUENCE, is_written=True),
+    "report_folder": PathRole("Report", "Report", ValueKind.FOLDER, is_written=True),
+    "video": PathRole("Video", "Video", ValueKind.FILE, is_written=True),
 }
 NETWORKS = ("extrapolator", "interpolator")  # of these the ONNX models
 
@@ -106,7 +99,7 @@ class PathOption:
     def remainder(self) -> str:
         """What follows the path in the option's value."""
         # Folders for frames end in a slash: without it ``out.exr`` would be taken for a file.
-        is_output = self.role.kind is ValueKind.SEQUENCE and self.role.flow is DataFlow.WRITTEN
+        is_output = self.role.kind is ValueKind.SEQUENCE and self.role.is_written
         slash = "/" if self.pattern or is_output else ""
         return f"{slash}{self.pattern}{self.after}"
 
@@ -161,7 +154,7 @@ def _parse(parameter: str, text: str) -> PathOption:
             for number, file in enumerate(weight_files(path), start=1):
                 companions[f"Weights{number}"] = file
         return replace(option, is_file=True, companions=companions)
-    if role.flow is DataFlow.WRITTEN:  # as `upsample` does; the folder need not exist
+    if role.is_written:  # as `upsample` does; the folder need not exist
         is_folder = text.endswith(("/", os.sep)) or path.is_dir()
         if is_folder or NamePattern.parse(path.name) is None:
             return option
@@ -222,7 +215,7 @@ def inputs_of(job: Job) -> tuple[tuple[str, int], ...]:
     for frames in (sequence.files for sequence in sequences):
         files += [frames[min(frames)], frames[max(frames)]]
     for name, role in PATH_ROLES.items():
-        if role.kind is ValueKind.FILE and role.flow is DataFlow.READ:
+        if role.kind is ValueKind.FILE and not role.is_written:
             owner = job.settings if hasattr(job.settings, name) else job.settings.source
             value = getattr(owner, name)
             if names_files(name, value):
@@ -247,12 +240,6 @@ class OptionValue:
     parameter: str  # its name in the command
     flag: str  # how it is written; "" for the argument
     value: str | PathOption | None = None  # None for a flag without value
-
-    @property
-    def arguments(self) -> list[Argument]:
-        """The option in a command line."""
-        flag: list[Argument] = [self.flag] if self.flag else []
-        return flag if self.value is None else [*flag, self.value]
 
 
 @dataclass(frozen=True)
@@ -301,8 +288,15 @@ class FarmJob:
         return [*arguments, "--frames", Placeholder.ALL_FRAMES]
 
     def _upsample(self, without: Iterable[str]) -> list[Argument]:
-        options = (option for option in self.options if option.parameter not in without)
-        return ["upsample", ISOLATED, *(word for option in options for word in option.arguments)]
+        words: list[Argument] = ["upsample", ISOLATED]
+        for option in self.options:
+            if option.parameter in without:
+                continue
+            if option.flag:
+                words.append(option.flag)
+            if option.value is not None:
+                words.append(option.value)
+        return words
 
 
 def split(numbers: Sequence[int], size: int) -> tuple[tuple[int, ...], ...]:
@@ -393,8 +387,17 @@ def open_farm_job(
                 f"{job.method.name} does not; leave it out"
             )
         job.refuse()
+        chosen = list(options)
+        if settings.source.channel_map is not None:
+            # Its AOVs become options, because its paths are relative to this folder.
+            roles = {aov.role for aov in parse_aovs(settings.source.aovs)}
+            chosen += [
+                ("aovs", "--aov", f"{aov.role.value}={aov.pattern}{aov.chosen}")
+                for aov in read_channel_map(Path(settings.source.channel_map)).aovs
+                if aov.role not in roles
+            ]
         values = []
-        for parameter, flag, text in (*options, *_aovs_of_map(settings)):
+        for parameter, flag, text in chosen:
             is_path = text is not None and names_files(parameter, text)
             value = locate(parameter, text) if is_path and text is not None else text
             values.append(OptionValue(parameter, flag, value))
@@ -408,13 +411,3 @@ def open_farm_job(
         )
     finally:
         job.close()
-
-
-def _aovs_of_map(settings: UpsampleSettings) -> Iterable[tuple[str, str, str]]:
-    """Yield the AOVs of a channel map as options, because its paths are relative to this folder."""
-    if settings.source.channel_map is None:
-        return
-    roles = {aov.role for aov in parse_aovs(settings.source.aovs)}
-    for aov in read_channel_map(Path(settings.source.channel_map)).aovs:
-        if aov.role not in roles:
-            yield "aovs", "--aov", f"{aov.role.value}={aov.pattern}{aov.chosen}"

@@ -24,7 +24,6 @@ from exwarp_cli.domain.wording import has_control_chars, pluralise
 from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.farm.farm_job import (
     Argument,
-    DataFlow,
     FarmJob,
     PathOption,
     Placeholder,
@@ -46,7 +45,6 @@ VALUES_FILE = "parameter_values.yaml"
 # have them become parameters, whose values are taken literally.
 BRACES = ("{{", "}}")
 
-_GROUPS = {DataFlow.READ: "Input", DataFlow.WRITTEN: "Output"}
 _BARE_WORD = re.compile(r"(--)?[A-Za-z][A-Za-z0-9_-]*")
 
 Data = dict[str, Any]
@@ -86,7 +84,7 @@ def job_template(job: FarmJob, workers: Workers, folder: Path | None) -> JobTemp
     parameters = _Parameters(folder)
     for option in job.options:  # first, as people look for their files first
         if isinstance(option.value, PathOption):
-            parameters.add_path_option(option.value)
+            parameters.add_argument(option.value)
     all_frames = frames_text(job.numbers)
     if workers.plain:
         frames = [
@@ -142,40 +140,38 @@ class _Parameters:
         )
         return f"{{{{Param.{name}}}}}"
 
-    def format_text(self, text: str) -> str:
-        """Return a format string for a text."""
-        if not any(pair in text for pair in BRACES):
-            return text
-        if text not in self._formats:
+    def add_argument(self, word: str | PathOption) -> str:
+        """Return the format string of an argument; define the parameters that it needs, once."""
+        if word in self._formats:
+            return self._formats[word]
+        if isinstance(word, PathOption):
+            name = f"{word.name}{'File' if word.is_file else 'Folder'}"
+            reference = self._add_path(name, word.path, word, word.label)
+            for kind, path in word.companions.items():
+                self._add_path(f"{word.name}{kind}", path, word, f"{word.label}: {kind.lower()}")
+            if word.pattern:
+                pattern, label = f"{word.pattern}{word.after}", f"{word.label}: names"
+                group = "Output" if word.role.is_written else "Input"
+                remainder = "/" + self.add(f"{word.name}Pattern", "STRING", pattern, label, group)
+            else:
+                remainder = self.add_argument(word.remainder)
+            text = f"{word.before}{reference}{remainder}"
+        elif any(pair in word for pair in BRACES):
             name = f"Text{len(self.definitions)}"
-            self._formats[text] = self.add(name, "STRING", text, name, "ExWarp", hidden=True)
-        return self._formats[text]
-
-    def add_path_option(self, option: PathOption) -> str:
-        """Define parameters for a path and its pattern, once; return the option's format string."""
-        if option in self._formats:
-            return self._formats[option]
-        name = f"{option.name}{'File' if option.is_file else 'Folder'}"
-        reference = self._add_path(name, option.path, option, option.label)
-        for kind, path in option.companions.items():
-            self._add_path(f"{option.name}{kind}", path, option, f"{option.label}: {kind.lower()}")
-        if option.pattern:
-            pattern = f"{option.pattern}{option.after}"
-            name, label = f"{option.name}Pattern", f"{option.label}: names"
-            remainder = "/" + self.add(name, "STRING", pattern, label, _GROUPS[option.role.flow])
+            text = self.add(name, "STRING", word, name, "ExWarp", hidden=True)
         else:
-            remainder = self.format_text(option.remainder)
-        self._formats[option] = f"{option.before}{reference}{remainder}"
-        return self._formats[option]
+            text = word
+        self._formats[word] = text
+        return text
 
     def _add_path(self, name: str, path: Path, option: PathOption, label: str) -> str:
-        flow = option.role.flow
+        is_written = option.role.is_written
         definition: Data = {
             "name": name,
             "type": "PATH",
             "objectType": "FILE" if option.is_file else "DIRECTORY",
-            "dataFlow": flow.value,
-            "userInterface": {"label": label, "groupLabel": _GROUPS[flow]},
+            "dataFlow": "OUT" if is_written else "IN",
+            "userInterface": {"label": label, "groupLabel": "Output" if is_written else "Input"},
         }
         normal = Path(os.path.normpath(path))
         if self.folder is not None and normal.is_relative_to(self.folder):
@@ -231,15 +227,14 @@ def _steps(
     )
     references = {Placeholder.FRAMES: "{{Task.Param.Frames}}", Placeholder.ALL_FRAMES: all_frames}
 
-    def format_argument(word: Argument) -> str:
-        if isinstance(word, PathOption):
-            return parameters.add_path_option(word)
-        return references[word] if isinstance(word, Placeholder) else parameters.format_text(word)
-
     def step(name: str, command: Sequence[Argument], more: Data, requires: Data) -> Data:
+        args = [
+            references[word] if isinstance(word, Placeholder) else parameters.add_argument(word)
+            for word in command
+        ]
         action = {
             "command": program,
-            "args": [*map(format_argument, command), "--progress", "openjd"],
+            "args": [*args, "--progress", "openjd"],
             # SIGTERM first: upsample then ends with complete frames and removes its temporaries.
             "cancelation": {"mode": "NOTIFY_THEN_TERMINATE"},
         }
@@ -307,15 +302,12 @@ _Dumper.add_representer(
 
 def yaml_text(document: Data) -> str:
     """Write a document as YAML that every version reads alike."""
-
-    def dump(allow_unicode: bool) -> str:
-        return yaml.dump(
-            document, Dumper=_Dumper, sort_keys=False, allow_unicode=allow_unicode, width=100
-        )
-
-    text = dump(allow_unicode=True)
-    # Invisible characters, such as marks that turn the direction of a line, are escaped.
-    return dump(allow_unicode=False) if has_control_chars(text.replace("\n", "")) else text
+    style: dict[str, Any] = {"Dumper": _Dumper, "sort_keys": False, "width": 100}
+    text: str = yaml.dump(document, allow_unicode=True, **style)
+    if has_control_chars(text.replace("\n", "")):
+        # Invisible characters, such as marks that turn the direction of a line, are escaped.
+        text = yaml.dump(document, allow_unicode=False, **style)
+    return text
 
 
 def write_bundle(folder: Path, template: JobTemplate) -> None:

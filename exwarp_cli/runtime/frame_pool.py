@@ -94,8 +94,15 @@ class FramePool:
                 if self._free[index].buffer.nbytes == size:
                     buffer = self._free.pop(index).buffer
                     break
-        if buffer is None:
-            buffer = _map_memory(size)
+        if buffer is None:  # map memory, which returns to the system when the buffer is dropped
+            try:
+                pages = mmap.mmap(-1, size, **_PRIVATE)
+            except OSError as error:
+                raise MemoryError(f"{size} bytes") from error
+            if hasattr(mmap, "MADV_HUGEPAGE"):
+                with suppress(OSError):  # the system has none
+                    pages.madvise(mmap.MADV_HUGEPAGE)
+            buffer = np.frombuffer(pages, np.uint8)
         lease = _Lease(buffer, shape, dtype)
         weakref.finalize(lease, self._returned.append, buffer).atexit = False
         return np.asarray(lease)
@@ -126,18 +133,6 @@ class FramePool:
         excess = sum(free.buffer.nbytes for free in self._free) - self._max_free
         while excess > 0 and self._free:
             excess -= self._free.pop(0).buffer.nbytes
-
-
-def _map_memory(size: int) -> Buffer:
-    """Map memory that returns to the system when the buffer is dropped; raises MemoryError."""
-    try:
-        pages = mmap.mmap(-1, size, **_PRIVATE)
-    except OSError as error:
-        raise MemoryError(f"{size} bytes") from error
-    if hasattr(mmap, "MADV_HUGEPAGE"):
-        with suppress(OSError):  # the system has none
-            pages.madvise(mmap.MADV_HUGEPAGE)
-    return np.frombuffer(pages, np.uint8)
 
 
 pool = FramePool()
@@ -195,8 +190,14 @@ class ScratchFrames:
             is_stored = isinstance(base, mmap.mmap) and base in self._mapped
         if prod(array.shape[:2]) <= self._min_pixels or is_stored:
             return array
-        file = _map_file(array.nbytes)
-        if file is None:
+        if not (hasattr(mmap, "MADV_DONTNEED") and hasattr(os, "posix_fallocate")):
+            return array
+        try:
+            with tempfile.TemporaryFile(prefix="exwarp-") as unnamed:
+                # Else a full disk would end the process.
+                os.posix_fallocate(unnamed.fileno(), 0, array.nbytes)
+                file = mmap.mmap(unnamed.fileno(), array.nbytes)
+        except OSError:  # the disk has no room
             return array
         out = np.ndarray(array.shape, array.dtype, buffer=file)
         self.page_out()  # else rarely used arrays count at every peak
@@ -205,15 +206,6 @@ class ScratchFrames:
         with self._lock:
             self._mapped.add(file)
         return out
-
-
-def _map_file(size: int) -> mmap.mmap | None:
-    """Map a new file; None if the disk has no room, or the system lacks a call."""
-    if hasattr(mmap, "MADV_DONTNEED") and hasattr(os, "posix_fallocate"):
-        with suppress(OSError), tempfile.TemporaryFile(prefix="exwarp-") as file:
-            os.posix_fallocate(file.fileno(), 0, size)  # else a full disk would end the process
-            return mmap.mmap(file.fileno(), size)
-    return None
 
 
 IN_MEMORY = ScratchFrames()  # stores nothing

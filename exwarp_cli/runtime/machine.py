@@ -89,10 +89,18 @@ def memory() -> Memory:
     if not lines and hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
         meminfo["MemTotal"] = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     there, available = meminfo.get("MemTotal"), meminfo.get("MemAvailable")
-    limits = list(_memory_limits(there))
-    rooms = [room for _, room in limits] + ([] if available is None else [available])
-    limit = min((limit for limit, _ in limits), default=None)
-    return Memory(there, min(rooms, default=None), limit)
+    limits, rooms = [], [] if available is None else [available]
+    for folder in _control_groups():
+        for names in _MEMORY_FILES:
+            limit, used = (_read_text(folder / name) for name in names)
+            if limit.isdecimal() and used.isdecimal() and int(limit) < (there or _UNLIMITED):
+                # The kernel counts cached files as used, but drops them when memory is needed.
+                stat = _read_text(folder / "memory.stat")
+                cached = re.search(r"^(?:total_)?inactive_file (\d+)$", stat, re.MULTILINE)
+                taken = max(int(used) - (int(cached[1]) if cached else 0), 0)
+                limits.append(int(limit))
+                rooms.append(max(int(limit) - taken, 0))
+    return Memory(there, min(rooms, default=None), min(limits, default=None))
 
 
 def look_at(path: Path) -> Folder:
@@ -128,19 +136,6 @@ def cached_files(folder: Path, suffix: str) -> tuple[int, int]:
         except OSError:  # another run has just replaced it
             continue
     return len(sizes), sum(sizes)
-
-
-def _memory_limits(there: int | None) -> Iterator[tuple[int, int]]:
-    """Yield limit and remaining bytes of the control groups that limit memory."""
-    for folder in _control_groups():
-        for names in _MEMORY_FILES:
-            limit, used = (_read_text(folder / name) for name in names)
-            if limit.isdecimal() and used.isdecimal() and int(limit) < (there or _UNLIMITED):
-                # The kernel counts cached files as used, but drops them when memory is needed.
-                stat = _read_text(folder / "memory.stat")
-                cached = re.search(r"^(?:total_)?inactive_file (\d+)$", stat, re.MULTILINE)
-                taken = max(int(used) - (int(cached[1]) if cached else 0), 0)
-                yield int(limit), max(int(limit) - taken, 0)
 
 
 def _control_groups() -> Iterator[Path]:

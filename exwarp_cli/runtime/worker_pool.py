@@ -19,7 +19,7 @@ Result = TypeVar("Result")
 
 POLL_S = 0.2  # seconds between two looks at messages
 
-# Signals that reach no process before `follow_parent` has run in it.
+# Signals that reach no process before `_follow_parent` has run in it.
 BLOCKED = (signal.SIGINT, signal.SIGTERM)
 
 # Where a worker puts its messages; None in other processes.
@@ -32,8 +32,6 @@ def run_tasks(
     work: Callable[..., Result],
     tasks: Sequence[Task],  # arguments of `work`; like the results, they can be pickled
     jobs: int,  # processes
-    # Called once in each process: a function of a module that calls `follow_parent`
-    begin: Callable[[], None],
     # Called here with the messages of workers, in between
     receive: Callable[[Any], None] = lambda _: None,
 ) -> Generator[tuple[Task, Result], None, None]:
@@ -44,7 +42,7 @@ def run_tasks(
     before = set(active_children())
     context = get_context("spawn")
     inbox = context.SimpleQueue()
-    pool = ProcessPoolExecutor(jobs, context, _begin, (begin, inbox))
+    pool = ProcessPoolExecutor(jobs, context, _follow_parent, (inbox,))
     try:
         with block_signals(*BLOCKED):
             waiting = {pool.submit(work, *task): task for task in tasks}
@@ -76,17 +74,13 @@ def send_message(message: object) -> None:
         _outbox.put(message)
 
 
-def _begin(begin: Callable[[], None], inbox: Any) -> None:
-    global _outbox
-    _outbox = inbox
-    begin()
-
-
-def follow_parent() -> None:
-    """Prepare a process to end with its parent, however that ends, and only then.
+def _follow_parent(inbox: Any) -> None:
+    """Prepare a worker to send messages to its parent, and to end with it, however that ends.
 
     Interruptions are the parent's business.
     """
+    global _outbox
+    _outbox = inbox
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, BLOCKED)

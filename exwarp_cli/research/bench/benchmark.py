@@ -36,7 +36,7 @@ from exwarp_cli.research.bench.subjects import (
 from exwarp_cli.research.bench.systems import SLOTS, BenchSettings
 from exwarp_cli.runtime.machine import processors
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.runtime.worker_pool import follow_parent, run_tasks, send_message
+from exwarp_cli.runtime.worker_pool import run_tasks, send_message
 
 # Key intervals that a worker takes at once: neighbours share what they read.
 INTERVALS_PER_TASK = 4
@@ -184,7 +184,7 @@ def _measure_all(subjects: Sequence[OpenedSubject], jobs: int, report: Report) -
         for opened in subjects:
             parts |= _measure_parts(opened, opened.keys, report)
         return parts
-    with closing(run_tasks(_measure_task, tasks, jobs, follow_parent, report)) as results:
+    with closing(run_tasks(_measure_task, tasks, jobs, report)) as results:
         for _, measured in results:
             parts |= measured
     return parts

@@ -37,7 +37,7 @@ from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.runtime.machine import processors
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.runtime.worker_pool import follow_parent, run_tasks
+from exwarp_cli.runtime.worker_pool import run_tasks
 
 # Raised whenever the same scene would give other numbers.
 OUTCOMES_VERSION, FEATURES_VERSION = 1, 1
@@ -391,7 +391,7 @@ def _build_tables(survey: Survey, say: Say) -> list[PolicyTable]:
     ]
     measured: dict[tuple[str, str, str], Measured] = {}
     jobs = survey.jobs or processors().usable
-    with closing(run_tasks(measure_view, work, jobs, follow_parent)) as results:
+    with closing(run_tasks(measure_view, work, jobs)) as results:
         for (scene, view, *_), result in results:
             measured[scene.name, scene.manifest.size, view.name] = result
             count = len(result.outcomes)

@@ -423,7 +423,7 @@ def test_terminated_it_says_so_at_once_and_its_workers_end(tmp_path):
 
 def test_workers_do_not_outlive_a_command_that_is_killed():
     begin = "from exwarp_cli.runtime.worker_pool import *; from time import sleep; "
-    with start("-c", begin + "list(run_tasks(sleep, [(600,)] * 2, 2, follow_parent))") as it:
+    with start("-c", begin + "list(run_tasks(sleep, [(600,)] * 2, 2))") as it:
         workers = until(lambda: len(children(it.pid)) > 2 and children(it.pid))
         time.sleep(0.5)  # so that most often they are at work; sooner they have to end as well
         it.kill()
