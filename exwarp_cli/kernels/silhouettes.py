@@ -15,7 +15,7 @@ import numpy.typing as npt
 from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32, F64, I32
-from exwarp_cli.kernels.projection import rigid_displacement
+from exwarp_cli.kernels.point_motion import rigid_displacement
 
 Line = npt.NDArray[Any]
 

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
-from exwarp_cli.kernels import projection
+from exwarp_cli.kernels import point_motion
 
 Index = npt.NDArray[np.intp]
 F64 = npt.NDArray[np.float64]
@@ -163,7 +163,7 @@ def place_still(
     """
     at_infinity = camera[:, :3] @ scene.to_ray
     points = scene.position, scene.depth
-    projection.write_rigid_motion(*points, camera, at_infinity, still, kept, motion)
+    point_motion.write_rigid_motion(*points, camera, at_infinity, still, kept, motion)
 
 
 def standing(scene: Scene, camera: F64, step: Float32, tolerance: float) -> Bool:
@@ -185,9 +185,6 @@ def fit(
     """Fit a projection to points at pixels, most of which match.
 
     None with too few points, with points on one plane, or if no camera explains half of them.
-
-    Notes
-    -----
     Direct linear transform on normalised coordinates, reweighted to pixel error and by Geman and
     McClure's weights. Points beyond four median errors are left out round by round, until the same
     points stay.
@@ -273,7 +270,7 @@ def _least_algebraic_error(
     buffers: tuple[F64, F64],  # [4 N] and [24 N], overwritten
 ) -> F64 | None:
     """Return the 3x4 matrix that fits best, None if points do not determine it."""
-    used = projection.write_equations(points, pixels, weights, *buffers)
+    used = point_motion.write_equations(points, pixels, weights, *buffers)
     if used < MIN_SAMPLES:
         return None
     scaled = buffers[0][: 4 * used].reshape(used, 4)

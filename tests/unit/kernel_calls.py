@@ -15,7 +15,6 @@ from exwarp_cli.kernels import (
     holes,
     picture_errors,
     point_motion,
-    projection,
     raw_channels,
     resample,
     silhouettes,
@@ -262,7 +261,7 @@ def projected(
 ) -> Arrays:
     out = np.full((*depth.shape, 2), 7, np.float32)
     places = NO_VECTORS if position is None else position
-    build(projection, "write_rigid_motion", serial)(
+    build(point_motion, "write_rigid_motion", serial)(
         places, depth, camera, at_infinity, still, kept, out
     )
     return (out,)

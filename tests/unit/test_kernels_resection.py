@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.kernels import projection
+from exwarp_cli.kernels import point_motion
 from tests.reference import resection as naive
 
 COUNT = 300
@@ -22,7 +22,7 @@ def test_equations_are_those_of_points_with_weight(share):
     where, seen = points(1)
     weights = np.where(rng.random(COUNT) < share, rng.random(COUNT), 0)
     scaled, rows = np.full(4 * COUNT, np.nan), np.full(24 * COUNT, np.nan)
-    count = projection.write_equations(where, seen, weights, scaled, rows)
+    count = point_motion.write_equations(where, seen, weights, scaled, rows)
     expected = naive.equations(where, seen, weights)
     assert count == np.count_nonzero(weights)
     assert scaled[: 4 * count].tobytes() == expected[0].tobytes()
