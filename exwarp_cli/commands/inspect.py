@@ -63,6 +63,8 @@ def _print_inspection(inspection: Inspection) -> None:
     from rich.table import Table
     from rich.text import Text
 
+    from exwarp_cli.io.cryptomatte import cryptomatte_refs
+
     def text(line: str) -> Text:
         """Return text in which neither a terminal nor rich sees markup."""
         return Text(printable(line))
@@ -81,7 +83,7 @@ def _print_inspection(inspection: Inspection) -> None:
     if data["pictures"] is not None:
         return
     table = Table("role", "channels", "type", box=box.SIMPLE)
-    hashed = {ref for matte in inspection.shot.cryptomattes for ref in matte.refs}
+    hashed = cryptomatte_refs(inspection.shot.cryptomattes)
     unused: dict[tuple[str, str], list[str]] = {}  # by what they are, and their layer
     for ref in inspection.shot.unused:
         name, meaning = ref.label, "Cryptomatte" if ref in hashed else "no role"

@@ -210,6 +210,11 @@ def _words(name: str) -> list[str]:
     return re.findall(r"[^\W_]+", name.lower())
 
 
+def cryptomatte_refs(cryptomattes: Iterable[Cryptomatte]) -> frozenset[ChannelRef]:
+    """Return the channels of all these Cryptomattes."""
+    return frozenset(ref for matte in cryptomattes for ref in matte.refs)
+
+
 def surface_ids(
     ranks: Float32, rounded: bool = False, dynamic: Collection[int] | None = None
 ) -> Int32:

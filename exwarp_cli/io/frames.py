@@ -22,7 +22,7 @@ from exwarp_cli.domain.frame import (
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect_layout
-from exwarp_cli.io.cryptomatte import find_cryptomattes
+from exwarp_cli.io.cryptomatte import cryptomatte_refs, find_cryptomattes
 from exwarp_cli.io.depth import FAR
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.shot import Shot, count_nonfinite
@@ -103,8 +103,7 @@ def read_raw(
         if len({planes.windows[ref] for ref in refs[Role.COLOUR]}) == 1:
             broken_colour = broken
     gbuffer = _geometry(planes, shot, canvas)
-    pixels = planes.stack(Role.STENCIL, canvas, refs=ranks) if ranks else None
-    if ids is not None and pixels is not None:
+    if ids is not None and (pixels := planes.stack(Role.STENCIL, canvas, refs=ranks)) is not None:
         file = shot.files(number)[ids.cryptomatte.aov]
         stencil, object_ids = ids.read(pixels, gbuffer.depth, file)
         gbuffer = replace(gbuffer, stencil=stencil, objects=object_ids)
@@ -243,9 +242,7 @@ def read_image(path: Path, view: str = "") -> Image:
     with ExrFile(path) as file:
         channels = view_channels(file.parts, view_in_file(file.parts, view, path))
         mattes = find_cryptomattes({"": channels.values()}, {"": file.header.texts})
-        layout = detect_layout(
-            {"": channels.values()}, {ref for matte in mattes for ref in matte.refs}
-        )
+        layout = detect_layout({"": channels.values()}, cryptomatte_refs(mattes))
         if Role.COLOUR not in layout:
             partly = layout.incomplete.get(Role.COLOUR, "")
             raise LayoutError(

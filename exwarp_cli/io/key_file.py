@@ -106,8 +106,13 @@ class KeyFile:
     def begins_with(self, data: bytes) -> bool:
         """Return True if these bytes are the beginning of the file."""
         beginning = io.BytesIO(data)
-        same = all(piece.startswith(beginning.read(len(piece))) for piece in self.pieces())
-        return same and not beginning.read(1)
+        for piece in self.pieces():
+            expected = beginning.read(len(piece))
+            if not piece.startswith(expected):
+                return False
+            if len(expected) < len(piece):
+                return True  # without reading on
+        return not beginning.read(1)
 
     def digest(self) -> str:
         """Return the checksum of the file, hexadecimal; see `exwarp_cli.io.files`."""

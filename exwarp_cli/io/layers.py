@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role, split_words
+from exwarp_cli.io.cryptomatte import cryptomatte_refs
 from exwarp_cli.io.exr.header import Channel
 from exwarp_cli.io.sequences import neighbouring_sequences
 
@@ -292,7 +293,7 @@ def no_vectors_message(shot: Shot, estimable: bool = True) -> str:
     incomplete = shot.layout.incomplete.get(Role.MOTION)
     partly = "" if incomplete is None else f" ({incomplete})"
     # Channels of Cryptomattes have a use. Those of the main file come first.
-    hashed = {ref for matte in shot.cryptomattes for ref in matte.refs}
+    hashed = cryptomatte_refs(shot.cryptomattes)
     order = ["", *shot.aovs]
     unused = [ref for ref in shot.unused if ref not in hashed]
     unused.sort(key=lambda ref: order.index(ref.aov))

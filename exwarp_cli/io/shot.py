@@ -18,7 +18,12 @@ from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.channel_map import AovFile, ChannelMap, detect_aov, find_channel
 from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect_layout, vector_direction
-from exwarp_cli.io.cryptomatte import Cryptomatte, IdReading, find_cryptomattes
+from exwarp_cli.io.cryptomatte import (
+    Cryptomatte,
+    IdReading,
+    cryptomatte_refs,
+    find_cryptomattes,
+)
 from exwarp_cli.io.depth import DepthReading, depth_reading_by_name
 from exwarp_cli.io.exr.header import Channel, Part
 from exwarp_cli.io.exr.reader import ExrFile, FileHeader, HeaderCache, deep_image_error
@@ -233,7 +238,7 @@ def _open_view(
     channels = {aov: view_channels(own, within[aov]) for aov, own in parts.items()}
     members_by_aov = {aov: members.values() for aov, members in channels.items()}
     mattes = find_cryptomattes(members_by_aov, texts)
-    own = detect_layout(members_by_aov, {ref for matte in mattes for ref in matte.refs})
+    own = detect_layout(members_by_aov, cryptomatte_refs(mattes))
     if Role.COLOUR in own:
         mattes = find_cryptomattes(members_by_aov, texts, own.roles[Role.COLOUR][0].name)
     names = {name.upper() for members in channels.values() for name in members}

@@ -323,14 +323,14 @@ class VideoWriter(ResourceOwner):
         look, codec, colour = self._look, self._codec, self._look.colour
         if not codec.has_full_range:
             colour = replace(colour, full_range=False)
-        scale = "pc" if colour.full_range else "tv"
+        levels = "pc" if colour.full_range else "tv"
         source = (RAW_INPUT_16 if codec.is_deep else RAW_INPUT).format(
             width=width + width % 2, height=height + height % 2, rate=self._rate
         )
         # Turn sRGB codes into the video's colour, and say so: the encoder labels it with that.
         filters = (
-            f"scale=out_color_matrix={MATRICES[colour.matrix]}:out_range={scale}:"
-            f"{EXACT_SCALING},setparams=range={scale}:colorspace={colour.matrix}:"
+            f"scale=out_color_matrix={MATRICES[colour.matrix]}:out_range={levels}:"
+            f"{EXACT_SCALING},setparams=range={levels}:colorspace={colour.matrix}:"
             f"color_primaries={colour.primaries}:color_trc={colour.transfer},"
             f"setsar={look.pixel_aspect.numerator}/{look.pixel_aspect.denominator}"
         )

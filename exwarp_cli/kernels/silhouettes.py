@@ -326,7 +326,7 @@ def clean_vectors(
     """Give every pixel its own surface's motion, to the frames before and after.
 
     Static pixels and background move as the cameras say, bit for bit as in
-    `projection.write_rigid_motion`.
+    `point_motion.write_rigid_motion`.
     Inside a surface the rendered vector holds. At its edge the nearest unmixed pixel of the same
     surface decides whether it is static, or moves with that pixel's vector. A surface that is all
     edge counts as static unless an id says that it moves.

@@ -266,7 +266,7 @@ class OnnxInterpolator(OnnxNetwork):
         """Return the frame at 0 < `time` < 1 between two frames; see `reaches`.
 
         Frames are float32 [H, W, 3 or 4], scene-linear, finite, of any size. The network sees
-        colour encoded by `domain.extrapolator.Curve`; alpha is blended by time.
+        colour encoded by `domain.colour.ShoulderCurve`; alpha is blended by time.
         """
         if not self.reaches(time):
             raise ValueError(f"a network without an input for the time does not reach {time}")

@@ -139,8 +139,8 @@ class TrialReader:
             # An interval of twice the length: the key frame that it leaves out is a slot.
             before, middle, after = map(store.get_in_shot, (index - 1, index, index + 1))
             frame, following = _vectors_over(before, 2), _vectors_over(after, 2)
-            between = _vectors_over(middle, 1).gbuffer
-            if self.store.source.slots is None and between is not None:
+            between = None if store.source.slots is not None else _vectors_over(middle, 1).gbuffer
+            if between is not None:
                 slots = (between,)
             times = tuple((i + 1) / (len(slots) + 1) for i in range(len(slots)))
         slot = len(times) // 2 + 1 if self.lookahead else len(times)

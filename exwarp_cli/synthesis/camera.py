@@ -214,10 +214,7 @@ def fit(
         if unit is None:
             return None
         matrix = from_unit @ unit @ to_unit
-        image = points @ matrix.T
-        with np.errstate(all="ignore"):  # points behind the camera, and at infinity
-            errors = np.linalg.norm(image[:, :2] / image[:, 2:] - pixels, axis=1)
-        errors = np.where((image[:, 2] > 0) & np.isfinite(errors), errors, np.inf)
+        errors = projection_errors(matrix, points, pixels)
         median = float(np.median(errors))
         limit = max(4.0 * median, INLIER_FLOOR)
         before, inliers = inliers, errors <= limit
@@ -233,6 +230,14 @@ def fit(
         depths = np.maximum(np.abs(unit_points @ unit[2]), 1e-9)
         weights = np.where(inliers, 1 / (depths * doubt), 0)
     return matrix if np.median(errors[inliers]) <= MAX_MEDIAN_ERROR else None
+
+
+def projection_errors(camera: F64, points: F64, pixels: F64) -> F64:
+    """Return by how many pixels points [N, 4] miss, float64 [N]; infinite behind the camera."""
+    image = points @ camera.T
+    with np.errstate(all="ignore"):  # points behind the camera, and at infinity
+        errors = np.linalg.norm(image[:, :2] / image[:, 2:] - pixels, axis=1)
+    return np.asarray(np.where((image[:, 2] > 0) & np.isfinite(errors), errors, np.inf))
 
 
 def _least_median_weights(points: F64, pixels: F64) -> F64:

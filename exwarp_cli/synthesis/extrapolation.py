@@ -122,7 +122,8 @@ class Prepared:
         out: Float32 = pool.empty(self.warped.shape, np.float32)
         out[..., :3] = np.moveaxis(decode(answer), 0, -1)
         if self.modulation is not None:
-            out[..., :3] *= self.modulation
+            with np.errstate(over="ignore"):  # of the largest floats
+                out[..., :3] *= self.modulation
         out[..., 3:] = self.warped[..., 3:]
         hold_within(out, self.sources)
         return out
@@ -154,11 +155,7 @@ def prepare(
 
     newest = move(key, back)
     warped = scratch.store(warped)
-    filled = warped
-    if modulation is not None:
-        filled = warped.copy()
-        filled[..., :3] /= modulation
-        filled = scratch.store(filled)
+    filled = warped if modulation is None else scratch.store(_divide(warped, modulation))
     history, older = [newest], []
     for step, field, hidden in zip(past, samples.fields, samples.hidden, strict=False):
         moved = move(step.frame, SlotField(field, back.depth, hidden))
@@ -205,9 +202,11 @@ def modulation_of(gbuffer: GBuffer) -> Float32 | None:
 def demodulated(frame: KeyFrame) -> Float32 | None:
     """Return a frame's pixels, float32 [H, W, C], divided by its :func:`modulation_of`, if any."""
     modulation = None if frame.gbuffer is None else modulation_of(frame.gbuffer)
-    if modulation is None:
-        return None
-    out = np.array(frame.image.pixels, order="C")
+    return None if modulation is None else _divide(frame.image.pixels, modulation)
+
+
+def _divide(pixels: Float32, modulation: Float32) -> Float32:
+    out = np.array(pixels, order="C")
     with np.errstate(over="ignore"):  # of the largest floats
         out[..., :3] /= modulation
     return out

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.synthesis.camera import F64, fit, pixels_at, sample_surfaces
+from exwarp_cli.synthesis.camera import F64, fit, pixels_at, projection_errors, sample_surfaces
 
 # Step of a depth in scene units, and of its inverse; one of them is 0, both if depth is exact.
 DepthStep = tuple[np.float32, np.float32]
@@ -253,9 +253,5 @@ def _camera_miss(nearness: F64, pixels: F64, target: F64) -> float:
     camera = fit(points, target, movers=True)
     if camera is None:
         return np.inf
-    image = points @ camera.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        error = np.linalg.norm(image[:, :2] / image[:, 2:] - target, axis=1)
-    error[image[:, 2] <= 0] = np.inf  # behind the camera
     # Points that move by themselves are few, and hardly change the median.
-    return float(np.median(np.where(np.isfinite(error), error, np.inf)))
+    return float(np.median(projection_errors(camera, points, target)))

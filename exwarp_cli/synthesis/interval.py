@@ -9,11 +9,7 @@ from threading import Lock
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, Window, place_on_canvas
-from exwarp_cli.domain.network_api import (
-    Extrapolator,
-    Interpolator,
-    LookAheadNetwork,
-)
+from exwarp_cli.domain.network_api import Extrapolator, Interpolator, LookAheadNetwork
 from exwarp_cli.domain.tiles import TILE_FEATURES, TILE_ROWS
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
@@ -43,10 +39,7 @@ from exwarp_cli.synthesis.predicted_error import (
     look_ahead_features,
 )
 from exwarp_cli.synthesis.residual_flow import CarriedLight, LightFlow, find_light_flow
-from exwarp_cli.synthesis.trajectory import (
-    displacement,
-    span_motion,
-)
+from exwarp_cli.synthesis.trajectory import displacement, span_motion
 from exwarp_cli.synthesis.warp import Coverage, CoverageSide
 
 # Times of slots 1 to 3 at the usual factor.

@@ -176,7 +176,7 @@ class Candidates:
         return height, width
 
     def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkPictures:
-        """Return the network's inputs of some rows and columns; see `LOOKS_AHEAD`."""
+        """Return the network's inputs of some rows and columns; see `LOOKAHEAD_INTERFACE`."""
         height, width = self.shape
         size = min(rows.stop, height) - rows.start, min(columns.stop, width) - columns.start
         planes = room

@@ -6,9 +6,9 @@ So the cost of decoding them is known apart from that of a policy's features, wh
 from __future__ import annotations
 
 from exwarp_cli.cli import main
-from exwarp_cli.pipeline import key_frames
+from exwarp_cli.pipeline.key_frames import KeyFrameStore
 
 if __name__ == "__main__":
-    # Before the module that reads asks for it by name.
-    key_frames.frames_need_normals = lambda shot, extrapolates: True
+    # Whatever a store finds out for itself.
+    KeyFrameStore._needs_normals = property(lambda store: True, lambda store, needs: None)
     main()

@@ -91,6 +91,13 @@ class IntervalScores:
             )
         return self._scores[name, slot]
 
+    def judged(self, name: str, slot: int) -> list[float]:
+        """Return PSNR and SSIM of a picture shown at a slot; no other metric is computed."""
+        frame, _ = self._scores.get((name, slot)) or score_frame(
+            self.truth[slot], self.frames[name], None, frozenset(JUDGED)
+        )
+        return [getattr(frame, metric) for metric in JUDGED]
+
     def add_vmaf(self, systems: Sequence[tuple[str, ...]]) -> None:
         """Add VMAF to the pictures of some systems, all in one run.
 
@@ -209,26 +216,22 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
             system: {name: getattr(by_extranet[names[MIDDLE - 1]], name) for name in JUDGED}
             for system, names in shown.items()
         },
-        "slot_scores": score_slots(frames, truth, extrapolates=gains is not None),
+        "slot_scores": score_slots(scores, extrapolates=gains is not None),
     }
 
 
-def score_slots(
-    frames: SystemFrames, truth: Mapping[int, Float32], extrapolates: bool
-) -> dict[str, list[list[float] | None]]:
+def score_slots(scores: IntervalScores, extrapolates: bool) -> dict[str, list[list[float] | None]]:
     """Return PSNR and SSIM of each picture of the tree at slots 1 to 3, as if repeated there.
 
     None stands before a picture's first slot.
     """
-    scores: dict[str, list[list[float] | None]] = {}
+    by_picture: dict[str, list[list[float] | None]] = {}
     for name, first in FIRST_SLOTS.items():
         if not extrapolates and "E" in name:
             continue
-        scores[name] = [None] * (first - 1)
-        for slot in range(first, FACTOR):
-            frame, _ = score_frame(truth[slot], frames[name], None, frozenset(JUDGED))
-            scores[name].append([getattr(frame, metric) for metric in JUDGED])
-    return scores
+        by_picture[name] = [None] * (first - 1)
+        by_picture[name] += [scores.judged(name, slot) for slot in range(first, FACTOR)]
+    return by_picture
 
 
 def timed_keys(opened: OpenedSubject) -> tuple[int, ...]:

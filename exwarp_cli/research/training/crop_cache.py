@@ -119,6 +119,7 @@ def choose_frames(
     Of a frame that is drawn twice other crops are taken. `side` is the height and width in pixels
     of the crops that a frame of any look has to hold.
     """
+    # Numbers differ for every scene and every use: 0 for frames, 1 for crops.
     rng = np.random.default_rng((seed, zlib.crc32(manifest.scene.encode()), 0))
     can_halve = min(manifest.width, manifest.height) >= 2 * side
     variants = [Variant(p, backwards=b) for p in range(FACTOR) for b in (False, True)]

@@ -193,12 +193,11 @@ def train_look_ahead_policy(
         say(f"on all {len(tables)} scenes")
         best, how = train_tiles(tables, settings), "learned on rendered scenes"
     own = [choice_margins(best, table) for table in tables]
-    prices = [price_for(share, own, LookAheadTable.cost) for share in EFFORTS]
     metadata = {
         "about": f"ExWarp's predictor of tiles between key frames: {how}",
         "state": LOOK_AHEAD_STATE,
         "scenes": [table.scene for table in tables],
-        "efforts": [[s, round(price)] for s, price in zip(EFFORTS, prices, strict=True)],
+        "efforts": [[s, round(price_for(s, own, LookAheadTable.cost))] for s in EFFORTS],
     }
     save_network(output / SHIPPED_LOOK_AHEAD_POLICY, best, metadata)
     report = {

@@ -272,7 +272,7 @@ class NormalisedConvolution(nn.Module):
 
 
 class WeighingNetwork(UNet):
-    """Maps the inputs of `domain.lookahead.LOOKS_AHEAD` to weights; `width` at half resolution."""
+    """Maps the inputs of `LOOKAHEAD_INTERFACE` to weights; `width` at half resolution."""
 
     def __init__(self, width: int) -> None:
         super().__init__(INPUT_PLANES, DETAIL, width, GROWTH, NormalisedConvolution)
