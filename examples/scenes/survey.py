@@ -36,7 +36,7 @@ from exwarp_cli.io.dataset import BENCHMARK, TRAINING, FrameSet, RenderedScene, 
 from exwarp_cli.io.exr.reader import read_headers
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.metrics.registry import score_frame
-from exwarp_cli.pipeline.progress import Progress
+from exwarp_cli.pipeline.progress import Silence
 from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.report.schema import mean_scores
 from exwarp_cli.research.training.scene_clip import SceneClip
@@ -143,14 +143,7 @@ def run(scene: RenderedScene, method: str, setting: str) -> list[FrameRecord]:
         gbuffers = instants if setting == "slot" else None
         source = SourceSettings(keys, gbuffers, scene.manifest.motion, tail=False)
         settings = UpsampleSettings(source, folder, method, ground_truth=instants)
-        return [record for record in upsample(settings, _Silent()).frames if record.slot]
-
-
-class _Silent(Progress):
-    """No progress, and no word about the input either."""
-
-    def message(self, text: str) -> None:
-        """Drop it."""
+        return [record for record in upsample(settings, Silence()).frames if record.slot]
 
 
 def _noise_floor(scene: RenderedScene) -> float | None:

@@ -132,17 +132,14 @@ def openjd(
     if bundle is not None:
         write_bundle(bundle, template)
     if template.size > job.size:
-        show(
-            f"exwarp: chunks have {template.size} key frames, not {job.size}, as the list of "
-            "chunks would be too long for Open Job Description; without --plain any size does",
-            err=True,
+        _print_note(
+            f"chunks have {template.size} key frames, not {job.size}, as the list of chunks would "
+            "be too long for Open Job Description; without --plain any size does"
         )
     if template.values and bundle is None:
         values = (f"-p {shlex.quote(f'{name}={value}')}" for name, value in template.values.items())
-        show(
-            "exwarp: add at submission, as these are not below the current folder: "
-            f"{' '.join(values)}",
-            err=True,
+        _print_note(
+            f"add at submission, as these are not below the current folder: {' '.join(values)}"
         )
     if as_json:
         print_json(template.document)
@@ -171,7 +168,7 @@ def commands(chunk_size: int, program: str, as_json: bool, **options: Any) -> No
     for _, words in chunks:
         click.echo(os.fsencode(shell_line(words)))  # names as the disk has them, for any terminal
     for words in afterwards:
-        show(f"exwarp: when all are done: {shell_line(words)}", err=True)
+        _print_note(f"when all are done: {shell_line(words)}")
 
 
 def _open_job(options: Mapping[str, Any], chunk_size: int, title: str | None) -> FarmJob:
@@ -215,3 +212,7 @@ def option_values(options: Mapping[str, Any]) -> Iterator[tuple[str, str, str | 
             yield name, parameter.opts[-1], ",".join(METRIC_OPTIONS[field] for field in value)
         else:
             yield name, parameter.opts[-1], str(value)
+
+
+def _print_note(text: str) -> None:
+    show(f"exwarp: {text}", err=True)

@@ -139,7 +139,8 @@ def evaluate(
     measuring
         What is measured, and how; None for the defaults.
     progress, watcher
-        The first receives every frame, the second is shown the frames that it wants.
+        The first receives every frame, the second is shown the frames that it wants; None for
+        neither.
 
     Raises
     ------
@@ -228,13 +229,16 @@ def _score(
     progress: Progress,
     watcher: FrameListener | None,
 ) -> tuple[tuple[ComparedFrame, ...], tuple[int, ...]]:
-    """Score all pairs, one in memory at a time; also return the first one's rows and columns."""
+    """Score all pairs, one in memory at a time, and close their sequences.
+
+    Also return the first pair's rows and columns.
+    """
     hole_fractions: list[float | None] = []
     shape: tuple[int, ...] = (0, 0)
-    progress.start(len(files))
-    if watcher is not None:
-        watcher.plan([[file.b] for file in files])
     try:
+        progress.start(len(files))
+        if watcher is not None:
+            watcher.plan([[file.b] for file in files])
         with scorer.vmaf or nullcontext():
             for file in files:
                 pair = file.read()

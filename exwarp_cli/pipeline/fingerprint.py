@@ -49,6 +49,7 @@ class Fingerprinter:
     key_rate: Fraction | None = None  # frame rate that written key frames get; None: as they are
     # Of files that were digested; views share them, which may be of the same files.
     digests: OrderedDict[FrameFiles, str] = field(default_factory=OrderedDict, init=False)
+    # Of key frames as they are written, by the file's path; one short text each, so all are kept.
     _rewritten: dict[Path, str] = field(default_factory=dict, init=False)
 
     def digest(self, slot: Slot) -> None:
@@ -197,7 +198,7 @@ def _reading_facts(source: Source, method: Method) -> dict[str, Any]:
     ]
     if depth:
         facts["depth"] = depth
-    ids = (source.slots or source.keys).ids
+    ids = source.geometry.ids
     if ids is not None:
         facts["ids"] = ids.identity
     return facts

@@ -155,7 +155,7 @@ class Job:
 
     def summary(self, outcome: RunOutcome, seconds: float) -> RunSummary:
         """Put together what a run of this job did, in `seconds` of wall time of streaming."""
-        source, geometry = self.source, self.source.slots or self.source.keys
+        source, geometry = self.source, self.source.geometry
         numbers, motion = source.timeline.numbers, source.motion_origin
         by_name = None if geometry.ids is None else geometry.ids.dynamic
         return RunSummary(

@@ -79,7 +79,7 @@ class Models:
             note = None if network is None else other_extrapolator(policy, network)
             objects_from, missing = None, []
             if not policy.of_tiles:  # one of tiles uses what the warp uses, so it lacks nothing
-                shot = source.slots or source.keys
+                shot = source.geometry
                 layout = shot.layout
                 placed = Role.POSITION in layout or Role.DEPTH in layout
                 if Role.STENCIL in layout:
@@ -132,7 +132,7 @@ def model_messages(job: Job) -> Iterator[str]:
         yield policy.note
     if policy.objects_from == "motion":
         yield "no object ids: what moves otherwise than the camera counts as an object"
-    ids = (job.source.slots or job.source.keys).ids
+    ids = job.source.geometry.ids
     is_named = ids is not None and ids.dynamic is not None
     if policy.objects_from == "cryptomatte" and not is_named:
         yield (
@@ -165,7 +165,7 @@ def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator) -> str | N
 
 def _missing_colours(source: Source) -> list[str]:
     """Return the names of absent surface colours, by which shading would have to be divided."""
-    layout = (source.slots or source.keys).layout
+    layout = source.geometry.layout
     return [name for role, name in SURFACE_COLOURS.items() if role not in layout]
 
 
@@ -202,9 +202,9 @@ def input_messages(job: Job) -> Iterator[str]:
         )
     if source.motion_origin is not None:
         yield "motion {}: {}".format(*source.motion_origin)
-    if depth := (source.slots or source.keys).depth.evidence:
+    if depth := source.geometry.depth.evidence:
         yield f"depth {depth}"
-    ids = (source.slots or source.keys).ids
+    ids = source.geometry.ids
     if ids is not None and ids.dynamic is not None:
         names = ids.dynamic.names
         listed = ", ".join(quote_name(name) for name in names[:MAX_NAMES])

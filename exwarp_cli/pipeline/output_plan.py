@@ -312,8 +312,8 @@ class _Ownership:
     method: Method
     rendered: Sequence | None = None
     # What a file says of itself; None where there is none.
-    authorship: Callable[[Path], Authorship | None] = field(
-        default_factory=lambda: cache(find_authorship)
+    _authorship: Callable[[Path], Authorship | None] = field(
+        default_factory=lambda: cache(find_authorship), init=False, compare=False
     )
 
     def foreign_files(self, slot: Slot) -> list[tuple[Path, str]]:
@@ -355,7 +355,7 @@ class _Ownership:
 
     def _why_not_written(self, path: Path) -> str | None:
         """Return why a file is none that the run's method wrote, by what it says of itself."""
-        authorship = self.authorship(path)
+        authorship = self._authorship(path)
         if authorship is None:
             return None
         if authorship.state is FileState.FOREIGN:
@@ -409,7 +409,7 @@ class _Ownership:
         for index in (slot.key, slot.key - 1):
             for each in timeline.made_of(index) if index >= 0 else ():
                 frame = frames.path(timeline.number(each))
-                authorship = self.authorship(frame)
+                authorship = self._authorship(frame)
                 if authorship is None or authorship.state is not FileState.INTACT:
                     continue
                 around.append(frame)

@@ -35,7 +35,7 @@ DECISIONS_SCHEMA = "exwarp.policy-decisions/1"
 FORMAT = "exwarp.policy-hex/1"
 MANIFEST = "manifest.json"
 README = "README.txt"
-ABOUT, ABOUT_DESIGN = README, "README_design.txt"  # texts of that file, beside the sources
+README_DESIGN = "README_design.txt"  # the end of that file, where it has the design
 SOURCES = ("exwarp_predictor.v", "exwarp_core.v", "exwarp_predictor_tb.v", "Makefile")
 
 CACHE = 20 * 1024  # bytes of a core that hold the shipped network; 16 KB do not
@@ -199,7 +199,7 @@ def export(
     """
     source = load_policy(policy)
     network = source.network
-    about = "".join(map(_read_source, (ABOUT, ABOUT_DESIGN) if verilog else (ABOUT,)))
+    about = _read_source(README) + (_read_source(README_DESIGN) if verilog else "")
     texts = {README: about.format(cores=array.cores, macs=array.macs, inputs=network.sizes[0])}
     texts |= hex_files(array, network, sample_states(network.sizes[0], vectors, seed))
     if verilog:

@@ -75,6 +75,11 @@ class Source:
     scratch: ScratchFrames = field(default=IN_MEMORY, compare=False, repr=False)
 
     @property
+    def geometry(self) -> Shot:
+        """The shot whose G-buffers are in use: `slots`, else the key frames."""
+        return self.slots or self.keys
+
+    @property
     def output_fps(self) -> Fraction:
         """Frames per second of the output."""
         return self.fps * self.timeline.factor

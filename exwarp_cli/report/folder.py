@@ -41,7 +41,6 @@ from exwarp_cli.report.schema import (
     format_review_csv,
     run_document,
     to_json,
-    to_plain,
 )
 from exwarp_cli.report.upsample_page import upsample_page
 
@@ -159,8 +158,8 @@ def _write_files(folder: Path, texts: Mapping[str, str]) -> None:
 def format_run(run: RunSummary, report: str) -> str:
     """Write run.json; `report` is the text of the report.json beside it."""
     digest = sha256(report.encode()).hexdigest()
-    document = {"schema": RUN_SCHEMA, "report_sha256": digest, "run": to_plain(run, lossless=True)}
-    return to_json(document, compact=True)
+    document = {"schema": RUN_SCHEMA, "report_sha256": digest, "run": run}
+    return to_json(document, compact=True, lossless=True)
 
 
 def parse_run(text: str, report: str) -> RunSummary:

@@ -138,7 +138,7 @@ def run_document(run: RunSummary) -> dict[str, Any]:
 
 
 def to_plain(value: Any, lossless: bool = False) -> Any:
-    """Return dataclasses, dictionaries and sequences as JSON has them; so are Enums and Fractions.
+    """Return dataclasses, dictionaries, sequences, Enums and Fractions as JSON has them.
 
     NaN and infinities become None, or, if nothing may be lost, their names.
     """
@@ -159,10 +159,10 @@ def to_plain(value: Any, lossless: bool = False) -> Any:
     return value
 
 
-def to_json(document: dict[str, Any], compact: bool = False) -> str:
+def to_json(document: dict[str, Any], compact: bool = False, lossless: bool = False) -> str:
     """Write a document as JSON text; floats keep all their digits, and `to_plain` is applied."""
     indent, separators = (None, (",", ":")) if compact else (2, None)
-    plain = to_plain(document)
+    plain = to_plain(document, lossless)
     return json.dumps(plain, indent=indent, separators=separators, allow_nan=False) + "\n"
 
 

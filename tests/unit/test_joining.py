@@ -53,8 +53,8 @@ def part(of: RunSummary, *keys: int, **more: Any) -> RunSummary:
     )
 
 
-def merged(parts: Sequence[RunSummary], names: Sequence[str] = "abcd") -> RunSummary:
-    return merge_runs(dict(zip(names, parts, strict=False)))
+def merged(parts: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSummary:
+    return merge_runs(dict(zip(names or map(str, range(len(parts))), parts, strict=True)))
 
 
 PARTS = ((1001, 1002), (1003,), (1004, 1006, 1008), (1005, 1007))

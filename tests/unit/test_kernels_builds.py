@@ -33,7 +33,6 @@ def test_every_kernel_with_threads_has_a_case():
         and isinstance(value, ParallelKernel)
         and value.__module__ == module.__name__
     }
-    # It runs two kernels of its own.
     # These run two kernels each.
     assert kernels_with_threads | {"blend", "find_fringe"} == set(CASES)
 

@@ -266,7 +266,7 @@ def describe_subject(opened: OpenedSubject) -> dict[str, Any]:
         "width": display.width,
         "height": display.height,
         "fps": float(source.fps),
-        "producer": (source.slots or source.keys).layout.producer,
+        "producer": source.geometry.layout.producer,
         "policy": {
             "file": opened.policy.path.name,
             "sha256": opened.policy.checksum,
