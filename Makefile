@@ -49,6 +49,9 @@ TRAINING ?= $(HOME)/.cache/exwarp/training
 POLICY ?= build/policy
 MODEL ?= models/extrapolator.onnx
 
+# Tests start hundreds of processes: what the first compiles of its imports, the others only read.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: test test-full check golden faults planted hardware bench bench-check profile demo scenes things blender train policy judge paper docs clean
 
 test: check
