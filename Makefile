@@ -55,10 +55,10 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: test test-full check golden faults planted hardware bench bench-check profile demo scenes things blender train policy judge paper docs clean
 
 test: check
-	$(BIN)/pytest --numprocesses auto --dist worksteal
+	$(BIN)/pytest --all --numprocesses auto --dist worksteal
 
 test-full: check
-	EXWARP_TESTS=full $(BIN)/pytest --numprocesses auto --dist worksteal
+	EXWARP_TESTS=full $(BIN)/pytest --all --numprocesses auto --dist worksteal
 
 check: $(STAMP)
 	$(BIN)/ruff check

@@ -1,4 +1,9 @@
-"""How much is tried: a spread of the cases by default, every combination with EXWARP_TESTS=full."""
+"""How much is tried: which tests run by default, and how many of their cases.
+
+``pytest`` alone runs what takes under four minutes on two cores. With ``--all``, with files or with
+``-m`` it runs what these name; ``make test`` runs all. Of combinations it tries a spread, with
+EXWARP_TESTS=full every one.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +13,50 @@ from collections.abc import Iterable, Sequence
 from typing import TypeVar
 
 T = TypeVar("T")
+
+# Folders and files under tests that `pytest` alone leaves out, by the mark of their tests.
+MARKED = {
+    "blender": ("blender",),
+    "cluster": ("cli/cluster",),
+    "hardware": ("hardware",),
+    "process": (
+        "faults",
+        "packaging",
+        "cli/test_cores.py",
+        "cli/test_encodings.py",
+        "cli/test_farm_openjd.py",
+        "cli/test_farm_runs.py",
+        "cli/test_first_run.py",
+        "cli/test_signals.py",
+        "cli/test_standard_streams.py",
+        "cli/test_systems.py",
+        "unit/test_kernel_cache.py",
+        "unit/test_telemetry.py",
+    ),
+    "slow": (
+        "cli/decisions/test_bench.py",
+        "cli/decisions/test_bytes.py",
+        "cli/test_clips.py",
+        "cli/test_cuts.py",
+        "cli/test_extrapolation_bytes.py",
+        "cli/test_holds.py",
+        "cli/test_keep_going.py",
+        "cli/test_keep_going_splits.py",
+        "cli/test_ownership.py",
+        "cli/test_stereo.py",
+        "cli/test_tail.py",
+        "cli/test_tiles.py",
+        "cli/test_verify.py",
+        "cli/test_video_colour.py",
+        "unit/test_judging.py",
+        "unit/test_kernels_builds.py",
+        "unit/test_miniature.py",
+    ),
+    "training": ("unit/training", "cli/test_train_command.py", "cli/test_train_policy.py"),
+    "web": ("web",),
+}
+
+DEFAULT_SUITE = f"not ({' or '.join(MARKED)})"
 
 FULL = os.environ.get("EXWARP_TESTS") == "full"
 """Whether everything is tried, as `make test-full` does."""

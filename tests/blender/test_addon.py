@@ -9,8 +9,6 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.blender, pytest.mark.slow]
-
 SCRIPT = Path(__file__).with_name("addon_shot")
 
 

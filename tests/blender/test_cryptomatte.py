@@ -19,8 +19,6 @@ from exwarp_cli.io.cryptomatte import (
 from exwarp_cli.io.frames import read_plane
 from tests.unit.cryptomatte_files import found_in, ranks_in
 
-pytestmark = [pytest.mark.blender, pytest.mark.slow]
-
 SCRIPT = Path(__file__).with_name("cryptomatte_shot")
 MOVERS = {"ball", "car", "car wheel.001", "car wheel.002", 'Würfel "B"\\2'}
 STANDING = {"ground", "house left", "house right", "fence", "pane"}

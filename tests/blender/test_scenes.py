@@ -19,8 +19,6 @@ from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.scene_clip import SceneClip
 
-pytestmark = [pytest.mark.blender, pytest.mark.slow]
-
 SCENES = ("lab", "tropical", "village", "town", "slum")
 SIZE = ("--resolution", "64x36", "--samples", 2)
 SHOT, NAME = 8, "variety-0008"

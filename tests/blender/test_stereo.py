@@ -12,8 +12,6 @@ from exwarp_cli.io.shot import open_views
 from exwarp_cli.pipeline.source import each_view, open_source
 from tests.stereo_layouts import convert, read_eyes
 
-pytestmark = [pytest.mark.blender, pytest.mark.slow]
-
 SCRIPT = Path(__file__).with_name("stereo_shot")
 
 

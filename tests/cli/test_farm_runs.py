@@ -20,7 +20,6 @@ from tests.cli.reports import rows, unmeasured
 from tests.cli.shots import FORWARD, SMALL
 
 pytestmark = [
-    pytest.mark.slow,  # every chunk starts exwarp anew
     pytest.mark.skipif(os.name == "nt", reason="signals of POSIX"),
 ]
 

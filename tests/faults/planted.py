@@ -2,9 +2,9 @@
 
 ``python -m tests.faults.planted [NAME …]``
 
-A defect counts as caught if a test of its files fails with it and passes without it. Exits with 1
-if a defect is not caught, and with 2 if one cannot be planted. `test_planted.py` keeps the list up
-to date.
+A defect counts as caught if a test of the default suite, in its files, fails with it and passes
+without it. Exits with 1 if a defect is not caught, and with 2 if one cannot be planted.
+`test_planted.py` keeps the list up to date.
 """
 
 from __future__ import annotations
@@ -20,12 +20,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.matrix import DEFAULT_SUITE
+
 ROOT = Path(__file__).parents[2]
 
 # Seconds for one run of pytest. The first one compiles the kernels that it needs.
 LIMIT_S = 600
 
-PYTEST = ("-m", "pytest", "-x", "-q", "-p", "no:cacheprovider")
+PYTEST = ("-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-m", DEFAULT_SUITE)
 
 
 @dataclass(frozen=True)

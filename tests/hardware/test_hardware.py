@@ -14,7 +14,6 @@ from tests.matrix import FULL
 from tests.unit.mlp_cases import network
 
 pytestmark = [
-    pytest.mark.hardware,
     pytest.mark.skipif(
         bool(designs.missing_tools()),
         reason=f"wants {', '.join(designs.missing_tools())}; install Debian's packages",

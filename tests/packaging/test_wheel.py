@@ -19,8 +19,6 @@ from exwarp_cli.kernels import _compile
 ROOT = Path(__file__).parents[2]
 KEYS = ROOT / "examples" / "market" / "keys"
 
-pytestmark = pytest.mark.process
-
 
 @pytest.fixture(scope="module")
 def dist(tmp_path_factory) -> Path:

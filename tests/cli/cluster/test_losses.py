@@ -66,8 +66,8 @@ class TestLosses:
         ("stop", "workers"),
         [
             (signal.SIGINT, 2),
-            pytest.param(signal.SIGTERM, 1, marks=pytest.mark.slow),
-            pytest.param(signal.SIGKILL, 1, marks=pytest.mark.slow),
+            (signal.SIGTERM, 1),
+            (signal.SIGKILL, 1),
         ],
     )
     def test_ending_leaves_no_worker(self, exwarp, keys, whole, tmp_path, stop, workers):
@@ -93,7 +93,6 @@ class TestLosses:
         assert exwarp("upsample", keys, "-o", out, *HOW, "--skip-existing").code == 0
         assert shots.contents(out) == shots.contents(whole / "frames")
 
-    @pytest.mark.slow
     def test_a_scheduler_that_is_killed(self, exwarp, keys, tmp_path):
         out = tmp_path / "out"
         with DaskCluster(tmp_path / "dask") as cluster, ThreadPoolExecutor() as beside:

@@ -66,14 +66,12 @@ class TestSame:
         assert unmeasured(other / "report")["cuts"] == [{"frame": 4, "source": "given"}]
         agree(one, other)
 
-    @pytest.mark.slow
     def test_layers_and_views_of_every_kind(self, both, tmp_path_factory):
         folder = write_stereo(tmp_path_factory.mktemp("stereo") / "keys", "parts", (1, 2))
         sequence, options = arguments(folder, "parts")
         everything = ("--view", "all", "--layers", "all", "--video", "@a.mp4")
         agree(*both(sequence, *options, "-m", "softsplat", *everything, size=1))
 
-    @pytest.mark.slow
     def test_a_video_with_sound(self, both, tmp_path_factory):
         pytest.importorskip("cv2")
         film = tmp_path_factory.mktemp("clip") / "film.mp4"
