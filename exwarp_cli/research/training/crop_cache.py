@@ -70,9 +70,6 @@ MOST_LINEAR = 6e4
 # Steps of a scene that as many frames are drawn from as the settings say.
 SHORT = 16
 
-# Names of what is cached of crops, one ``.npy`` each.
-CROP_ARRAYS = ("colour", "mask", "features", "modulation", "target", "time")
-
 # How often roughness and metallic are left out together, normals, and depth.
 NO_MATERIAL = 0.3
 NO_NORMAL = 0.1
@@ -84,9 +81,6 @@ EXPOSURE = 1.0
 # How far patches are drawn beyond a crop's edge before they are moved inside, as a share of their
 # size: else the frame's own edge, where much is hidden, is hardly ever at that of a patch.
 OVERHANG = 0.5
-
-# Rows and columns of a crop.
-Patch = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
@@ -131,8 +125,7 @@ def choose_frames(manifest: SceneManifest, settings: ExtrapolatorSettings) -> li
         variant, k = places[setting][int(rng.choice(len(likelihood), p=likelihood))]
         slot = 1 + int(rng.choice(len(SLOTS), p=SLOTS))
         choices.append(FrameChoice(variant, k, slot, setting, draw_look(rng, can_halve)))
-    order = {variant: i for i, variant in enumerate(variants)}
-    return sorted(choices, key=lambda c: (order[c.variant], c.k, c.setting, c.slot))
+    return sorted(choices, key=lambda c: (variants.index(c.variant), c.k, c.setting, c.slot))
 
 
 def _draw_view(frame: Window, side: int, rng: np.random.Generator) -> Window:
@@ -202,12 +195,11 @@ class CachedArrays(ABC):
     The array "time" has one number for each sample.
     """
 
-    names: tuple[str, ...]  # of the arrays
     prefix = ""  # of the folders' names
 
     def __init__(self, folders: Sequence[Path]) -> None:
         self._files = [
-            {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in self.names}
+            {file.stem: np.load(file, mmap_mode="r") for file in folder.glob("*.npy")}
             for folder in folders
         ]
         counts = [len(files["time"]) for files in self._files]
@@ -290,8 +282,6 @@ def to_device(batch: Any, device: str) -> Any:
 class Crops(CachedArrays):
     """All crops of some folders."""
 
-    names = CROP_ARRAYS
-
     @staticmethod
     def token(settings: ExtrapolatorSettings) -> dict[str, object]:
         """Return the versions and settings that decide what is cached."""
@@ -339,13 +329,15 @@ class Crops(CachedArrays):
             check_stop()
         return {name: np.stack(arrays) for name, arrays in crops.items()}
 
-    def batch(self, indices: Sequence[int], patches: Sequence[Patch] | None = None) -> Batch:
-        """Return crops as they are cached, or a patch of each."""
+    def batch(
+        self, indices: Sequence[int], patches: Sequence[tuple[slice, slice]] | None = None
+    ) -> Batch:
+        """Return crops as they are cached, or a patch of each: its rows and columns."""
         if patches is None:
             patches = [(slice(None), slice(None))] * len(indices)
         places = [self._places[index] for index in indices]
         tensors: dict[str, Tensor] = {}
-        for name in CROP_ARRAYS:
+        for name in self._files[0]:
             cuts = [
                 self._files[f][name][i if name == "time" else (i, slice(None), *patch)]
                 for (f, i), patch in zip(places, patches, strict=True)
@@ -353,13 +345,8 @@ class Crops(CachedArrays):
             tensors[name] = torch.from_numpy(np.stack(cuts)).float()
         colour, mask = tensors["colour"], tensors["mask"]
         visible = mask[:, :1]
-        history = torch.cat(
-            [
-                torch.cat([colour[:, 3 * j + 3 : 3 * j + 6], mask[:, j : j + 1]], 1)
-                for j in range(mask.shape[1])
-            ],
-            1,
-        )
+        frames = zip(torch.split(colour[:, 3:], 3, 1), torch.split(mask, 1, 1), strict=True)
+        history = torch.cat([part for frame in frames for part in frame], 1)
         return Batch(
             warped=torch.cat([history[:, :3] * visible, colour[:, :3]], 1),
             mask=visible,

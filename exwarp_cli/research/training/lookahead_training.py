@@ -80,16 +80,6 @@ VALIDATED = 60
 # Of what is cached; samples of another version are made again.
 VERSION = 1
 
-# Names of what is cached of slots, one ``.npy`` each.
-PICTURES = tuple(LOOKAHEAD_INTERFACE.inputs)
-SAMPLE_ARRAYS = (*PICTURES, "truth", "time")
-
-# First key frames of the variants; the fast ones span two key intervals.
-SLOW_PHASES, FAST_PHASES = (0, 1, 2, 3), (1, 4)
-
-# Phases of the variants in a look that is drawn.
-LOOK_PHASES = (0, 2)
-
 # Channels in the order in which a slot has them that is played backwards.
 SWAPPED = {
     "colour": (0, 1, 2, 6, 7, 8, 3, 4, 5, 12, 13, 14, 9, 10, 11),
@@ -130,7 +120,7 @@ class _Recorder:
 def slot_samples(clip: SceneClip, setting: str = "key") -> Iterator[dict[str, np.ndarray]]:
     """Yield what a network is given at each slot between key frames, with the truth.
 
-    By `SAMPLE_ARRAYS`: the inputs and ``truth`` [3, H, W], as displayed, float16; ``time`` float32.
+    The inputs and ``truth`` [3, H, W], as displayed, float16; ``time`` float32.
     """
     for k in clip.intervals:
         interval = clip.interval(k, setting)
@@ -150,9 +140,9 @@ def slot_samples(clip: SceneClip, setting: str = "key") -> Iterator[dict[str, np
 def variants_of(name: str, seed: int) -> list[tuple[Variant, Look]]:
     """Return how a scene is played and delivered; looks are drawn by its name and a seed."""
     rng = np.random.default_rng((seed, zlib.crc32(name.encode())))
-    plain = [Variant(phase) for phase in SLOW_PHASES]
-    fast = [Variant(phase, speed=2) for phase in FAST_PHASES]
-    looks = [(Variant(phase), draw_look(rng, can_halve=False)) for phase in LOOK_PHASES]
+    plain = [Variant(phase) for phase in range(FACTOR)]
+    fast = [Variant(phase, speed=2) for phase in (1, 4)]
+    looks = [(Variant(phase), draw_look(rng, can_halve=False)) for phase in (0, 2)]
     return [*((variant, PLAIN) for variant in (*plain, *fast)), *looks]
 
 
@@ -170,7 +160,6 @@ class SampleBatch(NamedTuple):
 class Samples(CachedArrays):
     """The slots of some folders, of which patches are read as they are needed."""
 
-    names = SAMPLE_ARRAYS
     prefix = "lookahead-"
 
     @staticmethod
@@ -180,17 +169,17 @@ class Samples(CachedArrays):
 
     @staticmethod
     def prepare(scene: RenderedScene, settings: LookAheadSettings) -> dict[str, np.ndarray]:
-        """Make the samples of a scene, by `SAMPLE_ARRAYS`."""
+        """Make the samples of a scene: what `slot_samples` yields, of all variants."""
         clip, samples = SceneClip(scene), []
         for variant, look in variants_of(scene.name, settings.seed):
             clip = clip.seen_as(variant, look)
             samples += list(slot_samples(clip))
-        return {name: np.stack([sample[name] for sample in samples]) for name in SAMPLE_ARRAYS}
+        return {name: np.stack([sample[name] for sample in samples]) for name in samples[0]}
 
     def whole(self, index: int) -> SampleBatch:
         """Return a slot as it is, as a batch of one."""
         f, i = self._places[index]
-        return _stack([{name: np.asarray(self._files[f][name][i]) for name in SAMPLE_ARRAYS}])
+        return _stack([{name: array[i] for name, array in self._files[f].items()}])
 
     def draw(self, step: int, size: int, side: int, seed: int) -> SampleBatch:
         """Return the batch of a step of training: patches of slots, varied."""
@@ -219,7 +208,8 @@ class Samples(CachedArrays):
         y, x = corners[int(np.argmax(errors))]
         pictures = {
             name: files[name][i, :, y : y + side, x : x + side].astype(np.float32)
-            for name in (*PICTURES, "truth")
+            for name in files
+            if name != "time"
         }
         order, gain = rng.permutation(3), np.float32(np.exp(rng.uniform(*BRIGHTNESS)))
         for name in ("colour", "truth"):
