@@ -21,7 +21,6 @@ import numpy.typing as npt
 
 from exwarp_cli.accelerator.mlp import QuantisedMlp
 from exwarp_cli.domain.decision import (
-    CHOICES,
     EXTRAPOLATE,
     NODES,
     PATHS,
@@ -238,18 +237,15 @@ def score_paths(table: PolicyTable, paths: Paths | None, rows: Bool) -> PolicySc
     """
     outcomes = table.outcomes[rows]
     taken: tuple[int, ...] = ()
+    decisions = np.array([len(path.choices) for path in PATHS.values()])
     if paths is None:
-        odds = [0.5 ** len(path.choices) for path in PATHS.values()]
-        shares = np.tile(odds, (len(outcomes), 1))
+        shares = np.tile(0.5**decisions, (len(outcomes), 1))
     else:
         shares = np.eye(len(NAMES))[paths[rows]]
         taken = tuple(int(n) for n in shares.sum(axis=0))
     quality = slot_quality(outcomes).mean(axis=-2)
     generated = np.array([path.generated for path in PATHS.values()])
-    counts = np.array(
-        [[list(PATHS[name].choices.values()).count(c) for c in CHOICES] for name in NAMES]
-    )
-    warps, decisions = counts[:, CHOICES.index(WARP)], counts.sum(axis=1)
+    warps = np.array([list(path.choices.values()).count(WARP) for path in PATHS.values()])
     per_path = shares.mean(axis=0)
     return PolicyScore(
         intervals=len(outcomes),
