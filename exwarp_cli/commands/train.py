@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -27,9 +27,6 @@ from exwarp_cli.research.training.training_settings import (
     require_sane_policy,
     require_train,
 )
-
-if TYPE_CHECKING:
-    from exwarp_cli.research.training.tile_policy_training import TileTraining
 
 DEFAULTS = ExtrapolatorSettings()
 AHEAD = LookAheadSettings()
@@ -187,13 +184,12 @@ def policy(
     from exwarp_cli.models.policy_files import SHIPPED_POLICY
 
     require_train()
-    from exwarp_cli.research.training.outcome_tables import Survey, find_tables
+    from exwarp_cli.research.training.outcome_tables import find_tables
     from exwarp_cli.research.training.policy_training import policy_card, train_policy
 
     settings = PolicySettings(**options)  # type: ignore[arg-type]
     require_sane_policy(settings)
-    survey = Survey(data, extrapolator, cache, jobs)
-    scenes = find_tables(survey, tables, output, _say)
+    scenes = find_tables(data, tables, output, _say, extrapolator, cache, jobs)
     scores = train_policy(scenes, output, settings, _say)
     model, text = output / SHIPPED_POLICY, policy_card(scores)
     _print_outcome("policy", output, model, scores, text, as_json)
@@ -216,10 +212,23 @@ def tile_policy(
     With --data, every maker's frames of the benchmark scenes are measured first, and kept as tables
     in the output folder. Each scene is left out of one training and judged by it.
     """
-    require_train()
-    from exwarp_cli.research.training.tile_policy_training import TRAINING
+    from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY
 
-    _train_tiles(TRAINING, (data, extrapolator, tables), output, as_json, options)
+    require_train()
+    from exwarp_cli.research.training.tile_policy_training import (
+        TileTable,
+        find_tile_tables,
+        gain_card,
+        train_tile_policy,
+    )
+
+    settings = TilePolicySettings(**options)  # type: ignore[arg-type]
+    require_sane_policy(settings)
+    found = find_tile_tables(TileTable, data, extrapolator, tables, output, _say)
+    scores = train_tile_policy(found, output, settings, _say)
+    model = output / SHIPPED_TILE_POLICY
+    text = gain_card(scores, "E", scores["extrapolator_gain_db"])
+    _print_outcome("tile-policy", output, model, scores, text, as_json)
 
 
 @command.command("look-ahead-policy", context_settings={"show_default": True})
@@ -239,25 +248,22 @@ def look_ahead_policy(
     A rule is compared with a learned policy, left out on each scene in turn. With --data, frames of
     the benchmark scenes are measured first, and kept as tables in the output folder.
     """
+    from exwarp_cli.models.policy_files import SHIPPED_LOOK_AHEAD_POLICY
+
     require_train()
-    from exwarp_cli.research.training.look_ahead_policy import TRAINING
+    from exwarp_cli.research.training.look_ahead_policy import (
+        LookAheadTable,
+        train_look_ahead_policy,
+    )
+    from exwarp_cli.research.training.tile_policy_training import find_tile_tables, gain_card
 
-    _train_tiles(TRAINING, (data, interpolator, tables), output, as_json, options)
-
-
-def _train_tiles(
-    training: TileTraining[Any, Any],
-    sources: tuple[Path | None, Path | None, Path | None],  # scenes, network, tables
-    output: Path,
-    as_json: bool,
-    options: dict[str, Any],  # of TilePolicySettings
-) -> None:
-    settings = TilePolicySettings(**options)
+    settings = TilePolicySettings(**options)  # type: ignore[arg-type]
     require_sane_policy(settings)
-    found = training.find(*sources, output, _say)
-    scores = training.train(found, output, settings, _say)
-    model, text = output / training.model, training.card(scores)
-    _print_outcome(training.kind, output, model, scores, text, as_json)
+    found = find_tile_tables(LookAheadTable, data, interpolator, tables, output, _say)
+    scores = train_look_ahead_policy(found, output, settings, _say)
+    model = output / SHIPPED_LOOK_AHEAD_POLICY
+    text = gain_card(scores, "The network", scores["network_gain_db"])
+    _print_outcome("look-ahead-policy", output, model, scores, text, as_json)
 
 
 def _print_outcome(

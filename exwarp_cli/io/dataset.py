@@ -124,33 +124,29 @@ class RenderedScene:
         """
         manifest = self.manifest
         step, first = manifest.keys.step, manifest.instants.first
-        absent_instants = self.missing(manifest.instants)
-        absent_keys = self.missing(manifest.keys)
-        if not absent_instants and not absent_keys:
+        instants, keys = (
+            set(frames.numbers).difference(self.missing(frames))
+            for frames in (manifest.instants, manifest.keys)
+        )
+        if len(instants) == manifest.instants.count and len(keys) == manifest.keys.count:
             return self
-        instants = set(manifest.instants.numbers).difference(absent_instants)
-        keys = set(manifest.keys.numbers).difference(absent_keys)
-        run: list[int] = []
-        for index in range(manifest.keys.count):
-            interval = range(first + step * (index - 1), first + step * index + 1)
-            has_key = manifest.keys.first + index in keys
-            if has_key and instants.issuperset(interval):
-                run.append(index)
-            elif len(run) > 1:
-                break
-            else:
-                run = [index] if has_key else []
-        if len(run) < 2:
+        # Whether each key interval is rendered, with the key frames at both ends.
+        is_whole = [
+            keys.issuperset((number, number + 1))
+            and instants.issuperset(range(first + step * index, first + step * (index + 1) + 1))
+            for index, number in enumerate(manifest.keys.numbers[:-1])
+        ]
+        if not any(is_whole):
             raise MissingFrameError(
                 f"{self.folder} has no two successive key frames with all instants between; "
                 "render some, as with --frames 1-9"
             )
+        start = is_whole.index(True)
+        count = [*is_whole[start:], False].index(False)
         rendered = replace(
             manifest,
-            instants=replace(
-                manifest.instants, first=first + step * run[0], count=step * (len(run) - 1) + 1
-            ),
-            keys=replace(manifest.keys, first=manifest.keys.first + run[0], count=len(run)),
+            instants=replace(manifest.instants, first=first + step * start, count=step * count + 1),
+            keys=replace(manifest.keys, first=manifest.keys.first + start, count=count + 1),
         )
         return replace(self, manifest=rendered)
 

@@ -32,8 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder:
         integer, floating = Path(folder) / "integer.onnx", Path(folder) / "float.onnx"
         export_integer(made, integer)
-        weights = [layer.weights.astype(np.float32) for layer in made.layers]
-        export_float(weights, [layer.biases.astype(np.float32) for layer in made.layers], floating)
+        floats = [(n.weights.astype(np.float32), n.biases.astype(np.float32)) for n in made.layers]
+        export_float(floats, floating)
         base = _onnx(integer, state[None])
         works: dict[str, tuple[Work, Work]] = {
             "MlpKernel.decide": (lambda: kernel.decide(state), base),

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import itertools
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,9 +30,8 @@ from exwarp_cli.research.training.tile_policy_training import (
     VARIANTS,
     TileTable,
     choice_margins,
-    gain_at,
-    kept_table,
-    measure_tiles,
+    gain_percent,
+    price_for,
     train_tiles,
 )
 from exwarp_cli.research.training.training_settings import TilePolicySettings
@@ -90,8 +88,12 @@ def measured(
 ) -> TileTable:
     """Measure a scene's tiles, or read what was measured before."""
     variants = VARIANTS if kind == "still" else HALF
-    measure = partial(measure_tiles, scene, network, print, look, variants)
-    return kept_table(TileTable, folder / f"{scene.name}-{kind}.npz", network, measure)
+    path = folder / f"{scene.name}-{kind}.npz"
+    table = TileTable.load(path) if path.exists() else None
+    if table is None or table.network != network.checksum:
+        TileTable.measure(scene, network, print, look, variants).save(path)
+        table = TileTable.load(path)
+    return table
 
 
 def scores(
@@ -106,7 +108,10 @@ def scores(
         for margins, judged in zip(unseen, (table, of_scene), strict=True):
             margins.append(choice_margins(network, judged))
     full, few_bits = (
-        "/".join(f"{gain_at(share, judged, margins):.0f}" for share in SHARES)
+        "/".join(
+            f"{gain_percent(judged, margins, price_for(share, margins, TileTable.cost)):.0f}"
+            for share in SHARES
+        )
         for judged, margins in zip((tables, coarse), unseen, strict=True)
     )
     return f"full depth {full}", f"10 bits {few_bits}"

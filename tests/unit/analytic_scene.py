@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +10,11 @@ import numpy as np
 from exwarp_cli.domain.timeline import FACTOR
 from tests.blender_layers import HALF, Planes, blender_depth, blender_vector, layer, multipart
 from tests.unit.exr_files import write_parts
-from tests.unit.scenes import SKY, Rectangle, Scene, View, town, vec
+from tests.unit.scenes import SKY, View, town
 
 INSTANTS = 17
 STEP = 0.25
 MOTION = "previous=X,-Y next=-Z,W"
-MIRROR = vec(-1, 1, 1)
 
 
 def manifest(
@@ -90,29 +88,6 @@ def surface(view: View) -> dict[str, np.ndarray]:
         "roughness": (0.5 * shade[..., 0]).astype(np.float32),
         "metallic": (index % 2).astype(np.float32),
     }
-
-
-def mirror_image(scene: Scene) -> Scene:
-    """The scene reflected at the plane x = 0, with its camera; normals u x v are turned over."""
-
-    def reflected(quad: Rectangle) -> Rectangle:
-        return replace(
-            quad,
-            origin=quad.origin * MIRROR,
-            u=quad.u * MIRROR,
-            v=quad.v * MIRROR,
-            velocity=quad.velocity * MIRROR,
-        )
-
-    camera = scene.camera
-    reflected_camera = replace(
-        camera,
-        start=camera.start * MIRROR,
-        velocity=camera.velocity * MIRROR,
-        acceleration=camera.acceleration * MIRROR,
-        yaw=-camera.yaw,
-    )
-    return replace(scene, quads=tuple(map(reflected, scene.quads)), camera=reflected_camera)
 
 
 def _layers(view: View, step: float) -> list[Planes]:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window
+from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.errors import InputError, MissingFrameError
 from exwarp_cli.io.dataset import open_scene
-from exwarp_cli.research.training.augmentation import Variant, mirror, reverse_time
+from exwarp_cli.research.training.augmentation import Variant, reverse_time
 from exwarp_cli.research.training.scene_clip import SceneClip
 from tests.matrix import combinations, spread
-from tests.unit.analytic_scene import INSTANTS, STEP, mirror_image, surface, write_scene
+from tests.unit.analytic_scene import INSTANTS, STEP, surface, write_scene
 from tests.unit.scenes import SKY, View, town
 
 
@@ -31,16 +30,8 @@ def everywhere(tmp_path_factory) -> Path:
 
 
 @functools.cache
-def view(index: int, mirror: bool = False) -> View:
-    scene = mirror_image(town()) if mirror else town()
-    return scene.view(STEP * index)
-
-
-@pytest.mark.parametrize("wrong", [{"phase": 4}, {"phase": -1}, {"speed": 3}, {"speed": 0}])
-def test_what_is_no_variant_is_refused(wrong):
-    with pytest.raises(ValueError, match="no variant"):
-        Variant(**wrong)
-    Variant(phase=7, speed=2)
+def view(index: int) -> View:
+    return town().view(STEP * index)
 
 
 @pytest.mark.parametrize(
@@ -52,50 +43,10 @@ def test_what_is_no_variant_is_refused(wrong):
         (Variant(phase=1, backwards=True), [7, 6, 5, 4, 3, 2, 1, 0]),
         (Variant(speed=2), [0, 2, 4, 6, 8]),
         (Variant(phase=1, speed=2, backwards=True), [7, 5, 3, 1]),
-        (Variant(mirror=True), [0, 1, 2, 3, 4, 5, 6, 7, 8]),
     ],
 )
 def test_which_instants_a_variant_shows(variant, shown):
     assert list(variant.order(9)) == shown
-
-
-def test_a_mirrored_frame_is_that_of_the_mirrored_world():
-    plain, reflected = view(4), view(4, mirror=True)
-    found = mirror(plain.key(1))
-    wanted = reflected.key(1)
-    solid = reflected.surface != SKY  # whose colour is a formula that no reflection changes
-    np.testing.assert_allclose(found.image.pixels[solid], wanted.image.pixels[solid], atol=1e-4)
-    same = np.asarray(found.gbuffer.stencil == wanted.gbuffer.stencil)
-    assert same.mean() > 0.999
-    same &= solid
-    for name in ("depth", "position", "to_previous", "to_next"):
-        values = getattr(found.gbuffer, name)[same], getattr(wanted.gbuffer, name)[same]
-        np.testing.assert_allclose(*values, atol=1e-3, err_msg=name)
-    # Normals are u x v in this scene, so a reflection turns them over; that aside they are equal.
-    turned = found.gbuffer.normal * -1
-    np.testing.assert_allclose(turned[same], wanted.gbuffer.normal[same], atol=1e-6)
-
-
-def test_mirroring_twice_changes_nothing():
-    more = surface(view(3))
-    frame = view(3).key(1)
-    frame = replace(frame, gbuffer=replace(frame.gbuffer, **more))
-    once, twice = mirror(frame), mirror(mirror(frame))
-    for name in (f for f in GBuffer.__dataclass_fields__ if f != "window"):
-        np.testing.assert_array_equal(getattr(twice.gbuffer, name), getattr(frame.gbuffer, name))
-    for name, plane in more.items():
-        np.testing.assert_array_equal(getattr(once.gbuffer, name), plane[:, ::-1])
-    np.testing.assert_array_equal(once.image.pixels, frame.image.pixels[:, ::-1])
-
-
-def test_mirroring_moves_a_data_window_within_the_display_window():
-    pixels = np.arange(2 * 3 * 3, dtype=np.float32).reshape(2, 3, 3)
-    display, data = Window(10, 0, 20, 5), Window(8, 1, 3, 2)
-    found = mirror(KeyFrame(1, Image(pixels, data, display), GBuffer(data))).image
-    # From 2 left of the display window's first column to 2 right of its last one.
-    assert found.data_window == Window(29, 1, 3, 2)
-    np.testing.assert_array_equal(found.pixels, pixels[:, ::-1])
-    assert mirror(KeyFrame(1, found, None)).image.data_window == data
 
 
 def test_backwards_exchanges_the_vectors():
@@ -105,7 +56,7 @@ def test_backwards_exchanges_the_vectors():
     assert reverse_time(GBuffer(Window(0, 0, 1, 1))).to_next is None
 
 
-def gap_to(found: np.ndarray, here: View, there: View, mirror: bool) -> tuple[float, float]:
+def gap_to(found: np.ndarray, here: View, there: View) -> tuple[float, float]:
     """Largest error of motion in pixels: of what stands still, and of what moves and is seen."""
     wanted = here.motion_to(there.time)
     gap = np.linalg.norm(found - wanted, axis=-1)
@@ -120,12 +71,9 @@ def assert_shows(footage: SceneClip, k: int) -> None:
     """Everything that is shown of a key interval is what the analytic scene says."""
     variant = footage.variant
     order = variant.order(INSTANTS)
-    shown = [view(index, variant.mirror) for index in order[4 * k : 4 * k + 5]]
+    shown = [view(index) for index in order[4 * k : 4 * k + 5]]
     for i, here in enumerate(shown[:4]):
-        compared = here.surface != SKY if variant.mirror else here.surface >= SKY
-        np.testing.assert_allclose(
-            footage.truth(k, i).pixels[compared], here.colour[compared], atol=2e-3
-        )
+        np.testing.assert_allclose(footage.truth(k, i).pixels, here.colour, atol=2e-3)
     frames = [(footage.key(k), 0, 4), (footage.key(k + 1), 4, 0)]
     frames += [(footage.slot(k, i), i, i + 1) for i in (1, 2, 3)]
     for frame, i, there in frames:
@@ -136,7 +84,7 @@ def assert_shows(footage: SceneClip, k: int) -> None:
         for name, plane in surface(shown[i]).items():
             assert np.mean(getattr(g, name) != plane) < 0.002
         motion = g.to_next if there > i else g.to_previous
-        still, moving = gap_to(motion, shown[i], shown[there], variant.mirror)
+        still, moving = gap_to(motion, shown[i], shown[there])
         assert still < 0.02, (variant, i)
         assert moving < 0.1, (variant, i)
 
@@ -144,11 +92,10 @@ def assert_shows(footage: SceneClip, k: int) -> None:
 VARIANTS = [
     *(Variant(phase) for phase in range(4)),
     Variant(backwards=True),
-    Variant(2, mirror=True),
-    Variant(3, mirror=True, backwards=True),
+    Variant(3, backwards=True),
     Variant(speed=2),
     Variant(5, backwards=True, speed=2),
-    Variant(7, mirror=True, speed=2),
+    Variant(7, speed=2),
 ]
 
 
@@ -200,7 +147,7 @@ def test_where_every_instant_is_a_key_frame_too_motion_is_that_of_the_render(
 
 @pytest.mark.parametrize(
     ("setting", "variant"),
-    combinations(["key", "slot"], [Variant(), Variant(2, True, True), Variant(1)]),
+    combinations(["key", "slot"], [Variant(), Variant(2, True), Variant(1)]),
 )
 def test_an_interval_is_ready_for_synthesis(folder, variant, setting):
     footage = SceneClip(open_scene(folder), variant)
@@ -208,8 +155,8 @@ def test_an_interval_is_ready_for_synthesis(folder, variant, setting):
     assert len(interval.slots) == (3 if setting == "slot" else 0)
     order = variant.order(INSTANTS)
     for i in (1, 2, 3):
-        here, key = view(order[4 + i], variant.mirror), view(order[4], variant.mirror)
-        for source, found in ((key, interval.back(i)), (view(order[8], variant.mirror), None)):
+        here, key = view(order[4 + i]), view(order[4])
+        for source, found in ((key, interval.back(i)), (view(order[8]), None)):
             field = (found or interval.forward(i)).field
             seen = here.inside(3) & (here.source_surface(source) == here.surface)
             gap = np.linalg.norm(field - here.motion_to(source.time), axis=-1)[seen]

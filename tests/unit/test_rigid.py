@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window, place_on_canvas
-from exwarp_cli.research.training.augmentation import Look, deliver, mirror, reverse_time
+from exwarp_cli.research.training.augmentation import Look, deliver, reverse_time
 from exwarp_cli.synthesis.holds import adapt_motion_to_holds
 from exwarp_cli.synthesis.motion_fields import settle_motion
 from exwarp_cli.synthesis.trajectory import (
@@ -445,14 +445,6 @@ class TestBend:
         np.testing.assert_allclose(
             displacement(reverse_time(found), time), displacement(found, -time), atol=1e-5
         )
-
-    @pytest.mark.parametrize("time", TIMES)
-    def test_mirrored(self, time):
-        _, _, found = spinning()
-        image = Image(np.zeros((HEIGHT, WIDTH, 3), np.float32), found.window, found.window)
-        reflected = mirror(KeyFrame(1, image, found)).gbuffer
-        expected = displacement(found, time)[:, ::-1] * np.float32([-1, 1])
-        np.testing.assert_array_equal(displacement(reflected, time), expected)
 
     @pytest.mark.parametrize("time", TIMES)
     def test_at_half_the_size(self, time):

@@ -1,4 +1,4 @@
-"""Augmentation of rendered scenes: other key frames, mirrored, backwards, and as users deliver it.
+"""Augmentation of rendered scenes: other key frames, backwards, and as users deliver it.
 
 A variant chooses how a render is played. A look is what renderers, game engines and artists in a
 hurry make of it: it is put on a clean render as it is loaded, so that a network learns from frames
@@ -15,9 +15,6 @@ import numpy as np
 
 from exwarp_cli.domain.colour import SRGB
 from exwarp_cli.domain.frame import SURFACE_PARTS, Float32, GBuffer, Image, KeyFrame, Window
-from exwarp_cli.domain.timeline import FACTOR
-
-SPEEDS = (1, 2)
 
 # What game engines do not deliver: they have colour, vectors, depth and a mask.
 GAME = ("normal", "position", *SURFACE_PARTS)
@@ -64,13 +61,8 @@ class Variant:
     # Which instant, in playing order and counted from 0, is the first key frame: 0 <= phase < 4
     # speed.
     phase: int = 0
-    mirror: bool = False  # Whether left and right are exchanged
     backwards: bool = False  # Whether time runs backwards
     speed: int = 1  # 1, or 2 to take every second instant
-
-    def __post_init__(self) -> None:
-        if self.speed not in SPEEDS or not 0 <= self.phase < FACTOR * self.speed:
-            raise ValueError(f"{self} is no variant")
 
     def order(self, count: int) -> range:
         """Return which of `count` instants are shown, in order; every fourth is a key frame."""
@@ -84,35 +76,6 @@ def reverse_time(gbuffer: GBuffer) -> GBuffer:
     # renderer's files, where both vectors run along time, they are exchanged and negated.
     bend = None if gbuffer.bend is None else gbuffer.bend[::-1]
     return replace(gbuffer, to_previous=gbuffer.to_next, to_next=gbuffer.to_previous, bend=bend)
-
-
-def mirror(frame: KeyFrame) -> KeyFrame:
-    """Exchange left and right, as a camera reflected with the world at the plane x = 0 does.
-
-    Columns are reversed, windows are reversed within the display window, and motion, positions and
-    normals change the sign of their x.
-    """
-    image, gbuffer = frame.image, frame.gbuffer
-    display = image.display_window
-    x = 2 * display.x + display.width - image.data_window.x - image.data_window.width
-    window = replace(image.data_window, x=x)
-    mirrored = Image(_reverse_columns(image.pixels), window, display)
-    if gbuffer is not None:
-        signed = ("normal", "position", "to_previous", "to_next")
-        parts = {name: getattr(gbuffer, name) for name in ("depth", "stencil", *SURFACE_PARTS)}
-        parts |= {name: getattr(gbuffer, name) for name in signed}
-        parts = {n: None if p is None else _reverse_columns(p) for n, p in parts.items()}
-        if gbuffer.bend is not None:
-            parts["bend"] = np.stack([_reverse_columns(half) for half in gbuffer.bend])
-        for name in (*signed, "bend"):
-            if (part := parts.get(name)) is not None:
-                part[..., 0] *= np.float32(-1)
-        gbuffer = replace(gbuffer, window=window, **parts)
-    return replace(frame, image=mirrored, gbuffer=gbuffer)
-
-
-def _reverse_columns(array: np.ndarray) -> Float32:
-    return np.array(array[:, ::-1], order="C")
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,12 @@ import math
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
-from functools import lru_cache
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -72,9 +70,6 @@ MOST_LINEAR = 6e4
 # Steps of a scene that as many frames are drawn from as the settings say.
 SHORT = 16
 
-# Names of what is cached of crops, one ``.npy`` each.
-CROP_ARRAYS = ("colour", "mask", "features", "modulation", "target", "time")
-
 # How often roughness and metallic are left out together, normals, and depth.
 NO_MATERIAL = 0.3
 NO_NORMAL = 0.1
@@ -86,9 +81,6 @@ EXPOSURE = 1.0
 # How far patches are drawn beyond a crop's edge before they are moved inside, as a share of their
 # size: else the frame's own edge, where much is hidden, is hardly ever at that of a patch.
 OVERHANG = 0.5
-
-# Rows and columns of a crop.
-Patch = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
@@ -102,26 +94,16 @@ class FrameChoice:
     look: Look
 
 
-def count_frames(frames: int, instants: int) -> int:
-    """Return how many frames to draw of so many instants.
-
-    That is `frames` of `SHORT` steps, at most; of longer scenes more, by the square root of their
-    length, as longer shots repeat themselves.
-    """
-    return round(frames * math.sqrt(max((instants - 1) / SHORT, 1)))
-
-
-def choose_frames(
-    manifest: SceneManifest, frames: int, seed: int, side: int = 1
-) -> list[FrameChoice]:
+def choose_frames(manifest: SceneManifest, settings: ExtrapolatorSettings) -> list[FrameChoice]:
     """Choose frames of a scene, always the same ones for the same seed and name.
 
-    Of a frame that is drawn twice other crops are taken. `side` is the height and width in pixels
-    of the crops that a frame of any look has to hold.
+    Of a frame that is drawn twice other crops are taken. A frame of any look holds a crop.
     """
     # Numbers differ for every scene and every use: 0 for frames, 1 for crops.
-    rng = np.random.default_rng((seed, zlib.crc32(manifest.scene.encode()), 0))
-    can_halve = min(manifest.width, manifest.height) >= 2 * side
+    rng = np.random.default_rng((settings.seed, zlib.crc32(manifest.scene.encode()), 0))
+    can_halve = min(manifest.width, manifest.height) >= 2 * settings.side
+    # Of longer scenes more, by the square root of their length, as longer shots repeat themselves.
+    frames = round(settings.frames * math.sqrt(max((manifest.instants.count - 1) / SHORT, 1)))
     variants = [Variant(p, backwards=b) for p in range(FACTOR) for b in (False, True)]
     places: dict[str, list[tuple[Variant, int]]] = {setting: [] for setting in SETTINGS}
     for variant in variants:
@@ -143,50 +125,7 @@ def choose_frames(
         variant, k = places[setting][int(rng.choice(len(likelihood), p=likelihood))]
         slot = 1 + int(rng.choice(len(SLOTS), p=SLOTS))
         choices.append(FrameChoice(variant, k, slot, setting, draw_look(rng, can_halve)))
-    order = {variant: i for i, variant in enumerate(variants)}
-    return sorted(choices, key=lambda c: (order[c.variant], c.k, c.setting, c.slot))
-
-
-def cut_crops(scene: RenderedScene, settings: ExtrapolatorSettings) -> dict[str, np.ndarray]:
-    """Prepare frames of a scene as a user's run would, and cut crops out of them.
-
-    Returns ``colour`` float16 [N, 12, S, S] (filled warp, then F_k, F_k-1, F_k-2 moved to the slot,
-    as the network sees them), ``mask`` uint8 [N, 3, S, S] (of the last three), ``features`` float16
-    [N, 6, S, S], ``modulation`` and ``target`` float16 [N, 3, S, S] (linear), ``time`` float32 [N].
-    Raises InputError when the scene is smaller than a crop.
-    """
-    manifest, side = scene.manifest, settings.side
-    if min(manifest.width, manifest.height) < side:
-        raise InputError(
-            f"{scene.folder} is {manifest.width}x{manifest.height}, smaller than crops of {side} "
-            "pixels; leave it out, or take smaller crops"
-        )
-    rng = np.random.default_rng((settings.seed, zlib.crc32(scene.name.encode()), 1))
-    crops: dict[str, list[np.ndarray]] = {}
-    count = count_frames(settings.frames, manifest.instants.count)
-    clip = SceneClip(scene)
-    for choice in choose_frames(manifest, count, settings.seed, side):
-        clip = clip.seen_as(choice.variant, choice.look)
-        interval = clip.causal(choice.k, choice.setting)
-        view = _draw_view(interval.key.image.data_window, side, rng)
-        interval = interval.on(view)
-        truth = clip.truth(choice.k, choice.slot).on(view).pixels[..., :3]
-        planes = _training_planes(interval.prepared(choice.slot), truth)
-        weight = _crop_weight(interval, choice.slot)
-        total = np.cumsum(weight.ravel(), dtype=np.float64)
-        for _ in range(CROPS):
-            # A crop is drawn by the weight of its middle.
-            index = int(np.searchsorted(total, rng.random() * total[-1]))
-            middle = divmod(min(index, weight.size - 1), weight.shape[1])
-            y, x = (
-                int(np.clip(place - side // 2, 0, size - side))
-                for place, size in zip(middle, weight.shape, strict=True)
-            )
-            for name, array in planes.items():
-                crops.setdefault(name, []).append(array[:, y : y + side, x : x + side].copy())
-            crops.setdefault("time", []).append(np.array(choice.slot / FACTOR, np.float32))
-        check_stop()
-    return {name: np.stack(arrays) for name, arrays in crops.items()}
+    return sorted(choices, key=lambda c: (variants.index(c.variant), c.k, c.setting, c.slot))
 
 
 def _draw_view(frame: Window, side: int, rng: np.random.Generator) -> Window:
@@ -232,17 +171,6 @@ def _crop_weight(interval: Interval, slot: int) -> Float32:
     return np.asarray(weight, np.float32)
 
 
-def digest_of(token: Mapping[str, object]) -> str:
-    """Return a short digest of what decides what is cached."""
-    text = json.dumps(token, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:12]
-
-
-def is_complete(folder: Path) -> bool:
-    """True if arrays were written there to the end."""
-    return folder.exists()
-
-
 def write_arrays(arrays: Mapping[str, np.ndarray], folder: Path) -> None:
     """Write arrays, one ``.npy`` each; raises OutputError.
 
@@ -255,10 +183,9 @@ def write_arrays(arrays: Mapping[str, np.ndarray], folder: Path) -> None:
             unfinished.mkdir()
             for name, array in arrays.items():
                 np.save(unfinished / f"{name}.npy", array)
-            if not is_complete(folder):
-                unfinished.rename(folder)
+            unfinished.rename(folder)
     except OSError as error:
-        if not is_complete(folder):  # else another training was faster
+        if not folder.exists():  # else another training was faster
             raise output_error(folder, error) from error
 
 
@@ -268,11 +195,11 @@ class CachedArrays(ABC):
     The array "time" has one number for each sample.
     """
 
-    names: tuple[str, ...]  # of the arrays
+    prefix = ""  # of the folders' names
 
     def __init__(self, folders: Sequence[Path]) -> None:
         self._files = [
-            {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in self.names}
+            {file.stem: np.load(file, mmap_mode="r") for file in folder.glob("*.npy")}
             for folder in folders
         ]
         counts = [len(files["time"]) for files in self._files]
@@ -281,15 +208,22 @@ class CachedArrays(ABC):
     def __len__(self) -> int:
         return len(self._places)
 
-    @staticmethod
-    @abstractmethod
-    def folder_of(scene: RenderedScene, settings: Any, cache: Path) -> Path:
+    @classmethod
+    def folder_of(cls, scene: RenderedScene, settings: Any, cache: Path) -> Path:
         """Return where in a cache a scene's arrays lie; those of other settings lie beside them."""
+        token = cls.token(settings) | {"manifest": asdict(scene.manifest)}
+        text = json.dumps(token, sort_keys=True, default=str)
+        return cache / f"{cls.prefix}{scene.name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
     @staticmethod
     @abstractmethod
-    def write(scene: RenderedScene, settings: Any, folder: Path) -> None:
-        """Make a scene's arrays and write them, see `write_arrays`."""
+    def token(settings: Any) -> dict[str, object]:
+        """Return the versions and settings that decide what is cached."""
+
+    @staticmethod
+    @abstractmethod
+    def prepare(scene: RenderedScene, settings: Any) -> dict[str, np.ndarray]:
+        """Make a scene's arrays, of one row for each sample."""
 
     @abstractmethod
     def draw(self, step: int, size: int, side: int, seed: int) -> Any:
@@ -303,19 +237,17 @@ class CachedArrays(ABC):
         places = np.linspace(0, len(self) - 1, min(count, len(self)))
         return [int(index) for index in np.unique(places.astype(int))]
 
-    def draw_index(self, n: int, seed: int) -> int:
-        """Return the index of the n-th sample that is drawn: a permutation, then another one."""
-        epoch, offset = divmod(n, len(self))
-        return int(_permutation(len(self), seed, epoch)[offset])
+    def draw_indices(self, step: int, size: int, seed: int) -> list[int]:
+        """Return the indices of a step's samples: of a permutation, then of another one."""
+        places = [divmod(n, len(self)) for n in range(step * size, (step + 1) * size)]
+        orders = {
+            epoch: np.random.default_rng((seed, epoch, 1)).permutation(len(self))
+            for epoch in {epoch for epoch, _ in places}
+        }
+        return [int(orders[epoch][offset]) for epoch, offset in places]
 
 
-@lru_cache(maxsize=2)  # a batch may reach into the next epoch
-def _permutation(count: int, seed: int, epoch: int) -> npt.NDArray[np.int64]:
-    return np.random.default_rng((seed, epoch, 1)).permutation(count)
-
-
-@dataclass(frozen=True)
-class Batch:
+class Batch(NamedTuple):
     """Crops as the network and the loss take them; float32 [N, channels, S, S]."""
 
     # The network's inputs
@@ -327,14 +259,10 @@ class Batch:
     modulation: Tensor  # What its answer, decoded, is multiplied with.
     target: Tensor  # The rendered frame, scene-linear
 
-    def to(self, device: str) -> Batch:
-        """Return the batch on a device."""
-        return Batch(*(getattr(self, part.name).to(device) for part in fields(self)))
-
     @property
     def inputs(self) -> tuple[Tensor, ...]:
         """What the network is called with."""
-        return self.warped, self.mask, self.features, self.history, self.time
+        return self[:5]
 
     @property
     def plain(self) -> Tensor:
@@ -346,33 +274,70 @@ class Batch:
         return decode(answer) * self.modulation
 
 
+def to_device(batch: Any, device: str) -> Any:
+    """Return a batch, a named tuple of tensors, on a device."""
+    return type(batch)(*(part.to(device) for part in batch))
+
+
 class Crops(CachedArrays):
-    """All crops of some folders, see :func:`cut_crops`."""
-
-    names = CROP_ARRAYS
+    """All crops of some folders."""
 
     @staticmethod
-    def folder_of(scene: RenderedScene, settings: ExtrapolatorSettings, cache: Path) -> Path:
-        """Return where in a cache a scene's crops lie."""
+    def token(settings: ExtrapolatorSettings) -> dict[str, object]:
+        """Return the versions and settings that decide what is cached."""
         decisive = {"frames": settings.frames, "side": settings.side, "seed": settings.seed}
-        token = {
-            "version": VERSION, "crops": CROPS, "settings": decisive,
-            "manifest": asdict(scene.manifest),
-        }  # fmt: skip
-        return cache / f"{scene.name}-{digest_of(token)}"
+        return {"version": VERSION, "crops": CROPS, "settings": decisive}
 
     @staticmethod
-    def write(scene: RenderedScene, settings: ExtrapolatorSettings, folder: Path) -> None:
-        """Make a scene's crops and write them."""
-        write_arrays(cut_crops(scene, settings), folder)
+    def prepare(scene: RenderedScene, settings: ExtrapolatorSettings) -> dict[str, np.ndarray]:
+        """Prepare frames of a scene as a user's run would, and cut crops out of them.
 
-    def batch(self, indices: Sequence[int], patches: Sequence[Patch] | None = None) -> Batch:
-        """Return crops as they are cached, or a patch of each."""
+        Returns ``colour`` float16 [N, 12, S, S] (filled warp, then F_k, F_k-1, F_k-2 moved to the
+        slot, as the network sees them), ``mask`` uint8 [N, 3, S, S] (of the last three),
+        ``features`` float16 [N, 6, S, S], ``modulation`` and ``target`` float16 [N, 3, S, S]
+        (linear), ``time`` float32 [N]. Raises InputError when the scene is smaller than a crop.
+        """
+        manifest, side = scene.manifest, settings.side
+        if min(manifest.width, manifest.height) < side:
+            raise InputError(
+                f"{scene.folder} is {manifest.width}x{manifest.height}, smaller than crops of "
+                f"{side} pixels; leave it out, or take smaller crops"
+            )
+        rng = np.random.default_rng((settings.seed, zlib.crc32(scene.name.encode()), 1))
+        crops: dict[str, list[np.ndarray]] = {}
+        clip = SceneClip(scene)
+        for choice in choose_frames(manifest, settings):
+            clip = clip.seen_as(choice.variant, choice.look)
+            interval = clip.causal(choice.k, choice.setting)
+            view = _draw_view(interval.key.image.data_window, side, rng)
+            interval = interval.on(view)
+            truth = clip.truth(choice.k, choice.slot).on(view).pixels[..., :3]
+            planes = _training_planes(interval.prepared(choice.slot), truth)
+            weight = _crop_weight(interval, choice.slot)
+            total = np.cumsum(weight.ravel(), dtype=np.float64)
+            for _ in range(CROPS):
+                # A crop is drawn by the weight of its middle.
+                index = int(np.searchsorted(total, rng.random() * total[-1]))
+                middle = divmod(min(index, weight.size - 1), weight.shape[1])
+                y, x = (
+                    int(np.clip(place - side // 2, 0, size - side))
+                    for place, size in zip(middle, weight.shape, strict=True)
+                )
+                for name, array in planes.items():
+                    crops.setdefault(name, []).append(array[:, y : y + side, x : x + side].copy())
+                crops.setdefault("time", []).append(np.array(choice.slot / FACTOR, np.float32))
+            check_stop()
+        return {name: np.stack(arrays) for name, arrays in crops.items()}
+
+    def batch(
+        self, indices: Sequence[int], patches: Sequence[tuple[slice, slice]] | None = None
+    ) -> Batch:
+        """Return crops as they are cached, or a patch of each: its rows and columns."""
         if patches is None:
             patches = [(slice(None), slice(None))] * len(indices)
         places = [self._places[index] for index in indices]
         tensors: dict[str, Tensor] = {}
-        for name in CROP_ARRAYS:
+        for name in self._files[0]:
             cuts = [
                 self._files[f][name][i if name == "time" else (i, slice(None), *patch)]
                 for (f, i), patch in zip(places, patches, strict=True)
@@ -380,13 +345,8 @@ class Crops(CachedArrays):
             tensors[name] = torch.from_numpy(np.stack(cuts)).float()
         colour, mask = tensors["colour"], tensors["mask"]
         visible = mask[:, :1]
-        history = torch.cat(
-            [
-                torch.cat([colour[:, 3 * j + 3 : 3 * j + 6], mask[:, j : j + 1]], 1)
-                for j in range(mask.shape[1])
-            ],
-            1,
-        )
+        frames = zip(torch.split(colour[:, 3:], 3, 1), torch.split(mask, 1, 1), strict=True)
+        history = torch.cat([part for frame in frames for part in frame], 1)
         return Batch(
             warped=torch.cat([history[:, :3] * visible, colour[:, :3]], 1),
             mask=visible,
@@ -400,7 +360,7 @@ class Crops(CachedArrays):
     def draw(self, step: int, size: int, side: int, seed: int) -> Batch:
         """Return the batch of a step of training: patches of crops, varied."""
         rng = np.random.default_rng((seed, step))
-        indices = [self.draw_index(step * size + i, seed) for i in range(size)]
+        indices = self.draw_indices(step, size, seed)
         room = int(self._files[0]["mask"].shape[-1]) - side
         over = int(OVERHANG * side)
         corners = rng.integers(-over, room + over + 1, (size, 2)).clip(0, room).tolist()

@@ -16,8 +16,8 @@ from onnx import numpy_helper
 from torch import Tensor, nn
 
 from exwarp_cli.domain.network_api import EXTRAPOLATOR_INTERFACE
-from exwarp_cli.errors import DamagedFileError, LayoutError, UsageError
-from exwarp_cli.research.training.crop_cache import Batch, CachedArrays, Crops
+from exwarp_cli.errors import DamagedFileError, UsageError
+from exwarp_cli.research.training.crop_cache import Batch, CachedArrays, Crops, to_device
 from exwarp_cli.research.training.extrapolation_network import (
     ARCHITECTURES,
     STRIDE,
@@ -26,7 +26,6 @@ from exwarp_cli.research.training.extrapolation_network import (
     build_network,
 )
 from exwarp_cli.research.training.resumable_training import (
-    DrawnBatches,
     ResumableTraining,
     Say,
     read_checkpoint,
@@ -84,6 +83,7 @@ class ExtrapolatorTraining(ResumableTraining):
     least_rate = 0.02
     model, interface = MODEL, EXTRAPOLATOR_INTERFACE
     about = "extrapolation network, {0.architecture}"
+    startable = "{0.architecture} or a smaller one; give its --architecture and --width"
     columns = ("step", "seconds", "loss", "rate", "gain_db", "gain_holes_db")
     scores_text = "{:+.2f} dB over the filled warp, {:+.2f} dB in holes"
 
@@ -123,19 +123,12 @@ class ExtrapolatorTraining(ResumableTraining):
         return build_network(self.settings.architecture, self.settings.width)
 
     def _load_start(self, path: Path) -> None:
-        try:
-            if path.suffix == ".onnx":
-                load_exported(path, self.network)
-                self._begins_with_model = True
-            else:
-                content = read_checkpoint(path, self.device)
-                weights = grow_weights(content["average"], self.network)
-                self.network.load_state_dict(weights)
-        except (KeyError, ValueError) as error:
-            raise LayoutError(
-                f"{path} holds another network than {self.settings.architecture} or a smaller one; "
-                "give its --architecture and --width, or another --start"
-            ) from error
+        if path.suffix == ".onnx":
+            load_exported(path, self.network)
+            self._begins_with_model = True
+        else:
+            content = read_checkpoint(path, self.device)
+            self.network.load_state_dict(grow_weights(content["average"], self.network))
 
     def run(self, samples: CachedArrays, held_out: CachedArrays, every: int) -> None:
         """Train to the end; a checkpoint and a row of the curve every so many steps."""
@@ -146,9 +139,9 @@ class ExtrapolatorTraining(ResumableTraining):
             f"{len(scenes['validation'])} held out"
         )
         if self._begins_with_model:
-            drawn = DrawnBatches(samples, self.settings)
-            batches = (drawn[step].to(self.device) for step in range(STATISTICS_BATCHES))
-            set_statistics(self.network, batches)
+            s = self.settings
+            batches = (samples.draw(n, s.batch, s.patch, s.seed) for n in range(STATISTICS_BATCHES))
+            set_statistics(self.network, (to_device(batch, self.device) for batch in batches))
             self.average.load_state_dict(self.network.state_dict())
         super().run(samples, held_out, every)
 
@@ -167,7 +160,7 @@ class ExtrapolatorTraining(ResumableTraining):
         gains_in_holes: list[float] = []
         for first in range(0, len(indices), VALIDATION_BATCH):
             check_stop()
-            batch = samples.batch(indices[first : first + VALIDATION_BATCH]).to(self.device)
+            batch = to_device(samples.batch(indices[first : first + VALIDATION_BATCH]), self.device)
             colour, plain = batch.finish(self.average(*batch.inputs)), batch.plain
             for where, rows in ((None, gains), (1 - batch.mask, gains_in_holes)):
                 gain = psnr(colour, batch.target, where) - psnr(plain, batch.target, where)
@@ -222,7 +215,7 @@ def load_exported(path: Path, network: ExtrapolationNetwork) -> None:
     """Take the weights of a model that `export_network` wrote.
 
     The network is of the same architecture and width; in evaluation it answers as the model does.
-    Raises KeyError or ValueError when the model has other layers, and InputError when the file
+    Raises KeyError or RuntimeError when the model has other layers, and InputError when the file
     cannot be read, or is no model.
     """
     data = read_file(path)
@@ -251,10 +244,7 @@ def load_exported(path: Path, network: ExtrapolationNetwork) -> None:
             weights |= {
                 f"{name}.{part}": constants[f"{name}.{part}"] for part in ("weight", "bias")
             }
-    try:
-        network.load_state_dict(weights)
-    except RuntimeError as error:
-        raise ValueError(str(error)) from error
+    network.load_state_dict(weights)
 
 
 def set_statistics(network: ExtrapolationNetwork, batches: Iterable[Batch]) -> None:

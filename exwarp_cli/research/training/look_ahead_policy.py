@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -29,23 +29,17 @@ from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.models.picture_network import OnnxLookAhead, load_lookahead
 from exwarp_cli.models.policy_files import SHIPPED_LOOK_AHEAD_POLICY, save_network
 from exwarp_cli.policy.state import INPUTS, look_ahead_inputs
-from exwarp_cli.research.training.policy_training import (
-    add_checksums,
-    require_two_scenes,
-)
+from exwarp_cli.research.training.outcome_tables import F64, Say
+from exwarp_cli.research.training.policy_training import add_checksums, require_two_scenes
 from exwarp_cli.research.training.q_learning import LAYERS, quantise
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.research.training.tile_policy_training import (
     EFFORTS,
-    F64,
     TILE_TABLES,
     VARIANTS,
     Margins,
-    Say,
     TableOfTiles,
-    TileTraining,
     choice_margins,
-    gain_card,
     gains_by_share,
     gains_in_db,
     margins_unseen,
@@ -58,9 +52,6 @@ from exwarp_cli.synthesis.predicted_error import look_ahead_features
 
 SCHEMA = "exwarp.look-ahead-policy-scores/1"
 REPORT = "look-ahead-policy.json"
-
-# Folder of the tables, in that of the tables of tiles.
-TABLES = "look-ahead"
 
 # Points of the network's gain, at a quarter of the area, by which a learned policy has to be
 # better than the rule.
@@ -81,8 +72,9 @@ class LookAheadTable(TableOfTiles):
     """All tiles of the slots between a scene's key frames."""
 
     schema = "exwarp.look-ahead-table/1"
-    kind, row = "table of tiles", "tile"
     facts = ("scene", "network")
+    folder, option = Path(TILE_TABLES, "look-ahead"), "--interpolator"
+    load_network = staticmethod(partial(load_lookahead, threads=1, device="cpu"))
     arrays: ClassVar = {
         "slot": (np.int32, np.int32, ()),
         "features": (np.float32, np.float64, (len(LOOK_AHEAD_FEATURES),)),
@@ -120,40 +112,35 @@ class LookAheadTable(TableOfTiles):
         """Return the mean squared error of slots 1 to 3, squared display levels."""
         return float(np.where(margins[:, 0] > price, self.errors[:, 1], self.errors[:, 0]).mean())
 
-
-def measure_look_ahead(scene: RenderedScene, network: OnnxLookAhead, say: Say) -> LookAheadTable:
-    """Make the frames between a scene's key frames with and without the network; measure tiles."""
-    scene = scene.as_far_as_rendered()
-    parts: list[tuple[npt.NDArray[np.int32], F64, F64]] = []
-    clips = SceneClip(scene)
-    intervals = ((clip, k) for clip in map(clips.seen_as, VARIANTS) for k in clip.intervals)
-    for clip, k in intervals:
-        interval = replace(clip.interval(k, "key"), interpolator=network)
-        assert interval.following is not None
-        frames = interval.key.image.pixels, interval.following.image.pixels
-        for slot in range(1, FACTOR):
-            truth = encode_display(clip.truth(k, slot).pixels)
-            errors = []
-            for weighs in (False, True):
-                mixer = interval.look_ahead(slot, weighs)
-                shown = encode_display(mixer.make(*frames))
-                squares = np.square(shown[..., :3] - truth[..., :3]).mean(axis=-1)
-                errors.append(interval.mosaic.means(squares).ravel())
-            assert mixer.evidence is not None
-            features = look_ahead_features(mixer.evidence, interval.residual)
-            count = len(errors[0])
-            parts.append(
-                (
-                    np.full(count, slot, np.int32),
-                    features.reshape(count, -1),
-                    np.stack(errors, axis=-1),
-                )
-            )
-            interval.forget(slot)
-        say(f"{scene.name}: {len(parts) // (FACTOR - 1)} key intervals")
-        check_stop()
-    slots, features, errors_of = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return LookAheadTable(scene.name, slots, features, errors_of, network.checksum)
+    @classmethod
+    def measure(cls, scene: RenderedScene, network: OnnxLookAhead, say: Say) -> Self:
+        """Make frames between key frames with and without the network, and measure tiles."""
+        scene = scene.as_far_as_rendered()
+        parts: list[tuple[npt.NDArray[np.int32], F64, F64]] = []
+        clips = SceneClip(scene)
+        intervals = ((clip, k) for clip in map(clips.seen_as, VARIANTS) for k in clip.intervals)
+        for clip, k in intervals:
+            interval = replace(clip.interval(k, "key"), interpolator=network)
+            assert interval.following is not None
+            frames = interval.key.image.pixels, interval.following.image.pixels
+            for slot in range(1, FACTOR):
+                truth = encode_display(clip.truth(k, slot).pixels)
+                errors = []
+                for weighs in (False, True):
+                    mixer = interval.look_ahead(slot, weighs)
+                    shown = encode_display(mixer.make(*frames))
+                    squares = np.square(shown[..., :3] - truth[..., :3]).mean(axis=-1)
+                    errors.append(interval.mosaic.means(squares).ravel())
+                assert mixer.evidence is not None
+                features = look_ahead_features(mixer.evidence, interval.residual)
+                features = features.reshape(-1, len(LOOK_AHEAD_FEATURES))
+                slots = np.full(len(features), slot, np.int32)
+                parts.append((slots, features, np.stack(errors, axis=-1)))
+                interval.forget(slot)
+            say(f"{scene.name}: {len(parts) // (FACTOR - 1)} key intervals")
+            check_stop()
+        slots, features, errors_of = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return cls(scene.name, slots, features, errors_of, network.checksum)
 
 
 def rule_network(states: F64) -> QuantisedMlp:
@@ -166,7 +153,7 @@ def rule_network(states: F64) -> QuantisedMlp:
         layer[0, 0] = 1.0
     weights[0][0] = np.arange(INPUTS) == LOOK_AHEAD_FEATURES.index("apart")
     weights[-1][:, 0] = 0.0, 1.0
-    return quantise(weights, [np.zeros(len(layer)) for layer in weights], states)
+    return quantise(tuple((layer, np.zeros(len(layer))) for layer in weights), states)
 
 
 def train_look_ahead_policy(
@@ -211,15 +198,3 @@ def train_look_ahead_policy(
     atomic_write_text(output / REPORT, json.dumps(report, indent=1) + "\n")
     add_checksums(output, [SHIPPED_LOOK_AHEAD_POLICY])
     return report
-
-
-def look_ahead_policy_card(report: dict[str, Any]) -> str:
-    """Return what the scores file holds: what choices gain at some shares of the area."""
-    return gain_card(report, "The network", report["network_gain_db"])
-
-
-TRAINING = TileTraining(
-    "look-ahead-policy", SHIPPED_LOOK_AHEAD_POLICY, LookAheadTable, Path(TILE_TABLES, TABLES),
-    "--interpolator", partial(load_lookahead, threads=1, device="cpu"),
-    measure_look_ahead, train_look_ahead_policy, look_ahead_policy_card,
-)  # fmt: skip

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -28,12 +28,11 @@ from exwarp_cli.domain.network_api import (
     TileSpan,
 )
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.research.training.augmentation import PLAIN, Look, Variant, draw_look
-from exwarp_cli.research.training.crop_cache import CachedArrays, digest_of, write_arrays
+from exwarp_cli.research.training.crop_cache import CachedArrays, to_device
 from exwarp_cli.research.training.extrapolation_network import LEAK, STRIDE, UNet
-from exwarp_cli.research.training.resumable_training import ResumableTraining, read_checkpoint
+from exwarp_cli.research.training.resumable_training import ResumableTraining
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.research.training.training_settings import LookAheadSettings
 from exwarp_cli.runtime.stop import check_stop
@@ -81,16 +80,6 @@ VALIDATED = 60
 # Of what is cached; samples of another version are made again.
 VERSION = 1
 
-# Names of what is cached of slots, one ``.npy`` each.
-PICTURES = tuple(LOOKAHEAD_INTERFACE.inputs)
-SAMPLE_ARRAYS = (*PICTURES, "truth", "time")
-
-# First key frames of the variants; the fast ones span two key intervals.
-SLOW_PHASES, FAST_PHASES = (0, 1, 2, 3), (1, 4)
-
-# Phases of the variants in a look that is drawn.
-LOOK_PHASES = (0, 2)
-
 # Channels in the order in which a slot has them that is played backwards.
 SWAPPED = {
     "colour": (0, 1, 2, 6, 7, 8, 3, 4, 5, 12, 13, 14, 9, 10, 11),
@@ -117,9 +106,7 @@ class _Recorder:
     """Stands in for a network: keeps its inputs, and answers with what `softsplat` makes."""
 
     checksum = ""
-
-    def __init__(self) -> None:
-        self.pictures: dict[str, np.ndarray] = {}
+    pictures: dict[str, np.ndarray]
 
     def weigh(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
         height, width = inputs.shape
@@ -133,7 +120,7 @@ class _Recorder:
 def slot_samples(clip: SceneClip, setting: str = "key") -> Iterator[dict[str, np.ndarray]]:
     """Yield what a network is given at each slot between key frames, with the truth.
 
-    By `SAMPLE_ARRAYS`: the inputs and ``truth`` [3, H, W], as displayed, float16; ``time`` float32.
+    The inputs and ``truth`` [3, H, W], as displayed, float16; ``time`` float32.
     """
     for k in clip.intervals:
         interval = clip.interval(k, setting)
@@ -153,56 +140,51 @@ def slot_samples(clip: SceneClip, setting: str = "key") -> Iterator[dict[str, np
 def variants_of(name: str, seed: int) -> list[tuple[Variant, Look]]:
     """Return how a scene is played and delivered; looks are drawn by its name and a seed."""
     rng = np.random.default_rng((seed, zlib.crc32(name.encode())))
-    plain = [Variant(phase) for phase in SLOW_PHASES]
-    fast = [Variant(phase, speed=2) for phase in FAST_PHASES]
-    looks = [(Variant(phase), draw_look(rng, can_halve=False)) for phase in LOOK_PHASES]
+    plain = [Variant(phase) for phase in range(FACTOR)]
+    fast = [Variant(phase, speed=2) for phase in (1, 4)]
+    looks = [(Variant(phase), draw_look(rng, can_halve=False)) for phase in (0, 2)]
     return [*((variant, PLAIN) for variant in (*plain, *fast)), *looks]
 
 
-@dataclass(frozen=True)
-class SampleBatch:
-    """A batch as the network takes it, and the truth."""
+class SampleBatch(NamedTuple):
+    """A batch as the network takes it, and the truth; float32 [N, channels, S, S]."""
 
-    inputs: Mapping[str, Tensor]  # By name, float32 [N, channels, S, S]
+    colour: Tensor
+    masks: Tensor
+    depth: Tensor
+    agreement: Tensor
     time: Tensor  # float32 [N]
-    truth: Tensor  # float32 [N, 3, S, S], as displayed
-
-    def to(self, device: str) -> SampleBatch:
-        """Return the batch on a device."""
-        inputs = {name: picture.to(device) for name, picture in self.inputs.items()}
-        return SampleBatch(inputs, self.time.to(device), self.truth.to(device))
+    truth: Tensor  # As displayed
 
 
 class Samples(CachedArrays):
     """The slots of some folders, of which patches are read as they are needed."""
 
-    names = SAMPLE_ARRAYS
+    prefix = "lookahead-"
 
     @staticmethod
-    def folder_of(scene: RenderedScene, settings: LookAheadSettings, cache: Path) -> Path:
-        """Return where in a cache a scene's samples lie."""
-        token = {"version": VERSION, "seed": settings.seed, "manifest": asdict(scene.manifest)}
-        return cache / f"lookahead-{scene.name}-{digest_of(token)}"
+    def token(settings: LookAheadSettings) -> dict[str, object]:
+        """Return the version and the setting that decide what is cached."""
+        return {"version": VERSION, "seed": settings.seed}
 
     @staticmethod
-    def write(scene: RenderedScene, settings: LookAheadSettings, folder: Path) -> None:
-        """Make the samples of a scene, and write them."""
+    def prepare(scene: RenderedScene, settings: LookAheadSettings) -> dict[str, np.ndarray]:
+        """Make the samples of a scene: what `slot_samples` yields, of all variants."""
         clip, samples = SceneClip(scene), []
         for variant, look in variants_of(scene.name, settings.seed):
             clip = clip.seen_as(variant, look)
             samples += list(slot_samples(clip))
-        stacks = {name: np.stack([sample[name] for sample in samples]) for name in SAMPLE_ARRAYS}
-        write_arrays(stacks, folder)
+        return {name: np.stack([sample[name] for sample in samples]) for name in samples[0]}
 
     def whole(self, index: int) -> SampleBatch:
         """Return a slot as it is, as a batch of one."""
         f, i = self._places[index]
-        return _stack([{name: np.asarray(self._files[f][name][i]) for name in SAMPLE_ARRAYS}])
+        return _stack([{name: array[i] for name, array in self._files[f].items()}])
 
     def draw(self, step: int, size: int, side: int, seed: int) -> SampleBatch:
         """Return the batch of a step of training: patches of slots, varied."""
         rng = np.random.default_rng((seed, step))
-        indices = [self.draw_index(step * size + n, seed) for n in range(size)]
+        indices = self.draw_indices(step, size, seed)
         return _stack([self._draw_patch(index, side, rng) for index in indices])
 
     def _draw_patch(self, index: int, side: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -226,7 +208,8 @@ class Samples(CachedArrays):
         y, x = corners[int(np.argmax(errors))]
         pictures = {
             name: files[name][i, :, y : y + side, x : x + side].astype(np.float32)
-            for name in (*PICTURES, "truth")
+            for name in files
+            if name != "time"
         }
         order, gain = rng.permutation(3), np.float32(np.exp(rng.uniform(*BRIGHTNESS)))
         for name in ("colour", "truth"):
@@ -249,12 +232,8 @@ class Samples(CachedArrays):
 
 
 def _stack(patches: Sequence[Mapping[str, np.ndarray]]) -> SampleBatch:
-    tensors = {}
-    for name in SAMPLE_ARRAYS:
-        planes = np.stack([patch[name] for patch in patches])
-        tensors[name] = torch.from_numpy(np.ascontiguousarray(planes, np.float32))
-    time, truth = tensors.pop("time"), tensors.pop("truth")
-    return SampleBatch(tensors, time, truth)
+    stacks = (np.stack([patch[name] for patch in patches]) for name in SampleBatch._fields)
+    return SampleBatch(*(torch.from_numpy(np.ascontiguousarray(s, np.float32)) for s in stacks))
 
 
 class NormalisedConvolution(nn.Module):
@@ -378,6 +357,7 @@ class LookAheadTraining(ResumableTraining):
     least_rate = 0.005
     model, interface = MODEL, LOOKAHEAD_INTERFACE
     about = "look-ahead network, {0.width} channels"
+    startable = "one of {0.width} channels; give its --width"
     # The scores of held-out slots: dB over `softsplat`, and how far the mean gradient is from the
     # truth's.
     columns = ("step", "seconds", "loss", "rate", "gain_db", "sharpness_percent")
@@ -386,21 +366,11 @@ class LookAheadTraining(ResumableTraining):
     def _make_network(self) -> WeighingNetwork:
         return WeighingNetwork(self.settings.width)
 
-    def _load_start(self, path: Path) -> None:
-        content = read_checkpoint(path, self.device)
-        try:
-            self.network.load_state_dict(content["average"])
-        except (KeyError, RuntimeError) as error:
-            raise LayoutError(
-                f"{path} holds another network than one of {self.settings.width} channels; give "
-                "its --width, or another --start"
-            ) from error
-
     def _shipped(self) -> ShippedNetwork:
         return ShippedNetwork(self.average)
 
     def _loss(self, batch: SampleBatch) -> Tensor:
-        colour = mix(self.network(**batch.inputs, time=batch.time), batch.inputs["colour"])
+        colour = mix(self.network(*batch[:-1]), batch.colour)
         return loss_of(colour, batch.truth)
 
     @torch.no_grad()
@@ -409,16 +379,13 @@ class LookAheadTraining(ResumableTraining):
         self.average.eval()
         scores = []
         for index in samples.spread(VALIDATED):
-            sample = samples.whole(index).to(self.device)
+            sample = to_device(samples.whole(index), self.device)
             height, width = sample.truth.shape[-2:]
             padding = (0, -width % STRIDE, 0, -height % STRIDE)
-            inputs = {
-                name: functional.pad(picture, padding, mode="replicate")
-                for name, picture in sample.inputs.items()
-            }
-            colour = mix(self.average(**inputs, time=sample.time), inputs["colour"])
+            pictures = [functional.pad(p, padding, mode="replicate") for p in sample[:4]]
+            colour = mix(self.average(*pictures, sample.time), pictures[0])
             colour = colour[..., :height, :width].clamp(0, 1)
-            truth, plain = sample.truth.clamp(0, 1), sample.inputs["colour"][:, :3].clamp(0, 1)
+            truth, plain = sample.truth.clamp(0, 1), sample.colour[:, :3].clamp(0, 1)
             gain = 10 / math.log(10) * (_log_error(plain, truth) - _log_error(colour, truth))
             own, true = (
                 sum(g.abs().mean() for g in _gradients(p.mean(1))) for p in (colour, truth)

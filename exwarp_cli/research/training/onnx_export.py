@@ -98,7 +98,8 @@ def export_network(
     _remove_run_details(model)
     metadata = {INTERFACE_KEY: interface.version, STRIDE_KEY: str(stride), ABOUT: about}
     onnx.helper.set_model_props(model, metadata)
-    _check_and_write(path, model)
+    onnx.checker.check_model(model)
+    atomic_write_bytes(path, model.SerializeToString(deterministic=True))
 
 
 def _remove_run_details(model: onnx.ModelProto) -> None:
@@ -118,17 +119,16 @@ def _remove_run_details(model: onnx.ModelProto) -> None:
                 value.type.tensor_type.shape.dim[axis].dim_param = name
 
 
-def export_float(weights: Sequence[F32], biases: Sequence[F32], path: Path) -> None:
+def export_float(layers: Sequence[tuple[F32, F32]], path: Path) -> None:
     """Write a fully connected ReLU network: ``state`` float32 [N, in] to ``values`` [N, 2].
 
-    Weights are float32 [out, in] and biases [out] of each layer. Raises OutputError.
+    Layers are weights float32 [out, in] and biases [out]. Raises OutputError.
     """
     nodes: list[NodeProto] = []
     constants: dict[str, Array] = {}
-    last, activations = len(weights) - 1, STATE
-    for n, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
-        constants[f"weights{n}"] = np.asarray(weight, np.float32)
-        constants[f"biases{n}"] = np.asarray(bias, np.float32)
+    last, activations = len(layers) - 1, STATE
+    for n, (weights, biases) in enumerate(layers):
+        constants |= {f"weights{n}": weights, f"biases{n}": biases}
         inputs = [activations, f"weights{n}", f"biases{n}"]
         sums = VALUES if n == last else f"sums{n}"
         nodes.append(helper.make_node("Gemm", inputs, [sums], transB=1))
@@ -136,7 +136,7 @@ def export_float(weights: Sequence[F32], biases: Sequence[F32], path: Path) -> N
         if n < last:
             nodes.append(helper.make_node("Relu", [sums], [activations]))
     about = "ExWarp's predictor in floating point; input: a state as numbers in 0 to 1"
-    _write_policy(path, nodes, constants, (TensorProto.FLOAT, weights[0].shape[1]), about)
+    _write_policy(path, nodes, constants, (TensorProto.FLOAT, layers[0][0].shape[1]), about)
 
 
 def export_integer(network: QuantisedMlp, path: Path) -> None:
@@ -212,9 +212,5 @@ def _write_policy(
     model = helper.make_model(graph, opset_imports=operators, ir_version=IR_VERSION)
     model.producer_name, model.producer_version = "exwarp", __version__
     helper.set_model_props(model, {ABOUT: about})
-    _check_and_write(path, model)
-
-
-def _check_and_write(path: Path, model: onnx.ModelProto) -> None:
     onnx.checker.check_model(model)
     atomic_write_bytes(path, model.SerializeToString(deterministic=True))

@@ -9,7 +9,6 @@ it for E; it is cached on disk by scene, view and network, so that it is done on
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -26,7 +25,7 @@ from exwarp_cli.domain.decision import NODES, Features
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
-from exwarp_cli.io.files import atomic_write_bytes, make_folder
+from exwarp_cli.io.files import atomic_path, atomic_write_bytes, make_folder
 from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.models.policy_files import Array, pack_arrays, unpack_arrays
@@ -78,15 +77,13 @@ class View:
 
 
 # Every phase at normal speed, two at double speed, and beginnings, in both settings.
-_PHASES_AND_SPEEDS = ((0, 1), (2, 1), (0, 2), (4, 2), (1, 1), (3, 1))
-_SETTINGS = ("key", "slot")
 VIEWS = (
     *(
-        View(s, Variant(phase, speed=speed))
-        for phase, speed in _PHASES_AND_SPEEDS
-        for s in _SETTINGS
+        View(setting, Variant(phase, speed=speed))
+        for phase, speed in ((0, 1), (2, 1), (0, 2), (4, 2), (1, 1), (3, 1))
+        for setting in ("key", "slot")
     ),
-    *(View(s, Variant(speed=speed), begins=True) for speed in (1, 2) for s in _SETTINGS),
+    *(View(s, Variant(speed=speed), begins=True) for speed in (1, 2) for s in ("key", "slot")),
 )
 
 
@@ -143,9 +140,9 @@ def measure_view(scene: RenderedScene, view: View, model: Path | None, cache: Pa
 
 
 def _write_cached(path: Path, rows: list[F64]) -> F64:
-    array, data = np.array(rows), io.BytesIO()
-    np.save(data, array)
-    atomic_write_bytes(path, data.getvalue())
+    array = np.array(rows)
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.save(file, array)
     return array
 
 
@@ -276,10 +273,9 @@ class PolicyTable(TrainingTable):
         states = np.empty((len(self), len(NODES), INPUTS))
         features = []
         for fields in self.features.reshape(-1, FIELDS).tolist():
-            objects, emd_normal, emd_position, var_x, var_y, width, height, distance = fields
-            emd, variance = (emd_normal, emd_position), (var_x, var_y)
+            objects, normal, position, x, y, width, height, distance = fields
             features.append(
-                Features(int(objects), *emd, *variance, int(width), int(height), distance)
+                Features(int(objects), normal, position, x, y, int(width), int(height), distance)
             )
         for row in range(len(self)):
             older = range(row - 1, max(row - 1 - OLDER_KEYS, -1), -1)
@@ -314,35 +310,36 @@ def join_views(
     )
 
 
-@dataclass(frozen=True)
-class Survey:
-    """How scenes are measured."""
-
-    # Folders of rendered scenes: the same ones at several sizes. Of a scene that is not rendered to
-    # the end, its first unbroken run of key frames counts.
-    data: tuple[Path, ...]
-    model: Path | None = None  # E's ONNX file; None for the one that comes with ExWarp.
-    # Folder for what is measured; None for one beside the first data folder.
-    cache: Path | None = None
-    jobs: int | None = None  # How many views are measured side by side; None for one a core.
-
-
-def find_tables(survey: Survey, tables: Path | None, output: Path, say: Say) -> list[PolicyTable]:
+def find_tables(
+    data: Sequence[Path],
+    tables: Path | None,
+    output: Path,
+    say: Say,
+    model: Path | None = None,
+    cache: Path | None = None,
+    jobs: int | None = None,
+) -> list[PolicyTable]:
     """Measure scenes and write their tables to the output, or read tables that are there.
 
-    Without data folders nothing is measured. `tables` is a folder, None for those that come with
-    ExWarp. Raises UsageError when both are given, or options of the survey without data, and
+    Without data folders nothing is measured. They hold the same scenes at several sizes. Of a scene
+    that is not rendered to the end, its first unbroken run of key frames counts. `tables` is a
+    folder, None for those that come with ExWarp. `model` is E's ONNX file, None for the one that
+    comes with ExWarp. `cache` is for what is measured, None for a folder beside the first data
+    folder. `jobs` views are measured side by side, None for one a core.
+
+    Raises UsageError when data and tables are given, or what is for measuring without data, and
     InputError when there are none.
     """
-    if not survey.data:
-        options = {"--extrapolator": survey.model, "--cache": survey.cache, "--jobs": survey.jobs}
+    if not data:
+        options = {"--extrapolator": model, "--cache": cache, "--jobs": jobs}
         if unused := [option for option, value in options.items() if value is not None]:
             raise UsageError(
                 f"{unused[0]} is for measuring scenes; give --data too, or leave it out"
             )
         return read_tables(PolicyTable, tables or shipped_folder() / TABLES)
     require_no_tables(tables)
-    measured = _build_tables(survey, say)
+    cache = cache or data[0].resolve().parent / "policy"
+    measured = _build_tables(data, model, cache, jobs or processors().usable, say)
     make_folder(output / TABLES)
     paths = [output / TABLES / f"{table.scene}.npz" for table in measured]
     for path, table in zip(paths, measured, strict=True):
@@ -365,14 +362,15 @@ def require_no_tables(tables: Path | None) -> None:
         raise UsageError("--data makes tables and --tables takes those that are there; give one")
 
 
-def _build_tables(survey: Survey, say: Say) -> list[PolicyTable]:
+def _build_tables(
+    data: Sequence[Path], model: Path | None, cache: Path, jobs: int, say: Say
+) -> list[PolicyTable]:
     """Measure the benchmark scenes of some data sets; return a table a scene, by name.
 
     Raises UsageError when a scene is there twice at one size: it would count double.
     """
-    cache = survey.cache or survey.data[0].resolve().parent / "policy"
     scenes: dict[tuple[str, str], RenderedScene] = {}
-    for folder in survey.data:
+    for folder in data:
         for scene in find_scenes(folder, BENCHMARK):
             rendered = scene.as_far_as_rendered()
             size = rendered.manifest.size
@@ -382,15 +380,14 @@ def _build_tables(survey: Survey, say: Say) -> list[PolicyTable]:
                     f"{same.folder} and {rendered.folder} are the same scene at {size}; "
                     "give --data one of them"
                 )
-    checksum = extrapolator(survey.model).checksum
+    checksum = extrapolator(model).checksum
     work = [
-        (scene, view, survey.model, cache)
+        (scene, view, model, cache)
         for view in VIEWS
         for scene in scenes.values()
         if is_long_enough(scene, view)
     ]
     measured: dict[tuple[str, str, str], Measured] = {}
-    jobs = survey.jobs or processors().usable
     with closing(run_tasks(measure_view, work, jobs)) as results:
         for (scene, view, *_), result in results:
             measured[scene.name, scene.manifest.size, view.name] = result

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -21,13 +21,13 @@ import numpy.typing as npt
 
 from exwarp_cli.accelerator.mlp import QuantisedMlp
 from exwarp_cli.domain.decision import (
-    CHOICES,
     EXTRAPOLATE,
     NODES,
     PATHS,
     WARP,
     walk_tree,
 )
+from exwarp_cli.domain.frame import Bool
 from exwarp_cli.domain.settings import DEFAULT_FPS
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.files import atomic_write_text, make_folder
@@ -42,7 +42,7 @@ from exwarp_cli.policy.outcomes import (
 )
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 from exwarp_cli.research.training.onnx_export import export_float, export_integer
-from exwarp_cli.research.training.outcome_tables import PolicyTable
+from exwarp_cli.research.training.outcome_tables import F64, PolicyTable, Say
 from exwarp_cli.research.training.q_learning import (
     Layers,
     integer_values,
@@ -52,10 +52,7 @@ from exwarp_cli.research.training.q_learning import (
 )
 from exwarp_cli.research.training.training_settings import PolicySettings
 
-F64 = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 Paths = npt.NDArray[np.intp]
-Say = Callable[[str], None]
 
 SCHEMA = "exwarp.policy-scores/1"
 REPORT = "policy.json"
@@ -83,7 +80,7 @@ def learn(tables: Sequence[PolicyTable], settings: PolicySettings) -> tuple[Laye
     """Train a network on some scenes and quantise it; they are the calibration states too."""
     floats = train_decisions(tables, settings)
     states = np.concatenate([table.states.reshape(-1, INPUTS) for table in tables])
-    return floats, quantise([w for w, _ in floats], [b for _, b in floats], states)
+    return floats, quantise(floats, states)
 
 
 def train_policy(
@@ -122,7 +119,7 @@ def train_policy(
     # In the precision that they were trained in.
     single = [(w.astype(np.float32), b.astype(np.float32)) for w, b in floats]
     save_network(output / SHIPPED_POLICY, network, _metadata(tables, settings), single)
-    export_float([w for w, _ in single], [b for _, b in single], output / FLOAT_MODEL)
+    export_float(single, output / FLOAT_MODEL)
     export_integer(network, output / INTEGER_MODEL)
     report = {
         "schema": SCHEMA,
@@ -155,7 +152,7 @@ def require_two_scenes(count: int) -> None:
         )
 
 
-def rows_by_part(table: PolicyTable) -> dict[str, npt.NDArray[np.bool_]]:
+def rows_by_part(table: PolicyTable) -> dict[str, Bool]:
     """Return the rows of each part of a table: all, and each setting at each size."""
     names = np.array([f"{name.split('-')[0]} {name.split()[-1]}" for name in table.groups])
     names = names[table.group]
@@ -171,21 +168,22 @@ def _judge(
 ) -> dict[str, Any]:
     """Score a policy on a scene that it never saw, beside what it competes with."""
     floats, integers = q_values(network_floats, table), integer_values(network, table.states)
+    taken = greedy_paths(integers)
     policies = {
-        "exwarp": greedy_paths(integers),
+        "exwarp": taken,
         "float": greedy_paths(floats),
         "regressor": greedy_paths(predict_rewards(fit_regression(training_tables), table)),
         "oracle": best_psnr(table.outcomes),
         "oracle-return": best_return(table.outcomes),
         **{name: np.full(len(table), index) for index, name in enumerate(NAMES)},
+        "random": None,
     }
     agrees = (floats[..., 1] > floats[..., 0]) == (integers[..., 1] > integers[..., 0])
     passed = np.array([[node in PATHS[name].choices for node in NODES] for name in NAMES])
-    is_met = passed[policies["exwarp"]]  # [N, 5]: the nodes that the policy's paths pass
+    is_met = passed[taken]  # [N, 5]: the nodes that the policy's paths pass
     judgement: dict[str, Any] = {}
     for part, rows in rows_by_part(table).items():
         scores = {name: asdict(score_paths(table, paths, rows)) for name, paths in policies.items()}
-        scores["random"] = asdict(score_random(table, rows))
         judgement[part] = {
             "scores": scores,
             "agreement": float(agrees[rows].mean()),
@@ -232,39 +230,31 @@ class PolicyScore:
     paths: tuple[int, ...]  # Intervals by path, S1 to S6
 
 
-def score_paths(table: PolicyTable, paths: Paths, rows: Bool) -> PolicyScore:
-    """Score the paths, an index each, that some rows of a table took."""
-    chosen = paths[rows]
-    shares = np.eye(len(NAMES))[chosen]
-    means = _weighted_means(table, shares, rows)
-    return PolicyScore(len(chosen), *means, tuple(int(n) for n in shares.sum(axis=0)))
+def score_paths(table: PolicyTable, paths: Paths | None, rows: Bool) -> PolicyScore:
+    """Score the paths, an index each, that some rows of a table took.
 
-
-def score_random(table: PolicyTable, rows: Bool) -> PolicyScore:
-    """Score what tossing a coin at every node comes to on average, exactly."""
-    odds = np.array([0.5 ** len(path.choices) for path in PATHS.values()])
-    count = int(rows.sum())
-    return PolicyScore(count, *_weighted_means(table, np.tile(odds, (count, 1)), rows), ())
-
-
-def _weighted_means(
-    table: PolicyTable, shares: F64, rows: Bool
-) -> tuple[float, float, float, float, float]:
-    """Return reward, PSNR, SSIM, new frames and warp share for shares [N, 6] of the paths."""
+    None is for what tossing a coin at every node comes to on average, exactly.
+    """
     outcomes = table.outcomes[rows]
+    taken: tuple[int, ...] = ()
+    decisions = np.array([len(path.choices) for path in PATHS.values()])
+    if paths is None:
+        shares = np.tile(0.5**decisions, (len(outcomes), 1))
+    else:
+        shares = np.eye(len(NAMES))[paths[rows]]
+        taken = tuple(int(n) for n in shares.sum(axis=0))
     quality = slot_quality(outcomes).mean(axis=-2)
     generated = np.array([path.generated for path in PATHS.values()])
-    counts = np.array(
-        [[list(PATHS[name].choices.values()).count(c) for c in CHOICES] for name in NAMES]
-    )
-    warps, decisions = counts[:, CHOICES.index(WARP)], counts.sum(axis=1)
+    warps = np.array([list(path.choices.values()).count(WARP) for path in PATHS.values()])
     per_path = shares.mean(axis=0)
-    return (
-        float((shares * path_returns(outcomes)).sum(axis=1).mean()),
-        float((shares * quality[..., 0]).sum(axis=1).mean()),
-        float((shares * quality[..., 1]).sum(axis=1).mean()),
-        float(per_path @ generated),
-        float(per_path @ warps / (per_path @ decisions)),
+    return PolicyScore(
+        intervals=len(outcomes),
+        reward=float((shares * path_returns(outcomes)).sum(axis=1).mean()),
+        psnr_db=float((shares * quality[..., 0]).sum(axis=1).mean()),
+        ssim=float((shares * quality[..., 1]).sum(axis=1).mean()),
+        new_frames=float(per_path @ generated),
+        warp_share=float(per_path @ warps / (per_path @ decisions)),
+        paths=taken,
     )
 
 

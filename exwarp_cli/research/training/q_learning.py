@@ -34,11 +34,9 @@ from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import CHOICES, FEATURES, NEXT_NODE, NODES
 from exwarp_cli.policy.outcomes import choice_rewards
 from exwarp_cli.policy.state import INPUTS, STATE_COUNT
-from exwarp_cli.research.training.outcome_tables import PolicyTable
+from exwarp_cli.research.training.outcome_tables import F64, PolicyTable
 from exwarp_cli.research.training.training_settings import PolicySettings, TilePolicySettings
 from exwarp_cli.runtime.stop import check_stop
-
-F64 = npt.NDArray[np.float64]
 
 # Weights [out, in] and biases [out] of each layer.
 Layers = tuple[tuple[F64, F64], ...]
@@ -162,18 +160,17 @@ def integer_values(network: QuantisedMlp, states: F64) -> npt.NDArray[np.int64]:
     return outputs.astype(np.int64).reshape(*states.shape[:2], len(CHOICES))
 
 
-def quantise(weights: Sequence[F64], biases: Sequence[F64], states: F64) -> QuantisedMlp:
+def quantise(network: Layers, states: F64) -> QuantisedMlp:
     """Return a network in integers.
 
-    Weights are float64 [out, in], biases [out]. Activations are calibrated on states, float64
-    [N, in], 0 to 1.
+    Activations are calibrated on states, float64 [N, in], 0 to 1.
     """
     unit = 1 / MAX_ACTIVATION
     inputs = factors(np.full(states.shape[1], MAX_ACTIVATION / ONE))
     layers: list[QuantisedLayer] = []
     activations = states
-    for number, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
-        is_last = number == len(weights) - 1
+    for number, (weight, bias) in enumerate(network):
+        is_last = number == len(network) - 1
         largest = np.abs(weight).max(axis=1) / MAX_ACTIVATION
         scale = np.maximum(np.maximum(largest, np.abs(bias) / (MOST_BIAS * unit)), 1e-14)
         if is_last:

@@ -10,7 +10,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -19,16 +19,16 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader
 
 from exwarp_cli.domain.network_api import NetworkInterface
-from exwarp_cli.errors import DamagedFileError, InputError, UsageError
+from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, split_scenes
 from exwarp_cli.io.files import atomic_path, atomic_write_text, make_folder
 from exwarp_cli.io.key_file import file_digest
 from exwarp_cli.models.model_file import read_file_bytes
 from exwarp_cli.pipeline.scheduling import prefetch, use_threads
-from exwarp_cli.research.training.crop_cache import CachedArrays, is_complete
+from exwarp_cli.research.training.crop_cache import CachedArrays, to_device, write_arrays
 from exwarp_cli.research.training.extrapolation_network import STRIDE
 from exwarp_cli.research.training.onnx_export import export_network
 from exwarp_cli.research.training.training_settings import ExtrapolatorSettings, LookAheadSettings
@@ -70,6 +70,8 @@ class ResumableTraining(ABC):
     model: str  # name of the file that is exported
     interface: NetworkInterface
     about: str  # what the model is; a format of the settings
+    # Which network it may begin with, and the option that decides it; a format of the settings.
+    startable: str
     columns: tuple[str, ...]  # of the curve: step, seconds, loss, rate, scores of `_validate`
     scores_text: str  # how these scores are said; a format
 
@@ -108,9 +110,6 @@ class ResumableTraining(ABC):
     def _make_network(self) -> nn.Module: ...
 
     @abstractmethod
-    def _load_start(self, path: Path) -> None: ...
-
-    @abstractmethod
     def _loss(self, batch: Any) -> Tensor: ...
 
     @abstractmethod
@@ -122,9 +121,19 @@ class ResumableTraining(ABC):
 
         Raises InputError when there is no such file, or its network is another one.
         """
-        if not self.step:
+        if self.step:
+            return
+        try:
             self._load_start(path)
-            self.average.load_state_dict(self.network.state_dict())
+        except (KeyError, RuntimeError, ValueError) as error:
+            raise LayoutError(
+                f"{path} holds another network than {self.startable.format(self.settings)}, or "
+                "another --start"
+            ) from error
+        self.average.load_state_dict(self.network.state_dict())
+
+    def _load_start(self, path: Path) -> None:
+        self.network.load_state_dict(read_checkpoint(path, self.device)["average"])
 
     def export(self) -> Path:
         """Write the network as an ONNX model; return its path."""
@@ -169,9 +178,9 @@ class ResumableTraining(ABC):
         for part, chosen in parts.items():
             folders = [cls.samples.folder_of(scene, settings, cache) for scene in chosen]
             for count, (scene, place) in enumerate(zip(chosen, folders, strict=True), start=1):
-                if not is_complete(place):
+                if not place.exists():
                     say(f"preparing {scene.name}, {count} of {len(chosen)}")
-                    cls.samples.write(scene, settings, place)
+                    write_arrays(cls.samples.prepare(scene, settings), place)
             samples[part] = cls.samples(folders)
         training.run(samples["training"], samples["validation"], every)
         return training.export()
@@ -182,11 +191,14 @@ class ResumableTraining(ABC):
         losses: list[float] = []
         steps = range(self.step, self.settings.steps)
         loaders = min(LOADERS, cores.count()) if self.device == "cuda" else 0
-        drawn = DrawnBatches(samples, self.settings)
-        batches = iter(DataLoader(drawn, batch_size=None, sampler=steps, num_workers=loaders))
+        s = self.settings
+        draw = partial(samples.draw, size=s.batch, side=s.patch, seed=s.seed)
+        # A range is all that a loader needs of a data set: it has a length and items.
+        loader = DataLoader(steps, batch_size=None, collate_fn=draw, num_workers=loaders)  # type: ignore[arg-type,var-annotated]
+        batches = iter(loader)
         # The next batch is drawn while one is learned.
         for batch in prefetch((partial(next, batches) for _ in steps), 1):
-            losses.append(self._learn(batch.to(self.device)))
+            losses.append(self._learn(to_device(batch, self.device)))
             self.step += 1
             self.seconds = time.monotonic() - begin
             if self.step % every == 0 or self.step == self.settings.steps:
@@ -254,19 +266,6 @@ class ResumableTraining(ABC):
         }  # fmt: skip
         with atomic_path(self.folder / CHECKPOINT) as temporary:
             torch.save(content, temporary)
-
-
-@dataclass(frozen=True)
-class DrawnBatches(Dataset[Any]):
-    """The batches of a training by their step, from 0: patches of samples, varied."""
-
-    samples: CachedArrays
-    settings: Settings
-
-    def __getitem__(self, step: int) -> Any:
-        """Return the batch of a step, on the CPU."""
-        s = self.settings
-        return self.samples.draw(step, s.batch, s.patch, s.seed)
 
 
 def read_checkpoint(path: Path, device: str) -> dict[str, Any]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import zlib
-from collections import OrderedDict
 from dataclasses import replace
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from exwarp_cli.research.training.augmentation import (
     Look,
     Variant,
     deliver,
-    mirror,
     reverse_time,
     with_tones,
 )
@@ -51,7 +50,7 @@ class SceneClip:
         self.look = look
         count = scene.manifest.instants.count
         self._order = self.variant.order(count)
-        self._frames: OrderedDict[int, tuple[KeyFrame, GBuffer]] = OrderedDict()
+        self._load = lru_cache(KEPT)(partial(_read_instant, scene))
         if not self.intervals:
             raise InputError(
                 f"{scene.folder} has {count} instants, too few for {variant}; leave it out"
@@ -60,7 +59,7 @@ class SceneClip:
     def seen_as(self, variant: Variant, look: Look = PLAIN) -> SceneClip:
         """Return the same scene in another variant and look, sharing what was read."""
         clip = SceneClip(self.scene, variant, look)
-        clip._frames = self._frames
+        clip._load = self._load
         return clip
 
     @property
@@ -77,7 +76,7 @@ class SceneClip:
         if self.variant.speed == 1 and manifest.has_key(index):
             number = manifest.keys.first + index // manifest.keys.step
             raw = read_raw(self.scene.keys, number, GEOMETRY)
-            gbuffer = settle_motion(raw.settle(self._convention(self.scene.keys)))
+            gbuffer = settle_motion(raw.settle(_convention(self.scene, self.scene.keys)))
             return self._play(index, gbuffer.to_previous, gbuffer.to_next, gbuffer.bend)
         return self._play_over(index, FACTOR * self.variant.speed)
 
@@ -88,8 +87,6 @@ class SceneClip:
     def truth(self, k: int, i: int) -> Image:
         """Return what slot i of key frame k is to show."""
         frame, _ = self._load(self._order[FACTOR * k + i])
-        if self.variant.mirror:
-            frame = mirror(frame)
         return with_tones(frame.image, self.look)
 
     def interval(self, k: int, setting: str) -> Interval:
@@ -143,8 +140,6 @@ class SceneClip:
         if self.variant.backwards:
             gbuffer = reverse_time(gbuffer)
         frame = replace(frame, gbuffer=gbuffer)
-        if self.variant.mirror:
-            frame = mirror(frame)
         if self.look == PLAIN:
             return frame
         noise = np.random.default_rng((zlib.crc32(self.scene.name.encode()), index))
@@ -165,19 +160,16 @@ class SceneClip:
         gbuffers = [self._load(i)[1] for i in range(index, end + direction, direction)]
         return span_motion(gbuffers, direction)
 
-    def _load(self, index: int) -> tuple[KeyFrame, GBuffer]:
-        """Return an instant as rendered, and its G-buffer, motion settled; index from 0."""
-        if index not in self._frames:
-            shot, number = self.scene.instants, self.scene.manifest.instants.first + index
-            raw = read_raw(shot, number, (Role.COLOUR, *GEOMETRY, *SURFACE))
-            frame = raw.key(self._convention(shot))
-            assert frame.gbuffer is not None
-            self._frames[index] = replace(frame, gbuffer=None), settle_motion(frame.gbuffer)
-            while len(self._frames) > KEPT:
-                self._frames.popitem(last=False)
-        self._frames.move_to_end(index)
-        return self._frames[index]
 
-    def _convention(self, shot: Shot) -> MotionConvention:
-        size = (shot.display.width, shot.display.height)
-        return parse_motion(self.scene.manifest.motion, motion_names(shot), size)
+def _read_instant(scene: RenderedScene, index: int) -> tuple[KeyFrame, GBuffer]:
+    """Return an instant as rendered, and its G-buffer, motion settled; index from 0."""
+    number = scene.manifest.instants.first + index
+    raw = read_raw(scene.instants, number, (Role.COLOUR, *GEOMETRY, *SURFACE))
+    frame = raw.key(_convention(scene, scene.instants))
+    assert frame.gbuffer is not None
+    return replace(frame, gbuffer=None), settle_motion(frame.gbuffer)
+
+
+def _convention(scene: RenderedScene, shot: Shot) -> MotionConvention:
+    size = (shot.display.width, shot.display.height)
+    return parse_motion(scene.manifest.motion, motion_names(shot), size)

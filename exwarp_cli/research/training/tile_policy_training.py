@@ -13,9 +13,9 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -25,9 +25,8 @@ from torch.nn import functional
 
 from exwarp_cli.accelerator.mlp import QuantisedMlp
 from exwarp_cli.domain.colour import encode_display
-from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.network_api import NetworkModel
-from exwarp_cli.domain.tiles import REWARP, TILE_FEATURES, TILE_STATE
+from exwarp_cli.domain.tiles import TILE_FEATURES, TILE_STATE
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
@@ -43,6 +42,8 @@ from exwarp_cli.policy.state import (
 )
 from exwarp_cli.research.training.augmentation import PLAIN, Look, Variant
 from exwarp_cli.research.training.outcome_tables import (
+    F64,
+    Say,
     TrainingTable,
     extrapolator,
     read_tables,
@@ -60,9 +61,7 @@ from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import tile_features
 from exwarp_cli.synthesis.methods import predict_path
 
-F64 = npt.NDArray[np.float64]
 Margins = npt.NDArray[Any]
-Say = Callable[[str], None]
 
 SCHEMA = "exwarp.tile-policy-scores/1"
 REPORT = "tile-policy.json"
@@ -79,9 +78,8 @@ SHARES = (0.1, 0.25, 0.5, 0.75)
 # Shares of the area whose price is kept with the policy.
 EFFORTS = tuple(i / 20 for i in range(1, 20))
 
-# What errors are of: slot, maker, and a path whose frame shows it.
-MADE = ((2, WARP, "S6"), (2, EXTRAPOLATE, "S3"), (3, WARP, "S6"), (3, EXTRAPOLATE, "S3"),
-        (3, REWARP, "S4"))  # fmt: skip
+# What errors are of: a slot, and a path that warps it, has E make it, or warps what E made.
+MADE = ((2, "S6"), (2, "S3"), (3, "S6"), (3, "S3"), (3, "S4"))
 
 # Folder of the tables of tiles, beside the models.
 TILE_TABLES = "tiles"
@@ -99,6 +97,10 @@ class TableOfTiles(TrainingTable, ABC):
     each node. The network makes it where that is more than a price.
     """
 
+    kind, row = "table of tiles", "tile"
+    folder: ClassVar[Path]  # of tables, beside the models and in the output
+    option: ClassVar[str]  # that names the network
+    load_network: ClassVar[Callable[[Path | None], NetworkModel]]
     # By the index of a node, those of the nodes after either choice.
     after: ClassVar[Mapping[int, tuple[int, int]]] = {}
 
@@ -118,6 +120,11 @@ class TableOfTiles(TrainingTable, ABC):
         In squared display levels, against doing without the network.
         """
 
+    @classmethod
+    @abstractmethod
+    def measure(cls, scene: RenderedScene, network: Any, say: Say) -> Self:
+        """Make frames of a scene with and without the network, and measure their tiles."""
+
     @staticmethod
     @abstractmethod
     def cost(margins: Margins, price: float) -> float:
@@ -134,7 +141,6 @@ class TableOfTiles(TrainingTable, ABC):
 
 
 Table = TypeVar("Table", bound=TableOfTiles)
-Network = TypeVar("Network", bound=NetworkModel)
 
 
 @dataclass(frozen=True)
@@ -142,8 +148,9 @@ class TileTable(TableOfTiles):
     """All tiles of a scene's key intervals; the network is E."""
 
     schema = "exwarp.tile-table/1"
-    kind, row = "table of tiles", "tile"
     facts = ("scene", "width", "network")
+    folder, option = Path(TILE_TABLES), "--extrapolator"
+    load_network = staticmethod(extrapolator)
     arrays: ClassVar = {
         "interval": (np.int32, np.int32, ()),
         "features": (np.float32, np.float64, (3, len(TILE_FEATURES))),
@@ -194,100 +201,74 @@ class TileTable(TableOfTiles):
         third = np.where(d2, after_e, after_w)
         return float((second.mean() + third.mean()) / 2)
 
+    @classmethod
+    def measure(
+        cls,
+        scene: RenderedScene,
+        network: OnnxExtrapolator,
+        say: Say,
+        look: Look = PLAIN,  # as which it is delivered
+        variants: Sequence[Variant] = VARIANTS,
+    ) -> TileTable:
+        """Make the frames of all makers of a scene's key intervals, and measure their tiles.
 
-def measure_tiles(
-    scene: RenderedScene,
-    network: OnnxExtrapolator,
-    say: Callable[[str], None],
-    look: Look = PLAIN,  # as which it is delivered
-    variants: Sequence[Variant] = VARIANTS,
-) -> TileTable:
-    """Make the frames of all makers of a scene's key intervals, and measure their tiles.
-
-    Of a scene that is not rendered to the end its first unbroken run of key frames counts.
-    """
-    scene = scene.as_far_as_rendered()
-    features: list[F64] = []
-    errors: list[F64] = []
-    numbers: list[npt.NDArray[np.int32]] = []
-    clips = SceneClip(scene)
-    played = (clips.seen_as(variant, look) for variant in variants)
-    intervals = ((clip, k) for clip in played for k in clip.intervals)
-    for clip, k in intervals:
-        truth = {slot: encode_display(clip.truth(k, slot).pixels) for slot in (2, 3)}
-        interval = replace(clip.causal(k, "key"), extrapolator=network)
-        by_slot = [tile_features(interval, slot) for slot in range(1, FACTOR)]
-        features.append(np.stack(by_slot, axis=2).reshape(-1, FACTOR - 1, len(TILE_FEATURES)))
-        by_maker = []
-        for slot, _, path in MADE:
-            frame = encode_display(predict_path(path, interval, slot).pixels)
-            squares = np.square(frame[..., :3] - truth[slot][..., :3]).mean(axis=-1)
-            by_maker.append(interval.mosaic.means(squares).ravel())
-        errors.append(np.stack(by_maker, axis=-1))
-        numbers.append(np.full(len(errors[-1]), len(numbers), np.int32))
-        say(f"{scene.name}: {len(numbers)} key intervals")
-        check_stop()
-    return TileTable(
-        scene.name,
-        scene.manifest.width,
-        np.concatenate(numbers),
-        np.concatenate(features),
-        np.concatenate(errors),
-        network.checksum,
-    )
-
-
-def kept_table(
-    kind: type[Table], path: Path, network: NetworkModel, measure: Callable[[], Table]
-) -> Table:
-    """Return the table of a file, measured first if it is missing or of another network."""
-    table = kind.load(path) if path.exists() else None
-    if table is None or table.network != network.checksum:
-        measure().save(path)
-        table = kind.load(path)
-    return table
-
-
-@dataclass(frozen=True)
-class TileTraining(Generic[Table, Network]):
-    """A training of a policy of tiles, from measuring scenes to what it prints."""
-
-    kind: str  # as the command names it
-    model: str  # name of the policy's file
-    table: type[Table]
-    folder: Path  # of tables, beside the models and in the output
-    option: str  # that names the network
-    load: Callable[[Path | None], Network]
-    measure: Callable[[RenderedScene, Network, Say], Table]
-    train: Callable[[Sequence[Table], Path, TilePolicySettings, Say], dict[str, Any]]
-    card: Callable[[dict[str, Any]], str]
-
-    def find(
-        self, data: Path | None, model: Path | None, tables: Path | None, output: Path, say: Say
-    ) -> list[Table]:
-        """Measure the tiles of benchmark scenes and write their tables, or read those there are.
-
-        A scene whose table is in the output folder, made with the same network, is not measured
-        again. Parameters and errors are those of `outcome_tables.find_tables`.
+        Of a scene that is not rendered to the end its first unbroken run of key frames counts.
         """
-        if data is None:
-            if model is not None:
-                raise UsageError(f"{self.option} is for measuring scenes; give --data too")
-            return read_tables(self.table, tables or shipped_folder() / self.folder)
-        require_no_tables(tables)
-        folder = output / self.folder
-        make_folder(folder)
-        scenes = find_scenes(data, BENCHMARK)
-        network = self.load(model)
-        return [
-            kept_table(
-                self.table,
-                folder / f"{scene.name}.npz",
-                network,
-                partial(self.measure, scene, network, say),
-            )
-            for scene in scenes
-        ]
+        scene = scene.as_far_as_rendered()
+        parts: list[tuple[npt.NDArray[np.int32], F64, F64]] = []
+        clips = SceneClip(scene)
+        played = (clips.seen_as(variant, look) for variant in variants)
+        intervals = ((clip, k) for clip in played for k in clip.intervals)
+        for clip, k in intervals:
+            truth = {slot: encode_display(clip.truth(k, slot).pixels) for slot in (2, 3)}
+            interval = replace(clip.causal(k, "key"), extrapolator=network)
+            by_slot = [tile_features(interval, slot) for slot in range(1, FACTOR)]
+            features = np.stack(by_slot, axis=2).reshape(-1, FACTOR - 1, len(TILE_FEATURES))
+            errors = []
+            for slot, path in MADE:
+                frame = encode_display(predict_path(path, interval, slot).pixels)
+                squares = np.square(frame[..., :3] - truth[slot][..., :3]).mean(axis=-1)
+                errors.append(interval.mosaic.means(squares).ravel())
+            numbers = np.full(len(features), len(parts), np.int32)
+            parts.append((numbers, features, np.stack(errors, axis=-1)))
+            say(f"{scene.name}: {len(parts)} key intervals")
+            check_stop()
+        numbers, features, errors_of = (np.concatenate(part) for part in zip(*parts, strict=True))
+        width = scene.manifest.width
+        return cls(scene.name, width, numbers, features, errors_of, network.checksum)
+
+
+def find_tile_tables(
+    kind: type[Table],
+    data: Path | None,
+    model: Path | None,
+    tables: Path | None,
+    output: Path,
+    say: Say,
+) -> list[Table]:
+    """Measure the tiles of benchmark scenes and write their tables, or read those there are.
+
+    A scene whose table is in the output folder, made with the same network, is not measured again.
+    Parameters and errors are those of `outcome_tables.find_tables`.
+    """
+    if data is None:
+        if model is not None:
+            raise UsageError(f"{kind.option} is for measuring scenes; give --data too")
+        return read_tables(kind, tables or shipped_folder() / kind.folder)
+    require_no_tables(tables)
+    folder = output / kind.folder
+    make_folder(folder)
+    scenes = find_scenes(data, BENCHMARK)
+    network = kind.load_network(model)
+    found = []
+    for scene in scenes:
+        path = folder / f"{scene.name}.npz"
+        table = kind.load(path) if path.exists() else None
+        if table is None or table.network != network.checksum:
+            kind.measure(scene, network, say).save(path)
+            table = kind.load(path)
+        found.append(table)
+    return found
 
 
 def train_tiles(tables: Sequence[Table], settings: TilePolicySettings) -> QuantisedMlp:
@@ -314,9 +295,9 @@ def train_tiles(tables: Sequence[Table], settings: TilePolicySettings) -> Quanti
                 aim[:, node] += best[:, list(following)]
         return state, aim
 
-    layers = fit_network(settings, draw, functional.smooth_l1_loss)
+    network = fit_network(settings, draw, functional.smooth_l1_loss)
     all_states = np.concatenate([table.states.reshape(-1, INPUTS) for table in tables])
-    return quantise([w for w, _ in layers], [b for _, b in layers], all_states)
+    return quantise(network, all_states)
 
 
 def margins_unseen(
@@ -352,11 +333,6 @@ def price_for(
     return high
 
 
-def gain_at(share: float, tables: Sequence[TableOfTiles], margins: Sequence[Margins]) -> float:
-    """Return what margins gain at a share of the area: see `gain_percent`."""
-    return gain_percent(tables, margins, price_for(share, margins, tables[0].cost))
-
-
 def gain_percent(tables: Sequence[TableOfTiles], margins: Sequence[Margins], price: float) -> float:
     """Return what margins gain at a price, in % of the network's gain in dB over all scenes."""
     gained = everything = 0.0
@@ -371,10 +347,14 @@ def gains_by_share(
     tables: Sequence[TableOfTiles], margins: Mapping[str, Sequence[Margins]]
 ) -> dict[str, dict[str, float]]:
     """Return what each choice gains at each of `SHARES`, in %, as the scores file has it."""
-    return {
-        name: {f"{share:g}": round(gain_at(share, tables, of_choice), 1) for share in SHARES}
-        for name, of_choice in margins.items()
-    }
+    gains: dict[str, dict[str, float]] = {}
+    for name, of_choice in margins.items():
+        prices = {share: price_for(share, of_choice, tables[0].cost) for share in SHARES}
+        gains[name] = {
+            f"{share:g}": round(gain_percent(tables, of_choice, price), 1)
+            for share, price in prices.items()
+        }
+    return gains
 
 
 def gains_in_db(tables: Sequence[TableOfTiles]) -> dict[str, float]:
@@ -430,26 +410,17 @@ def train_tile_policy(
     return report
 
 
-def tile_policy_card(report: dict[str, Any]) -> str:
-    """Return what ``tile-policy.json`` holds: what choices gain at some shares of the area.
-
-    In per cent of what E gains everywhere, in dB over all scenes.
-    """
-    s4 = f"Always S4, at half of the area, gains {report['always_s4_percent']:.0f} %."
-    return f"{gain_card(report, 'E', report['extrapolator_gain_db'])} {s4}"
-
-
 def gain_card(report: dict[str, Any], network: str, by_scene: Mapping[str, float]) -> str:
-    """Return a report's ``gain_percent`` as a table, and a network's gain in each scene, dB."""
+    """Return what a scores file holds: what choices gain at some shares of the area.
+
+    In per cent of what the network gains everywhere, which is said for each scene, dB.
+    """
     curves = report["gain_percent"]
     shares = list(next(iter(curves.values())))
     titles = ["choice", *(f"{float(share):.0%} of the area" for share in shares)]
     rows = [[name, *(f"{gains[s]:.0f} %" for s in shares)] for name, gains in curves.items()]
     everywhere = ", ".join(f"{scene} {gain:+.2f}" for scene, gain in by_scene.items())
-    return f"{markdown_table(titles, rows)}\n\n{network} everywhere gains, in dB: {everywhere}."
-
-
-TRAINING = TileTraining(
-    "tile-policy", SHIPPED_TILE_POLICY, TileTable, Path(TILE_TABLES), "--extrapolator",
-    extrapolator, measure_tiles, train_tile_policy, tile_policy_card,
-)  # fmt: skip
+    text = f"{markdown_table(titles, rows)}\n\n{network} everywhere gains, in dB: {everywhere}."
+    if "always_s4_percent" in report:
+        text += f" Always S4, at half of the area, gains {report['always_s4_percent']:.0f} %."
+    return text

@@ -28,12 +28,15 @@ from exwarp_cli.policy.state import (
 )
 from exwarp_cli.research.training.look_ahead_policy import (
     REPORT,
-    TRAINING,
     LookAheadTable,
     rule_network,
     train_look_ahead_policy,
 )
-from exwarp_cli.research.training.tile_policy_training import choice_margins, price_for
+from exwarp_cli.research.training.tile_policy_training import (
+    choice_margins,
+    find_tile_tables,
+    price_for,
+)
 from exwarp_cli.research.training.training_settings import TilePolicySettings
 from exwarp_cli.synthesis.methods import METHODS, Predicted
 from exwarp_cli.synthesis.predicted_error import (
@@ -244,10 +247,10 @@ class TestTraining:
 
     def test_a_network_is_for_measuring(self, tmp_path):
         with pytest.raises(UsageError, match="--interpolator is for measuring scenes"):
-            TRAINING.find(None, Path("own.onnx"), None, tmp_path, SAY)
+            find_tile_tables(LookAheadTable, None, Path("own.onnx"), None, tmp_path, SAY)
 
     def test_the_tables_that_come_with_exwarp_give_its_policy(self, tmp_path, shipped):
-        tables = TRAINING.find(None, None, None, tmp_path, SAY)
+        tables = find_tile_tables(LookAheadTable, None, None, None, tmp_path, SAY)
         assert [one.scene for one in tables] == shipped.metadata["scenes"]
         rule = rule_network(np.concatenate([one.states[:, 0] for one in tables]))
         for made_again, kept in zip(rule.layers, shipped.network.layers, strict=True):

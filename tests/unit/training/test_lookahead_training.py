@@ -6,6 +6,7 @@ import csv
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,11 @@ from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.models.picture_network import load_lookahead
 from exwarp_cli.research.training import lookahead_training
+from exwarp_cli.research.training.crop_cache import to_device, write_arrays
 from exwarp_cli.research.training.lookahead_training import (
-    SAMPLE_ARRAYS,
     SHARE,
     LookAheadTraining,
+    SampleBatch,
     Samples,
     WeighingNetwork,
     loss_of,
@@ -29,7 +31,7 @@ from exwarp_cli.research.training.lookahead_training import (
     slot_samples,
     variants_of,
 )
-from exwarp_cli.research.training.resumable_training import CHECKPOINT, CURVE, DrawnBatches
+from exwarp_cli.research.training.resumable_training import CHECKPOINT, CURVE
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.research.training.training_settings import LookAheadSettings
 from tests.unit.analytic_scene import write_scene
@@ -60,7 +62,7 @@ def cache(few_variants, scenes, tmp_path_factory) -> Path:
     """Samples of both scenes, as a training makes them."""
     folder = tmp_path_factory.mktemp("cache")
     for scene in scenes:
-        Samples.write(scene, TINY, Samples.folder_of(scene, TINY, folder))
+        write_arrays(Samples.prepare(scene, TINY), Samples.folder_of(scene, TINY, folder))
     return folder
 
 
@@ -79,18 +81,19 @@ def train(scenes, folder: Path, cache: Path, settings: LookAheadSettings, **more
 class TestSamples:
     def test_they_are_what_a_run_gives_its_network(self, scenes):
         slot = next(slot_samples(SceneClip(scenes[0])))
-        assert tuple(slot) == SAMPLE_ARRAYS
+        assert set(slot) == set(SampleBatch._fields)
         shapes = {name: slot[name].shape[0] for name in LOOKAHEAD_INTERFACE.inputs}
         assert shapes == dict(LOOKAHEAD_INTERFACE.inputs)
         assert slot["time"] == 0.25
         error = np.abs(slot["colour"][:3].astype(np.float32) - slot["truth"]).mean()
         assert error < 0.05  # what softsplat makes comes first
 
-    def test_of_a_scene_they_are_always_the_same(self, scenes, cache, tmp_path):
-        Samples.write(scenes[0], TINY, tmp_path / "again")
-        for name in SAMPLE_ARRAYS:
+    def test_of_a_scene_they_are_always_the_same(self, scenes, cache):
+        again = Samples.prepare(scenes[0], TINY)
+        assert set(again) == set(SampleBatch._fields)
+        for name, array in again.items():
             once = np.load(Samples.folder_of(scenes[0], TINY, cache) / f"{name}.npy")
-            np.testing.assert_array_equal(np.load(tmp_path / "again" / f"{name}.npy"), once)
+            np.testing.assert_array_equal(array, once)
 
     def test_looks_are_drawn_by_name_and_seed(self):
         assert variants_of("one", 0) == variants_of("one", 0)
@@ -99,16 +102,16 @@ class TestSamples:
     def test_a_batch_is_drawn_by_its_step(self, samples):
         one, again, other = (samples.draw(step, 3, 32, 0) for step in (5, 5, 6))
         assert one.truth.shape == (3, 3, 32, 32)
-        assert torch.equal(one.inputs["colour"], again.inputs["colour"])
-        assert not torch.equal(one.inputs["colour"], other.inputs["colour"])
+        assert torch.equal(one.colour, again.colour)
+        assert not torch.equal(one.colour, other.colour)
         assert ((one.time > 0) & (one.time < 1)).all()
 
     def test_processes_draw_the_same_batches_in_the_same_order(self, samples):
-        drawn = DrawnBatches(samples, TINY)
-        loader = DataLoader(drawn, batch_size=None, sampler=range(3, 8), num_workers=2)
+        draw = partial(samples.draw, size=TINY.batch, side=TINY.patch, seed=TINY.seed)
+        loader = DataLoader(range(3, 8), batch_size=None, collate_fn=draw, num_workers=2)
         for step, batch in zip(range(3, 8), loader, strict=True):
-            assert torch.equal(batch.truth, drawn[step].truth)
-            assert torch.equal(batch.to("cpu").inputs["depth"], drawn[step].inputs["depth"])
+            assert torch.equal(batch.truth, draw(step).truth)
+            assert torch.equal(to_device(batch, "cpu").depth, draw(step).depth)
 
 
 class TestLoss:
@@ -131,7 +134,7 @@ class TestNetwork:
         network = WeighingNetwork(8).eval()
         sample = samples.draw(0, 2, 32, 0)
         with torch.no_grad():
-            weights = network(**sample.inputs, time=sample.time)
+            weights = network(*sample[:-1])
         assert weights.shape == (2, CANDIDATES, 32, 32)
         torch.testing.assert_close(weights.sum(1), torch.ones(2, 32, 32))
         assert (weights.argmax(1) == 0).float().mean() > 0.9
@@ -140,10 +143,9 @@ class TestNetwork:
         sample = samples.draw(0, 2, 32, 0)
         weights = torch.zeros(2, CANDIDATES, 32, 32)
         weights[:, 0] = 1
-        colour = sample.inputs["colour"]
-        assert torch.equal(mix(weights, colour), colour[:, :3])
+        assert torch.equal(mix(weights, sample.colour), sample.colour[:, :3])
         weights = weights.roll(1, 1)
-        assert torch.equal(mix(weights, colour), colour[:, 3:6])
+        assert torch.equal(mix(weights, sample.colour), sample.colour[:, 3:6])
 
 
 class TestTraining:
@@ -195,14 +197,16 @@ class TestTraining:
         training = LookAheadTraining(tmp_path / "run", _settings_of(tmp_path / "run"), quiet)
         sample = samples.whole(0)
         height, width = (size // 16 * 16 for size in sample.truth.shape[-2:])
-        inputs = {name: picture[..., :height, :width] for name, picture in sample.inputs.items()}
+        pictures = sample._asdict()
+        inputs = {n: pictures[n][..., :height, :width] for n in LOOKAHEAD_INTERFACE.inputs}
         training.average.eval()
         with torch.no_grad():
             weights = training.average(**inputs, time=sample.time)[0]
         expected = SHARE * weights.numpy()
         expected[0] += 1 - SHARE  # that much is left to softsplat
-        pictures = {name: picture[0].numpy() for name, picture in inputs.items()}
-        given = NetworkPictures(pictures, float(sample.time[0]))
+        given = NetworkPictures(
+            {name: picture[0].numpy() for name, picture in inputs.items()}, float(sample.time[0])
+        )
         ((_, found),) = load_lookahead(model, 1, "cpu").weigh(given)
         np.testing.assert_allclose(found, expected, atol=1e-5)
 

@@ -28,7 +28,7 @@ from exwarp_cli.pipeline.decide import features
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
 from exwarp_cli.policy.outcomes import slot_quality
 from exwarp_cli.policy.state import observe
-from exwarp_cli.research.training import outcome_tables
+from exwarp_cli.research.training import outcome_tables, scene_clip
 from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.outcome_tables import (
     VIEWS,
@@ -87,7 +87,7 @@ def test_views_are_all_phases_in_both_settings():
     assert normal == {(s, phase) for s in ("key", "slot") for phase in range(4)}
     begins = [(v.setting, v.variant) for v in VIEWS if v.begins]
     assert begins == [(s, Variant(speed=k)) for k in (1, 2) for s in ("key", "slot")]
-    assert not any(view.variant.mirror or view.variant.backwards for view in VIEWS)
+    assert not any(view.variant.backwards for view in VIEWS)
 
 
 def test_which_views_a_scene_is_long_enough_for(scene):
@@ -210,7 +210,7 @@ class TestCache:
         def refuse(*_):
             raise AssertionError("a frame is read")
 
-        monkeypatch.setattr(SceneClip, "_load", refuse)
+        monkeypatch.setattr(scene_clip, "read_raw", refuse)
         same(measure_view(scene, PLAIN[0], model, cache), first)
         with pytest.raises(AssertionError, match="a frame is read"):
             measure_view(scene, PLAIN[0], model, tmp_path)
@@ -232,7 +232,7 @@ class TestCache:
     def test_beginnings_are_kept_too(self, scene, model, cache, monkeypatch):
         first = measure_view(scene, BEGINNING[1], model, cache)
         assert len(first.outcomes) == 1
-        monkeypatch.setattr(SceneClip, "_load", None)
+        monkeypatch.setattr(scene_clip, "read_raw", None)
         same(measure_view(scene, BEGINNING[1], model, cache), first)
 
     def test_what_is_missing_or_unreadable_is_found_anew(self, scene, model, cache, tmp_path):

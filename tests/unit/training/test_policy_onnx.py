@@ -67,7 +67,7 @@ def test_the_float_model(tmp_path):
         for a, b in itertools.pairwise(sizes)
     ]
     biases = [rng.standard_normal(size).astype(np.float32) for size in sizes[1:]]
-    export_float(weights, biases, tmp_path / "float.onnx")
+    export_float(list(zip(weights, biases, strict=True)), tmp_path / "float.onnx")
     state = rng.random((20, 44), np.float32)
     (found,) = session(tmp_path / "float.onnx").run([VALUES], {STATE: state})
     expected = state.astype(np.float64)

@@ -15,7 +15,6 @@ from exwarp_cli.research.training.policy_training import (
     NAMES,
     greedy_paths,
     score_paths,
-    score_random,
 )
 from tests.reference import scores as naive
 from tests.unit.training.policy_tables import random_table
@@ -79,7 +78,7 @@ def test_warps_are_counted_by_decision_not_by_interval():
 def test_tossing_coins_is_the_mean_of_all_that_can_be_tossed(rows):
     odds = naive.coin()
     assert odds == {"S1": 0.25, "S2": 0.25, "S3": 0.125, "S4": 0.125, "S5": 0.125, "S6": 0.125}
-    found = score_random(TABLE, rows)
+    found = score_paths(TABLE, None, rows)
     same(found, naive.score(TABLE.outcomes[rows], [odds] * int(rows.sum())))
     assert found.paths == () and found.intervals == rows.sum()
 
@@ -87,7 +86,7 @@ def test_tossing_coins_is_the_mean_of_all_that_can_be_tossed(rows):
 def test_random_paths_tend_to_what_coins_come_to():
     rng = np.random.default_rng(0)
     tosses = [score_paths(TABLE, greedy_paths(rng.random((60, 5, 2))), EVERY) for _ in range(150)]
-    exact = score_random(TABLE, EVERY)
+    exact = score_paths(TABLE, None, EVERY)
     for name, scale in (("reward", 2.0), ("psnr_db", 0.5), ("new_frames", 0.05)):
         mean = np.mean([getattr(toss, name) for toss in tosses])
         assert abs(mean - getattr(exact, name)) < scale

@@ -18,7 +18,6 @@ from exwarp_cli.research.training.outcome_tables import (
     VIEWS,
     Measured,
     PolicyTable,
-    Survey,
     find_tables,
     join_views,
 )
@@ -215,7 +214,7 @@ class TestFinding:
         for scene in ("town", "lab"):
             replace(TABLE, scene=scene).save(tmp_path / f"{scene}.npz")
         (tmp_path / "notes.txt").write_text("no table")
-        found = find_tables(Survey(()), tmp_path, tmp_path / "out", print)
+        found = find_tables((), tmp_path, tmp_path / "out", print)
         assert [table.scene for table in found] == ["lab", "town"]
         assert not (tmp_path / "out").exists()
 
@@ -226,21 +225,21 @@ class TestFinding:
         )
         (tmp_path / "models" / TABLES).mkdir(parents=True)
         TABLE.save(tmp_path / "models" / TABLES / "lab.npz")
-        found = find_tables(Survey(()), None, tmp_path / "out", print)
+        found = find_tables((), None, tmp_path / "out", print)
         assert [table.scene for table in found] == ["lab"]
 
     def test_an_empty_folder_is_refused(self, tmp_path):
         for folder in (tmp_path, tmp_path / "none"):
             with pytest.raises(InputError, match="holds no policy table; make some with --data"):
-                find_tables(Survey(()), folder, tmp_path / "out", print)
+                find_tables((), folder, tmp_path / "out", print)
 
     def test_tables_and_data_are_refused_before_anything_is_measured(self, tmp_path):
         with pytest.raises(UsageError, match="give one"):
-            find_tables(Survey((tmp_path / "none",)), tmp_path, tmp_path / "out", print)
+            find_tables((tmp_path / "none",), tmp_path, tmp_path / "out", print)
 
     @pytest.mark.parametrize(
         "option", [{"model": "e.onnx"}, {"cache": "kept"}, {"jobs": 2}], ids=lambda o: next(iter(o))
     )
     def test_options_of_a_survey_are_refused_without_data(self, tmp_path, option):
         with pytest.raises(UsageError, match=r"is for measuring scenes; give --data too"):
-            find_tables(Survey((), **option), tmp_path, tmp_path / "out", print)
+            find_tables((), tmp_path, tmp_path / "out", print, **option)

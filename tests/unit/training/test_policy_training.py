@@ -35,7 +35,6 @@ from exwarp_cli.research.training.policy_training import (
     quantise,
     rows_by_part,
     score_paths,
-    score_random,
     train_policy,
 )
 from exwarp_cli.research.training.q_learning import integer_values, q_values
@@ -178,15 +177,15 @@ class TestReport:
             for part, rows in rows_by_part(table).items():
                 scores = found[part]["scores"]
                 assert set(scores) == {*paths, "float", "random"}
-                assert scores["random"] == asdict(score_random(table, rows))
+                assert scores["random"] == asdict(score_paths(table, None, rows))
                 for policy, taken_by in paths.items():
                     assert scores[policy] == asdict(score_paths(table, taken_by, rows)), policy
 
     def test_integers_and_floats_are_distinguished(self, tables, tmp_path, monkeypatch):
         """Weights are rounded to sixteenths first, as honest integers decide alike in all rows."""
 
-        def crude(weights, biases, states):
-            return quantise([np.round(16 * w) / 16 for w in weights], biases, states)
+        def crude(floats, states):
+            return quantise(tuple((np.round(16 * w) / 16, b) for w, b in floats), states)
 
         monkeypatch.setattr("exwarp_cli.research.training.policy_training.quantise", crude)
         settings = replace(SETTINGS, steps=30, seed=5)

@@ -10,9 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from exwarp_cli.accelerator.mlp import ONE, PAPER_SIZES, infer_reference, to_fixed
-from exwarp_cli.research.training.policy_training import quantise
-from exwarp_cli.research.training.q_learning import factors
+from exwarp_cli.accelerator.mlp import (
+    ONE,
+    PAPER_SIZES,
+    QuantisedMlp,
+    infer_reference,
+    to_fixed,
+)
+from exwarp_cli.research.training.q_learning import factors, quantise
 from tests.reference.quantisation import emulate, largest_activations
 
 Network = tuple[list[np.ndarray], list[np.ndarray]]
@@ -26,6 +31,10 @@ def random_network(seed: int = 0, sizes: tuple[int, ...] = PAPER_SIZES) -> Netwo
         weights.append(rng.normal(0, 1.4 / fan_in**0.5, (neurons, fan_in)))
         biases.append(rng.normal(0, 0.1, neurons))
     return weights, biases
+
+
+def integers_of(network: Network, states: np.ndarray) -> QuantisedMlp:
+    return quantise(tuple(zip(*network, strict=True)), states)
 
 
 def random_states(count: int, seed: int = 0, size: int = 44) -> np.ndarray:
@@ -50,7 +59,7 @@ def output_unit(network: Network, states: np.ndarray) -> float:
 class TestNetwork:
     def test_weights_have_a_scale_for_each_neuron(self):
         network = random_network()
-        made = quantise(*network, random_states(50))
+        made = integers_of(network, random_states(50))
         assert made.sizes == PAPER_SIZES
         for k, layer in enumerate(made.layers[:-1]):
             largest = np.abs(network[0][k]).max(axis=1)
@@ -62,7 +71,7 @@ class TestNetwork:
     def test_the_last_layer_has_one_scale(self):
         """Sums are compared there: a small neuron must not be blown up."""
         weights = [np.array([[1.0, 0.0], [0.0, 0.1]])]
-        made = quantise(weights, [np.array([0.0, 0.05])], random_states(5, size=2))
+        made = integers_of((weights, [np.array([0.0, 0.05])]), random_states(5, size=2))
         assert made.layers[0].weights.tolist() == [[127, 0], [0, 13]]
         assert made.layers[0].biases.tolist() == [0, round(0.05 * 127 * 127)]
         found = infer_reference(made, to_fixed([[0.2, 1.0], [0.1, 1.0]]))
@@ -70,7 +79,7 @@ class TestNetwork:
 
     def test_biases_are_in_the_scale_of_the_sums(self):
         network, states = random_network(1), random_states(40, 1)
-        made, tops = quantise(*network, states), largest_activations(*network, states)
+        made, tops = integers_of(network, states), largest_activations(*network, states)
         for k, layer in enumerate(made.layers):
             largest = np.abs(network[0][k]).max(axis=1)
             if layer is made.layers[-1]:
@@ -79,7 +88,7 @@ class TestNetwork:
             assert (np.abs(layer.biases * unit - network[1][k]) <= unit * 0.5001).all()
 
     def test_inputs_are_a_hundred_and_twentyseventh(self):
-        made = quantise(*random_network(0, (3, 4, 2)), random_states(5, size=3))
+        made = integers_of(random_network(0, (3, 4, 2)), random_states(5, size=3))
         for value in (0, 1, 257, 258, 259, 32768, ONE - 259, ONE - 258, ONE):
             exact = Fraction(value * 127, ONE)
             wanted = (exact + Fraction(1, 2)).__floor__()
@@ -89,7 +98,7 @@ class TestNetwork:
     def test_every_number_is_the_float_twin_s(self, seed):
         """Equal but where a sum lies so near a half that floats cannot tell, and those are few."""
         network, states = random_network(seed, (44, 20, 30, 12, 2)), random_states(60, seed)
-        made, tops = quantise(*network, states), largest_activations(*network, states)
+        made, tops = integers_of(network, states), largest_activations(*network, states)
         found = infer_reference(made, to_fixed(states))
         unit = output_unit(network, states)
         for k in range(0, 60, 3):
@@ -102,7 +111,7 @@ class TestNetwork:
     def test_decisions_agree_with_the_float_network_s(self, seed):
         network, states = random_network(seed), random_states(3000, seed)
         network[1][-1][:] -= floats(network, states).mean(axis=0)  # so that either wins often
-        made, wanted = quantise(*network, states[:500]), floats(network, states)
+        made, wanted = integers_of(network, states[:500]), floats(network, states)
         found = infer_reference(made, to_fixed(states))
         chosen = wanted[:, 1] > wanted[:, 0]
         assert 0.3 < chosen.mean() < 0.7
@@ -117,7 +126,7 @@ class TestNetwork:
         """Three times the input that it was calibrated on gives 127, not an overflow."""
         network: Network = ([np.eye(2), np.eye(2)], [np.zeros(2), np.zeros(2)])
         states = np.array([[0.25, 0.0], [0.0, 0.125]])
-        made = quantise(*network, states)
+        made = integers_of(network, states)
         given = to_fixed([[0.25, 0.125], [0.75, 0.25], [1.0, 0.0], [0.125, 0.0], [30000, -30000]])
         found = infer_reference(made, given)
         rows = found.activations[0].tolist()
@@ -128,7 +137,7 @@ class TestNetwork:
         network = random_network(0, (5, 4, 3, 2))
         network[1][1][:] = -100.0
         network[0][0][2] = 0.0
-        made = quantise(*network, random_states(20, size=5))
+        made = integers_of(network, random_states(20, size=5))
         found = infer_reference(made, to_fixed(random_states(20, 1, 5)))
         assert (found.activations[1] == 0).all()
         assert (found.outputs == made.layers[-1].biases).all()
@@ -141,11 +150,11 @@ class TestNetwork:
             [np.array([0.5, 0.0]), np.zeros(2)],
         )
         states = np.array([[1.0, 1.0], [0.2, 0.4]])
-        made = quantise(*network, states)
+        made = integers_of(network, states)
         found = infer_reference(made, to_fixed(states))
         np.testing.assert_allclose(found.activations[0], [[64, 127], [64, 38]], atol=1)
         assert found.choices.tolist() == [1, 0]
-        large = quantise([np.eye(2) * 1e-9], [np.array([3.0, 3.1])], states)
+        large = integers_of(([np.eye(2) * 1e-9], [np.array([3.0, 3.1])]), states)
         assert infer_reference(large, to_fixed(states)).choices.tolist() == [1, 1]
 
 

@@ -29,7 +29,7 @@ from exwarp_cli.research.training.tile_policy_training import (
     REPORT,
     TileTable,
     choice_margins,
-    gain_at,
+    gain_percent,
     price_for,
     train_tile_policy,
     train_tiles,
@@ -221,7 +221,8 @@ class TestTraining:
         own, coin, truth = (curves[n]["0.25"] for n in ("policy, scene left out", "coin", "truth"))
         assert own > coin + 20 and truth >= own
         margins = [one.gains[..., 1] for one in tables]
-        assert gain_at(0.25, tables, margins) == pytest.approx(truth, abs=5)
+        price = price_for(0.25, margins, TileTable.cost)
+        assert gain_percent(tables, margins, price) == pytest.approx(truth, abs=5)
 
     def test_one_scene_is_too_few(self, tables, tmp_path):
         with pytest.raises(InputError, match="there is only one"):

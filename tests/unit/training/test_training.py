@@ -26,14 +26,14 @@ from exwarp_cli.research.training import crop_cache as batches
 from exwarp_cli.research.training.crop_cache import (
     IN_HOLES,
     SHORT,
-    Batch,
     Crops,
+    FrameChoice,
     _crop_weight,
     _draw_view,
     choose_frames,
-    count_frames,
-    cut_crops,
+    to_device,
     vary,
+    write_arrays,
 )
 from exwarp_cli.research.training.extrapolation_network import ARCHITECTURES, build_network
 from exwarp_cli.research.training.extrapolator_training import (
@@ -78,7 +78,7 @@ def cache(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def crops(scenes, cache) -> Crops:
     folder = Crops.folder_of(scenes[0], TINY, cache)
-    Crops.write(scenes[0], TINY, folder)
+    write_arrays(Crops.prepare(scenes[0], TINY), folder)
     return Crops([folder])
 
 
@@ -115,35 +115,37 @@ def manifest_with(tmp_path) -> Callable[..., SceneManifest]:
     return read
 
 
+def chosen(manifest: SceneManifest, frames: int, seed: int = 0) -> list[FrameChoice]:
+    return choose_frames(manifest, ExtrapolatorSettings(frames=frames, side=SIDE, seed=seed))
+
+
 def test_frames_are_chosen_by_the_seed_and_mostly_with_history(manifest_with):
-    many = choose_frames(manifest_with(), 400, 0)
-    assert choose_frames(manifest_with(), 400, 0) == many != choose_frames(manifest_with(), 400, 1)
+    many = chosen(manifest_with(), 400, 0)
+    assert chosen(manifest_with(), 400, 0) == many != chosen(manifest_with(), 400, 1)
     assert {c.slot for c in many} == {1, 2, 3}
     assert {c.setting for c in many} == {"key", "slot"}
     assert len({c.look for c in many}) > 50
     assert {c.variant.backwards for c in many} == {True, False}
-    assert choose_frames(manifest_with(name="lab"), 400, 0) != choose_frames(
-        manifest_with(name="town"), 400, 0
-    )
+    assert chosen(manifest_with(name="lab"), 400, 0) != chosen(manifest_with(name="town"), 400, 0)
     for choice in many:
         shown = len(choice.variant.order(INSTANTS))
         last = FACTOR * choice.k + (FACTOR if choice.setting == "key" else choice.slot)
         assert last < shown  # the next key frame is rendered, or the slot alone
-    few = choose_frames(manifest_with(), 40, 0)
+    few = chosen(manifest_with(), 40, 0)
     assert np.mean([c.k >= 2 for c in few]) > 0.6
 
 
 def test_where_every_instant_is_a_key_frame_too_the_last_one_may_be_chosen(manifest_with):
-    chosen = [c for c in choose_frames(manifest_with(key_step=1), 800, 0) if c.setting == "key"]
-    ends = {(c.variant.phase, FACTOR * (c.k + 1) - len(c.variant.order(INSTANTS))) for c in chosen}
+    keys = [c for c in chosen(manifest_with(key_step=1), 800, 0) if c.setting == "key"]
+    ends = {(c.variant.phase, FACTOR * (c.k + 1) - len(c.variant.order(INSTANTS))) for c in keys}
     assert {phase for phase, beyond in ends if beyond == 0} == {1}  # slot 3 is the last instant
     assert max(beyond for _, beyond in ends) == 0
-    assert all(c.k < 3 or c.variant.phase < 2 for c in chosen)
+    assert all(c.k < 3 or c.variant.phase < 2 for c in keys)
 
 
-def test_longer_scenes_give_more_frames():
-    assert count_frames(30, 2) == count_frames(30, SHORT + 1) == 30
-    assert count_frames(30, 4 * SHORT + 1) == 60
+def test_longer_scenes_give_more_frames(manifest_with):
+    lengths = (6, SHORT + 1, 4 * SHORT + 1)
+    assert [len(chosen(manifest_with(count=n), 30)) for n in lengths] == [30, 30, 60]
 
 
 def test_parts_of_frames_hold_a_crop_and_lie_inside():
@@ -164,7 +166,7 @@ def test_half_of_the_crops_are_about_holes_however_small(scenes):
 
 
 def test_crops_are_parts_of_what_was_rendered(scenes, crops):
-    again = cut_crops(scenes[0], TINY)
+    again = Crops.prepare(scenes[0], TINY)
     batch = crops.batch(range(len(crops)))
     assert len(crops) == len(again["time"])
     np.testing.assert_array_equal(batch.target.numpy(), again["target"].astype(np.float32))
@@ -177,7 +179,7 @@ def test_crops_are_parts_of_what_was_rendered(scenes, crops):
 
 def test_scenes_smaller_than_a_crop_are_refused(scenes):
     with pytest.raises(InputError, match="128x80, smaller than crops of 96"):
-        cut_crops(scenes[0], ExtrapolatorSettings(frames=2, side=96, seed=0))
+        Crops.prepare(scenes[0], ExtrapolatorSettings(frames=2, side=96, seed=0))
 
 
 def test_batches_follow_from_seed_and_step(crops):
@@ -186,7 +188,8 @@ def test_batches_follow_from_seed_and_step(crops):
         assert torch.equal(a, b)
     assert not torch.equal(first.warped, crops.draw(4, 4, 32, 7).warped)
     assert not torch.equal(first.warped, crops.draw(3, 4, 32, 8).warped)
-    order = [crops.draw_index(n, 7) for n in range(2 * len(crops))]
+    order = [i for step in range(2) for i in crops.draw_indices(step, len(crops), 7)]
+    assert crops.draw_indices(1, len(crops) + 2, 7)[:-4] == order[len(crops) + 2 :]
     assert sorted(order[: len(crops)]) == sorted(order[len(crops) :]) == list(range(len(crops)))
     assert order[: len(crops)] != order[len(crops) :]
 
@@ -221,10 +224,10 @@ def test_variation_keeps_pictures_and_truth_together(crops, seed):
 def test_nothing_of_a_step_changes_the_device(crops):
     """On the meta device arithmetic with a tensor of any other device is an error."""
     batch = crops.batch(range(4))
-    meta = Batch(**{name: plane.to("meta") for name, plane in vars(batch).items()})
+    meta = to_device(batch, "meta")
     for seed in range(12):  # all that is left out or turned by chance
         found = vary(meta, np.random.default_rng(seed))
-        assert {plane.device.type for plane in vars(found).values()} == {"meta"}
+        assert {plane.device.type for plane in found} == {"meta"}
     for name in ARCHITECTURES:
         network = build_network(name, 8).to("meta")
         made = found.finish(network(*found.inputs))
@@ -314,7 +317,7 @@ def test_shown_is_the_srgb_curve_and_goes_on_above_white():
 def test_training_gets_better_and_is_exported(scenes, cache, tmp_path, monkeypatch, unexported):
     """On the same few crops, again and again."""
     draw, settings = Crops.draw, replace(TINY, steps=16, rate=5e-2)
-    monkeypatch.setattr(Crops, "draw", lambda self, step, *rest: draw(self, 0, *rest))
+    monkeypatch.setattr(Crops, "draw", lambda self, step, **rest: draw(self, 0, **rest))
     assert train(scenes, tmp_path / "run", cache, settings) == tmp_path / "run"
     with (tmp_path / "run" / CURVE).open() as file:
         rows = list(csv.DictReader(file))

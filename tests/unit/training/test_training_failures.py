@@ -13,8 +13,8 @@ from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.io.shot import Shot
-from exwarp_cli.research.training import crop_cache, extrapolator_training
-from exwarp_cli.research.training.crop_cache import cut_crops, write_arrays
+from exwarp_cli.research.training import extrapolator_training
+from exwarp_cli.research.training.crop_cache import Crops, write_arrays
 from exwarp_cli.research.training.extrapolator_training import (
     MODEL,
     ExtrapolatorTraining,
@@ -108,21 +108,17 @@ def test_a_loss_that_is_no_number_ends_it(train, monkeypatch, tmp_path, value):
 
 @pytest.fixture(scope="module")
 def arrays(scenes) -> dict[str, np.ndarray]:
-    return cut_crops(scenes[0], TINY)
+    return Crops.prepare(scenes[0], TINY)
 
 
 def files(folder: Path) -> dict[str, tuple[int, bytes]]:
     return {p.name: (p.stat().st_mtime_ns, p.read_bytes()) for p in folder.iterdir()}
 
 
-@pytest.mark.parametrize("overtaken", [False, True])
-def test_the_second_writer_leaves_the_first_one_s_crops(arrays, tmp_path, monkeypatch, overtaken):
-    """Even if there were none when it looked."""
+def test_the_second_writer_leaves_the_first_one_s_crops(arrays, tmp_path):
     folder = tmp_path / "cache" / "crops"
     write_arrays(arrays, folder)
-    first, seen = files(folder), iter([False, True])
-    if overtaken:
-        monkeypatch.setattr(crop_cache, "is_complete", lambda _folder: next(seen))
+    first = files(folder)
     write_arrays({name: array + 1 for name, array in arrays.items()}, folder)
     assert files(folder) == first
     assert list(folder.parent.iterdir()) == [folder], "nothing is left beside it"
@@ -143,7 +139,7 @@ def test_what_was_not_rendered_rightly_is_no_target(scenes, arrays, monkeypatch)
         return planes
 
     changed_planes(monkeypatch, spoiled)
-    found = cut_crops(scenes[0], TINY)
+    found = Crops.prepare(scenes[0], TINY)
     for name, planes in found.items():
         assert np.isfinite(planes).all(), name
     assert np.abs(found["target"]).max() < 2 * np.abs(arrays["target"]).max()
