@@ -30,7 +30,6 @@ from exwarp_cli.io.exr.reader import ExrFile, FileHeader, HeaderCache, deep_imag
 from exwarp_cli.io.frame_names import split_pass
 from exwarp_cli.io.sequences import AovSet, Sequence, find_aov_set, find_sequence
 from exwarp_cli.io.views import (
-    ALL,
     choose_view,
     expand_view,
     list_views,
@@ -160,38 +159,9 @@ def open_shot(
     Raises InputError if there is no such sequence or view, its first frame cannot be read, or a
     sequence of its AOVs lacks a frame or is of another size.
     """
-    if channel_map is not None:
-        view = view or channel_map.view
-    return _open(spec, view, aovs, channel_map, keep_going)[0]
-
-
-def open_views(
-    spec: str,
-    view: str | None = None,
-    aovs: tuple[AovFile, ...] = (),
-    channel_map: ChannelMap | None = None,
-    keep_going: bool = False,
-) -> tuple[Shot, ...]:
-    """Open every view of a shot, the hero first, if `view` is ``all``; else one, as `open_shot`.
-
-    Files that hold all views are found and read once.
-    """
-    if view != ALL:
-        return (open_shot(spec, view, aovs, channel_map, keep_going),)
-    return _open(spec, None, aovs, channel_map, keep_going, every_view=True)
-
-
-def _open(
-    spec: str,
-    view: str | None,
-    aovs: tuple[AovFile, ...],
-    channel_map: ChannelMap | None,
-    keep_going: bool,
-    every_view: bool = False,
-) -> tuple[Shot, ...]:
-    """Open one view, or the hero and every other one, by the first frame that counts."""
     roles = {aov.role for aov in aovs}
     if channel_map is not None:
+        view = view or channel_map.view
         aovs += tuple(aov for aov in channel_map.aovs if aov.role not in roles)
         roles.update((aov.role for aov in aovs), channel_map.channels)
     files = find_files(spec, keep_going, roles, view)
@@ -203,18 +173,7 @@ def _open(
         return shot
 
     numbers = files.leader.numbers
-    shot = first_usable(numbers if keep_going else numbers[:1], open_by_frame)
-    if not every_view:
-        return (shot,)
-    if not shot.views:
-        raise LayoutError(f"{shot.sequence.pattern} has no views; leave --view {ALL} out")
-    further = (
-        open_shot(spec, name, aovs, channel_map, keep_going)
-        if files.view
-        else _open_view(files, shot.first, name, aovs, channel_map, keep_going)
-        for name in shot.views[1:]
-    )
-    return (shot, *further)
+    return first_usable(numbers if keep_going else numbers[:1], open_by_frame)
 
 
 def _open_view(
