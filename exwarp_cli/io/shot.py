@@ -263,8 +263,6 @@ def find_files(
     """
     spec, view_in_name, views = expand_view(spec, view)
     aov_set = find_aov_set(spec, gaps=gaps, needed=lambda members: _needed_aovs(members, decided))
-    if aov_set is None:
-        return ShotFiles(find_sequence(spec, gaps=gaps), {}, view_in_name, views)
     return ShotFiles(aov_set.leader, aov_set.aovs, view_in_name, views)
 
 
