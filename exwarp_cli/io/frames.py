@@ -158,11 +158,10 @@ def _geometry(
             # at the world's origin, and be moved to where that is seen.
             unknown = outside_mask(canvas, window) & np.isfinite(depth)
             position = np.where(unknown[..., None], np.float32(np.nan), position)
-    surfaces = [planes.stack(role, canvas) for role in SURFACE]
-    for i, values in enumerate(surfaces):
-        if values is not None and not np.isfinite(values).all():
-            surfaces[i] = np.where(np.isfinite(values), values, np.float32(0))
-    albedo, specular, roughness, metallic = surfaces
+    albedo, specular, roughness, metallic = (
+        None if values is None else np.where(np.isfinite(values), values, np.float32(0))
+        for values in (planes.stack(role, canvas) for role in SURFACE)
+    )
     return GBuffer(
         canvas,
         depth,

@@ -231,7 +231,8 @@ def _with_readings(shot: Shot, own: Layout) -> Shot:
     """Set how depth and ids are read, and how the layout differs from the files' `own`."""
     roles, mattes = dict(shot.layout.roles), shot.cryptomattes
     # A Cryptomatte whose channels were named for ids comes first: they are no numbers.
-    named = [matte for matte in mattes if matte.refs.intersection(roles.get(Role.STENCIL, ()))][:1]
+    ids = roles.get(Role.STENCIL, ())
+    named = [matte for matte in mattes if cryptomatte_refs([matte]).intersection(ids)][:1]
     if named:
         del roles[Role.STENCIL]
         mattes = (*named, *(matte for matte in mattes if matte is not named[0]))
@@ -329,7 +330,7 @@ def _with_aov(shot: Shot, aov: AovFile) -> Shot:
     name = next(same_files, aov.role.value)
     mattes = find_cryptomattes({name: channels.values()}, {name: header.texts})
     if aov.role is Role.STENCIL and mattes and not aov.channels:
-        layout = Layout({aov.role: mattes[0].stencil})
+        layout = Layout({aov.role: mattes[0].ranks[0]})
     else:
         layout = detect_aov(aov, channels, name, path)
     every, cryptomattes = shot.every, shot.cryptomattes
@@ -389,7 +390,7 @@ def _corrected(
     roles = dict(layout.roles)
     for role, names in channel_map.channels.items():
         roles.pop(role, None)
-        option = channel_map.option(f"channels.{role.value}")
+        option = f"channels.{role.value} in the channel map {channel_map.path}"
         if names:
             labels = (find_channel(name, by_label, option, "the shot") for name in names)
             roles[role] = tuple(by_label[label] for label in labels)

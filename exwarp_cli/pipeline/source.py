@@ -316,14 +316,16 @@ def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
         return shot, settings
     if Role.MOTION not in shot.layout:
         raise LayoutError(
-            f"{channel_map.option('motion')} is of no use, as no motion channels are recognised in "
-            f"{shot.sequence.pattern}; name them in channels.motion"
+            f"motion in the channel map {channel_map.path} is of no use, as no motion channels are "
+            f"recognised in {shot.sequence.pattern}; name them in channels.motion"
         )
     try:
         size = (shot.display.width, shot.display.height)
         parse_motion(channel_map.motion, motion_names(shot), size)
     except UsageError as error:
-        raise UsageError(f"{channel_map.option('motion')} is wrong: {error}") from error
+        raise UsageError(
+            f"motion in the channel map {channel_map.path} is wrong: {error}"
+        ) from error
     return shot, replace(settings, motion=channel_map.motion)
 
 

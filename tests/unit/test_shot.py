@@ -206,7 +206,7 @@ class TestAovs:
             write_cryptomatte(path, one, Style("uCryptoThing", header_name="uCryptoThing"), others)
         shot = self.open(split, "colour=main", spec="z")
         (found,) = shot.cryptomattes
-        assert {ref.aov for ref in found.refs} == {found.aov} == {"main"}
+        assert {ref.aov for rank in found.ranks for ref in rank} == {found.aov} == {"main"}
         assert Role.STENCIL not in shot.layout and shot.ids is None
         raw = read_raw(replace(shot, ids=IdReading(found)), 2, objects=True)
         assert (raw.gbuffer.objects == surface_id(hash_name("box"))).all()
