@@ -6,14 +6,15 @@ in a frame, pixels that are no numbers too, shows when it is decoded.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Window, is_surely_finite, nonfinite_pixels
+from exwarp_cli.domain.frame import Bool, Window, nonfinite_pixels
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.channel_map import AovFile, ChannelMap, detect_aov, find_channel
@@ -50,18 +51,15 @@ CHANNEL_BATCH = 8
 class NonFinite:
     """Counts of NaN and infinite pixels in a sequence's frames. Several threads may note them."""
 
-    _counts: dict[int, dict[str, int]] = field(default_factory=dict)
+    # By frame number, then by the channels' role or layer; only counts above 0.
+    counts: defaultdict[int, dict[str, int]] = field(default_factory=lambda: defaultdict(dict))
 
     def note(self, number: int, pixels: Mapping[str, int]) -> None:
-        """Note counts by the channels' role or layer; a frame may be read several times."""
+        """Note counts of a frame, which may be read several times."""
+        counts = self.counts[number]
         for channels, count in pixels.items():
             if count:
-                counts = self._counts.setdefault(number, {})
                 counts[channels] = max(count, counts.get(channels, 0))
-
-    def of(self, number: int) -> Iterator[tuple[str, int]]:
-        """Yield the channels and counts of a frame, sorted."""
-        yield from sorted(self._counts.get(number, {}).items())
 
 
 @dataclass
@@ -229,7 +227,8 @@ def _open_view(
 
 def _with_readings(shot: Shot, own: Layout) -> Shot:
     """Set how depth and ids are read, and how the layout differs from the files' `own`."""
-    roles, mattes = dict(shot.layout.roles), shot.cryptomattes
+    roles = {role: shot.layout.roles[role] for role in Role if role in shot.layout}
+    mattes = shot.cryptomattes
     # A Cryptomatte whose channels were named for ids comes first: they are no numbers.
     ids = roles.get(Role.STENCIL, ())
     named = [matte for matte in mattes if cryptomatte_refs([matte]).intersection(ids)][:1]
@@ -338,10 +337,9 @@ def _with_aov(shot: Shot, aov: AovFile) -> Shot:
         every += tuple(ChannelRef(name, channel) for channel in channels)
         cryptomattes += mattes
     has_guess = Role.MOTION in layout and layout.guess is not None
-    roles = {**shot.layout.roles, **layout.roles}
     merged = replace(
         shot.layout,
-        roles={role: roles[role] for role in Role if role in roles},
+        roles={**shot.layout.roles, **layout.roles},
         guess=layout.guess if Role.MOTION in layout else shot.layout.guess,
         producer=(layout if has_guess else shot.layout).producer,
         alphas=layout.alphas if Role.COLOUR in layout else shot.layout.alphas,
@@ -397,7 +395,7 @@ def _corrected(
     is_same_motion = roles.get(Role.MOTION) == layout.roles.get(Role.MOTION)
     return replace(
         layout,
-        roles={role: roles[role] for role in Role if role in roles},
+        roles=roles,
         guess=layout.guess if is_same_motion else None,
         producer=channel_map.producer or layout.producer,
         alphas=() if Role.COLOUR in channel_map.channels else layout.alphas,
@@ -446,18 +444,14 @@ def count_nonfinite(planes: Iterable[np.ndarray], role: Role | None = None) -> i
     out. In a depth NaN alone counts: infinity is how renderers write the background.
     """
     nonfinite: Bool | None = None
-    shape: tuple[int, ...] | None = None
     for plane in planes:
         if plane.dtype.kind != "f":
             continue
-        shape = shape or plane.shape[:2]
         values = plane.reshape(*plane.shape[:2], -1)
-        if role is Role.DEPTH:
-            pixels = np.asarray(np.isnan(values).any(axis=-1))
-        elif is_surely_finite(values):
-            continue
-        else:
-            pixels = nonfinite_pixels(values)
-        if pixels.shape == shape:
-            nonfinite = pixels if nonfinite is None else nonfinite | pixels
+        is_depth = role is Role.DEPTH
+        pixels = np.isnan(values).any(axis=-1) if is_depth else nonfinite_pixels(values)
+        if nonfinite is None:
+            nonfinite = pixels
+        elif nonfinite.shape == pixels.shape:
+            nonfinite |= pixels
     return 0 if nonfinite is None else int(np.count_nonzero(nonfinite))

@@ -271,11 +271,11 @@ def _to_light(codes: np.ndarray, template: StillTemplate) -> Float32:
     if codes.dtype.kind == "u":
         values /= np.float32(np.iinfo(codes.dtype).max)
     colour, alpha = np.split(values, [values.shape[-1] - template.has_alpha], axis=-1)
-    is_linear = template.premultiplied and template.curve is LINEAR
-    if template.has_alpha and template.premultiplied and not is_linear:
+    is_divided = template.has_alpha and not (template.premultiplied and template.curve is LINEAR)
+    if is_divided and template.premultiplied:
         colour = _unpremultiply(colour, alpha)
     light = template.curve.to_linear(colour)
-    if template.has_alpha and not is_linear:
+    if is_divided:
         light = light * alpha
     return np.concatenate([np.broadcast_to(light, (*codes.shape[:2], 3)), alpha], axis=-1)
 
@@ -285,12 +285,11 @@ def _widen_grey(pixels: Float32, template: StillTemplate) -> StillTemplate:
 
     Many programs write a frame without colour as a grey file, for example the start of a fade.
     """
+    if template.channels > 2:
+        return template
     colour = pixels[..., :3]
     # The channels of a grey frame differ by rounding alone, if at all.
-    is_grey = template.channels < 3 and np.allclose(
-        colour, colour[..., :1], rtol=1e-5, atol=1e-6, equal_nan=True
-    )
-    if template.channels > 2 or is_grey:
+    if np.allclose(colour, colour[..., :1], rtol=1e-5, atol=1e-6, equal_nan=True):
         return template
     # A profile of a grey file is not valid for RGB.
     metadata = tuple(item for item in template.metadata if not item[0].startswith("ICCProfile"))
@@ -300,16 +299,14 @@ def _widen_grey(pixels: Float32, template: StillTemplate) -> StillTemplate:
 def _to_codes(pixels: Float32, template: StillTemplate) -> np.ndarray:
     """Invert `_to_light`, rounding half up."""
     finite = np.nan_to_num(pixels, nan=0.0, posinf=65504.0, neginf=0.0)
-    values: Float32 = finite[..., : 3 if template.channels > 2 else 1]
+    colour: Float32 = finite[..., : 3 if template.channels > 2 else 1]
+    alpha = finite[..., 3:4] if pixels.shape[-1] > 3 else np.ones_like(finite[..., :1])
+    is_divided = template.has_alpha and not (template.premultiplied and template.curve is LINEAR)
+    values = template.curve.to_code(_unpremultiply(colour, alpha) if is_divided else colour)
+    if is_divided and template.premultiplied:
+        values = values * alpha
     if template.has_alpha:
-        alpha = finite[..., 3:4] if pixels.shape[-1] > 3 else np.ones_like(finite[..., :1])
-        is_linear = template.premultiplied and template.curve is LINEAR
-        values = template.curve.to_code(values if is_linear else _unpremultiply(values, alpha))
-        if template.premultiplied and not is_linear:
-            values = values * alpha
         values = np.concatenate([values, alpha], axis=-1)
-    else:
-        values = template.curve.to_code(values)
     if template.dtype.kind == "f":
         largest = np.finfo(template.dtype).max
         bounded: np.ndarray = np.clip(values, -largest, largest).astype(template.dtype)

@@ -125,7 +125,7 @@ class TestLayers:
                 channels[aov] = file.parts[0].channels
             headers[aov] = headers_of(one)
         (found,) = find_cryptomattes(channels, headers)
-        assert found.stencil[0] == ChannelRef("crypto", "crypto_object00.r")
+        assert found.ranks[0][0] == ChannelRef("crypto", "crypto_object00.r")
         assert found.manifest is not None
 
 

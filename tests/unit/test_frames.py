@@ -253,4 +253,4 @@ class TestBadFrames:
         else:
             raw = read_raw(shot, 1)
             assert raw.image is not None and np.isnan(raw.image.pixels).sum() == count
-            assert list(shot.nonfinite.of(1)) == [("colour", count)]
+            assert shot.nonfinite.counts[1] == {"colour": count}
