@@ -25,7 +25,6 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -292,12 +291,6 @@ class IdReading:
     # True if some of the ids that they are compared with were rounded; see `surface_ids`.
     rounded: bool = False
     dynamic: DynamicObjects | None = None  # None if nothing says what moves
-
-    @property
-    def identity(self) -> list[Any]:
-        """What frames depend on, beside the pixels, as plain data."""
-        moving = None if self.dynamic is None else list(self.dynamic.ids)
-        return [self.cryptomatte.aov, self.cryptomatte.name, self.rounded, moving]
 
     def read(
         self, ranks: Float32, depth: Float32 | None, where: object

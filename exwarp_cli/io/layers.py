@@ -124,9 +124,9 @@ _NAMES = (
 MAX_LISTED = 12  # layers that a message names
 
 _MOTION_WORDS = frozenset(
-    {"motion", "move", "movement", "mv", "mvec", "mvecs", "mb", "vec", "vecs", "vector", "vectors"}
-    | {"vel", "velo", "velocity", "speed", "flow", "optical", "disparity", "displacement"}
-    | {"forward", "fwd", "fore", "backward", "bwd", "back", "prev", "previous", "next", "blur"}
+    {"move", "movement", "mv", "mb", "vec", "vecs", "vel", "velo", "speed", "optical", "disparity"}
+    | {"displacement", "forward", "fwd", "fore", "backward", "bwd", "back", "prev", "previous"}
+    | {"next", "blur"}
 )
 _MOTION_BEGINNINGS = ("motion", "velocit", "vector", "mvec", "flow")
 _PAIRS = ("UV", "XY", "RG")

@@ -163,15 +163,10 @@ def open_shot(
         aovs += tuple(aov for aov in channel_map.aovs if aov.role not in roles)
         roles.update((aov.role for aov in aovs), channel_map.channels)
     files = find_files(spec, keep_going, roles, view)
-
-    def open_by_frame(number: int) -> Shot:
-        shot = _open_view(files, number, view, aovs, channel_map, keep_going)
-        if keep_going:
-            require_sound(shot.files(number).values())
-        return shot
-
-    numbers = files.leader.numbers
-    return first_usable(numbers if keep_going else numbers[:1], open_by_frame)
+    numbers = files.leader.numbers if keep_going else files.leader.numbers[:1]
+    return first_usable(
+        numbers, lambda number: _open_view(files, number, view, aovs, channel_map, keep_going)
+    )
 
 
 def _open_view(
@@ -182,7 +177,7 @@ def _open_view(
     channel_map: ChannelMap | None,
     keep_going: bool,
 ) -> Shot:
-    """Recognise the channels of one view in one frame."""
+    """Recognise the channels of one view in one frame; with `keep_going` it has to be sound."""
     members = {} if files.leader in files.aovs.values() else {"": files.leader}
     members |= files.aovs
     headers = {aov: read_flat_header(m.files[number], files.cache) for aov, m in members.items()}
@@ -222,7 +217,10 @@ def _open_view(
     )
     for aov in aovs:
         shot = _with_aov(shot, aov)
-    return _with_readings(shot, own)
+    shot = _with_readings(shot, own)
+    if keep_going:
+        require_sound(shot.files(number).values())
+    return shot
 
 
 def _with_readings(shot: Shot, own: Layout) -> Shot:
