@@ -124,12 +124,12 @@ class RenderedScene:
         """
         manifest = self.manifest
         step, first = manifest.keys.step, manifest.instants.first
-        instants, keys = (
-            set(frames.numbers).difference(self.missing(frames))
-            for frames in (manifest.instants, manifest.keys)
-        )
-        if (len(instants), len(keys)) == (manifest.instants.count, manifest.keys.count):
+        absent_instants = self.missing(manifest.instants)
+        absent_keys = self.missing(manifest.keys)
+        if not absent_instants and not absent_keys:
             return self
+        instants = set(manifest.instants.numbers).difference(absent_instants)
+        keys = set(manifest.keys.numbers).difference(absent_keys)
         run: list[int] = []
         for index in range(manifest.keys.count):
             interval = range(first + step * (index - 1), first + step * index + 1)

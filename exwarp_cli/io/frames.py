@@ -25,8 +25,10 @@ from exwarp_cli.io.channels import ChannelRef, Role, detect_layout
 from exwarp_cli.io.cryptomatte import IdReading, cryptomatte_refs, find_cryptomattes
 from exwarp_cli.io.depth import FAR
 from exwarp_cli.io.exr.reader import ExrFile
+from exwarp_cli.io.exr.writer import Plane
 from exwarp_cli.io.shot import Shot, count_nonfinite
 from exwarp_cli.io.views import view_channels, view_in_file
+from exwarp_cli.kernels import raw_channels
 from exwarp_cli.runtime.frame_pool import pool
 
 # Share of non-finite colour from which on a frame is refused rather than repaired.
@@ -86,9 +88,9 @@ def read_raw(
         ids = None
     if ids is not None:
         refs[Role.STENCIL] = ids.cryptomatte.ranks[0]
-    planes = _Planes(*read_planes(shot, number, *refs.values()), refs)
+    planes = _Planes(read_planes(shot, number, *refs.values()), refs)
     path = shot.sequence.files[number]
-    canvas = planes.windows[refs[Role.COLOUR][0]] if Role.COLOUR in refs else shot.display
+    canvas = planes.planes[refs[Role.COLOUR][0]].window if Role.COLOUR in refs else shot.display
     image = None
     if (pixels := planes.stack(Role.COLOUR, canvas)) is not None:
         image = Image(pixels, canvas, shot.display)
@@ -103,18 +105,18 @@ def read_raw(
         # programs cut a pass to the pixels that are not 0. Outside it is not known.
         overscan = outside_mask(canvas, shot.display)
         for i, ref in enumerate(refs[Role.MOTION]):
-            if not planes.windows[ref].covers(canvas):
-                motion[overscan & outside_mask(canvas, planes.windows[ref]), i] = np.nan
+            window = planes.planes[ref].window
+            if not window.covers(canvas):
+                motion[overscan & outside_mask(canvas, window), i] = np.nan
     shot.nonfinite.note(number, planes.broken)
     return RawFrame(number, path, image, gbuffer, motion)
 
 
 @dataclass(frozen=True)
 class _Planes:
-    """Channels of a frame as read, with the data window of each, and the channels of each role."""
+    """Channels of a frame as read, and the channels of each role."""
 
-    planes: Mapping[ChannelRef, np.ndarray]
-    windows: Mapping[ChannelRef, Window]
+    planes: Mapping[ChannelRef, Plane]
     refs: Mapping[Role, tuple[ChannelRef, ...]]
     # Numbers of pixels that are not finite, by role, of what was joined so far.
     broken: dict[str, int] = field(default_factory=dict)
@@ -123,13 +125,14 @@ class _Planes:
         """Return a role's channels, float32 [H, W, C] on a canvas; None if it has none."""
         if role not in self.refs:
             return None
-        members = [self.planes[ref].astype(np.float32, copy=False) for ref in self.refs[role]]
-        windows = [self.windows[ref] for ref in self.refs[role]]
+        planes = [self.planes[ref] for ref in self.refs[role]]
+        members = [plane.values.astype(np.float32, copy=False) for plane in planes]
+        windows = [plane.window for plane in planes]
         if len(set(windows)) == 1:
             members, windows = [join_planes(members)], windows[:1]
         self.broken[role.value] = count_nonfinite(members, role)
         pairs = zip(members, windows, strict=True)
-        placed = [place_on_canvas(plane, window, canvas, fill) for plane, window in pairs]
+        placed = [place_on_canvas(values, window, canvas, fill) for values, window in pairs]
         return placed[0] if len(placed) == 1 else join_planes(placed)
 
 
@@ -146,13 +149,12 @@ def _geometry(
         file = shot.files(number)[ids.cryptomatte.aov]
         stencil, objects = ids.read(ranks, depth, file)
     elif Role.STENCIL in planes.refs:
-        ref = planes.refs[Role.STENCIL][0]
-        plane = planes.planes[ref]
-        planes.broken[Role.STENCIL.value] = count_nonfinite((plane,), Role.STENCIL)
-        stencil = place_on_canvas(clean_stencil(plane), planes.windows[ref], canvas)
+        plane = planes.planes[planes.refs[Role.STENCIL][0]]
+        planes.broken[Role.STENCIL.value] = count_nonfinite((plane.values,), Role.STENCIL)
+        stencil = place_on_canvas(clean_stencil(plane.values), plane.window, canvas)
     position = planes.stack(Role.POSITION, canvas)
     if position is not None and depth is not None:
-        window = planes.windows[planes.refs[Role.POSITION][0]]
+        window = planes.planes[planes.refs[Role.POSITION][0]].window
         if not window.covers(canvas):
             # A surface seen beyond the end of their window: as zeros those pixels would be points
             # at the world's origin, and be moved to where that is seen.
@@ -176,12 +178,9 @@ def _geometry(
     )
 
 
-def read_planes(
-    shot: Shot, number: int, *groups: Sequence[ChannelRef]
-) -> tuple[dict[ChannelRef, np.ndarray], dict[ChannelRef, Window]]:
-    """Read channels of one frame, with the data window of each; a group is decoded as one array."""
-    planes: dict[ChannelRef, np.ndarray] = {}
-    windows: dict[ChannelRef, Window] = {}
+def read_planes(shot: Shot, number: int, *groups: Sequence[ChannelRef]) -> dict[ChannelRef, Plane]:
+    """Read channels of one frame on their data windows; a group is decoded as one array."""
+    planes: dict[ChannelRef, Plane] = {}
     files = shot.files(number)
     refs = [ref for group in groups for ref in group]
     for aov in sorted({ref.aov for ref in refs}):
@@ -206,9 +205,8 @@ def read_planes(
             )
             for ref in in_file:
                 channel = channels[ref.name]
-                planes[ref] = pixels[channel]
-                windows[ref] = file.parts[channel.part].data_window
-    return planes, windows
+                planes[ref] = Plane(pixels[channel], file.parts[channel.part].data_window)
+    return planes
 
 
 def read_image(path: Path, view: str = "") -> Image:
@@ -273,8 +271,6 @@ def clean_depth(depth: Float32, normal: Float32 | None) -> Float32:
 
     Renderers write background as 0, 1e10, infinity or NaN; Unreal by the normal (-1, -1, -1).
     """
-    from exwarp_cli.kernels import raw_channels  # numba: not for what only lists channels
-
     cleaned: Float32 = pool.empty(depth.shape, np.float32)
     flat, far = np.ascontiguousarray(depth, np.float32).reshape(-1), np.float32(FAR)
     normals = np.zeros(0, np.float32)
@@ -288,11 +284,9 @@ def clean_stencil(ids: np.ndarray) -> Int32:
     """Return ids, uint32 or float32, as int32; -1 where a fraction tells of mixed ones."""
     if ids.dtype == np.uint32:
         return (ids & np.uint32(0x7FFFFFFF)).astype(np.int32)
-    from exwarp_cli.kernels.raw_channels import round_ids  # numba: not for what only lists channels
-
     # numpy's passes over the frame took 15 times as long.
     cleaned: Int32 = pool.empty(ids.shape, np.int32)
-    round_ids(np.ascontiguousarray(ids, np.float32).reshape(-1), cleaned.reshape(-1))
+    raw_channels.round_ids(np.ascontiguousarray(ids, np.float32).reshape(-1), cleaned.reshape(-1))
     return cleaned
 
 
