@@ -177,9 +177,7 @@ def select_layers(layers: tuple[Layer, ...], text: str, layout: Layout) -> tuple
         matching = {
             layer
             for layer in layers
-            if pattern == ALL
-            or fnmatchcase(layer.name, pattern)
-            or fnmatchcase(layer.leaf, pattern)
+            if pattern == ALL or any(fnmatchcase(n, pattern) for n in (layer.name, layer.leaf))
         }
         if not matching:
             names = ", ".join(dict.fromkeys(layer.name for layer in layers))

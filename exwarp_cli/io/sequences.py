@@ -105,23 +105,20 @@ class AovSet:
     pass, see :mod:`exwarp_cli.io.frame_names`.
     """
 
-    # None in a folder of G-buffers alone.
-    colour: Sequence | None
+    # What stands for the set: the colour, or one of `aovs` in a folder of G-buffers alone.
+    leader: Sequence
     # By the name of the AOV, for example "MotionVector".
     aovs: dict[str, Sequence]
-    # Name of the AOV that leads where there is no colour.
-    motion: str = MOTION_AOV
 
     @property
-    def leader(self) -> Sequence:
-        """The sequence that stands for the set: colour, else motion."""
-        return self.colour or self.aovs[self.motion]
+    def colour(self) -> Sequence | None:
+        """The sequence that has the colour; None in a folder of G-buffers alone."""
+        return None if self.leader in self.aovs.values() else self.leader
 
     @property
     def members(self) -> tuple[Sequence, ...]:
         """Every sequence of the set."""
-        colour = () if self.colour is None else (self.colour,)
-        return (*colour, *self.aovs.values())
+        return (self.leader, *self.aovs.values())
 
 
 def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False) -> Sequence:
@@ -190,10 +187,9 @@ def find_aov_set(
                 f"frame {ranges(absent)} of the AOV {name} is missing from {member.pattern}; "
                 "render it, or move that frame's other files elsewhere"
             )
-    colour = None if colour is None else colour.over(numbers)
-    return replace(
-        aov_set, colour=colour, aovs={name: member.over(numbers) for name, member in aovs.items()}
-    )
+    leader = colour or aov_set.leader
+    aovs = {name: member.over(numbers) for name, member in aovs.items()}
+    return AovSet(leader.over(numbers), aovs)
 
 
 def neighbouring_sequences(sequence: Sequence) -> dict[str, Sequence]:
@@ -267,8 +263,8 @@ def _list_candidates(folder: Path, suffixes: tuple[str, ...]) -> list[AovSet]:
     for aovs in shots.values():
         colours = [name for name in COLOUR_AOVS if name in aovs]
         if len(aovs) > 1 and (colours or MOTION_AOV in aovs):
-            colour = aovs.pop(colours[0]) if colours else None
-            sets.append(AovSet(colour, aovs))
+            leader = aovs.pop(colours[0]) if colours else aovs[MOTION_AOV]
+            sets.append(AovSet(leader, aovs))
     members = [member.pattern for s in sets for member in s.members]
     remaining = [s for s in sequences if s.pattern not in members]
     pass_sets = _find_pass_sets(remaining)
@@ -310,9 +306,10 @@ def _find_pass_sets(sequences: list[Sequence]) -> list[AovSet]:
                     aovs.setdefault(pass_name, sequence)
             sets.append(AovSet(colour, aovs))
         for indices in without_beauty.values():
+            aovs = {split[i].name: sequences[i] for i in indices}
             motion = [split[i].name for i in indices if split[i].role is Role.MOTION]
             if motion and len(indices) > 1:
-                sets.append(AovSet(None, {split[i].name: sequences[i] for i in indices}, motion[0]))
+                sets.append(AovSet(aovs[motion[0]], aovs))
     return sets
 
 
