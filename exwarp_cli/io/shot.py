@@ -62,16 +62,14 @@ class NonFinite:
                 counts[channels] = max(count, counts.get(channels, 0))
 
 
-@dataclass
-class ShotFiles:
-    """The sequences of a shot: the leader, which stands for all, and the others by AOV.
+@dataclass(frozen=True)
+class ShotFiles(AovSet):
+    """The sequences of a shot.
 
-    Without colour the leader is one of `aovs`, and keeps its AOV's name. `view` is the view that
-    the files are of by their names, and `views` are all; empty if each file holds all views.
+    `view` is the view that the files are of by their names, and `views` are all; empty if each file
+    holds all views.
     """
 
-    leader: Sequence
-    aovs: Mapping[str, Sequence]
     view: str = ""
     views: tuple[str, ...] = ()
     cache: HeaderCache = field(default_factory=HeaderCache)
@@ -178,8 +176,7 @@ def _open_view(
     keep_going: bool,
 ) -> Shot:
     """Recognise the channels of one view in one frame; with `keep_going` it has to be sound."""
-    members = {} if files.leader in files.aovs.values() else {"": files.leader}
-    members |= files.aovs
+    members = files.aovs if files.colour is None else {"": files.colour, **files.aovs}
     headers = {aov: read_flat_header(m.files[number], files.cache) for aov, m in members.items()}
     parts = {aov: header.parts for aov, header in headers.items()}
     texts = {aov: header.texts for aov, header in headers.items()}
