@@ -171,7 +171,6 @@ class KeyFrame:
     number: int  # in the input sequence
     image: Image  # non-finite pixels are as the renderer wrote them
     gbuffer: GBuffer | None  # of the same instant, on the same window; None without AOVs
-    broken: int | None = None  # number of non-finite colour pixels; None if they were not counted
 
     def on(self, canvas: Window) -> KeyFrame:
         """Return the frame on another window."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -86,10 +86,6 @@ class ChannelMap:
     view: str | None = None
     motion: str | None = None
     depth_kind: DepthKind | None = None
-
-    def option(self, key: str) -> str:
-        """Name a key for a message."""
-        return f"{key} in the channel map {self.path}"
 
 
 def parse_aovs(texts: Iterable[str]) -> tuple[AovFile, ...]:
@@ -225,7 +221,8 @@ def read_channel_map(path: Path) -> ChannelMap:
             f"the channel map {path} is not TOML ({error}); correct it, or write a "
             "new one with 'exwarp inspect SEQ --write-channel-map FILE'"
         ) from error
-    _require_types(document, path)
+    for key, problem in _find_problems(document):
+        raise DamagedFileError(f"{key} in the channel map {path} {problem}")
     channels: dict[Role, tuple[str, ...]] = {}
     for name, value in document.get("channels", {}).items():
         option = f"channels.{name} in the channel map {path}"
@@ -246,9 +243,6 @@ def read_channel_map(path: Path) -> ChannelMap:
                 "leave one of them out"
             )
     depth_kind = document.get("depth_kind")
-    kinds = [kind.value for kind in DepthKind]
-    if depth_kind is not None and depth_kind not in kinds:
-        raise _invalid(path, "depth_kind", f"is {depth_kind!r}; write one of {', '.join(kinds)}")
     return ChannelMap(
         path,
         channels,
@@ -260,35 +254,29 @@ def read_channel_map(path: Path) -> ChannelMap:
     )
 
 
-def _require_types(document: Mapping[str, Any], path: Path) -> None:
-    """Refuse unknown keys and values of other types."""
+def _find_problems(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield unknown keys and impossible values, each with half a sentence about it."""
     keys = ("schema", *_TEXTS, *_TABLES)
     for key, value in document.items():
         if key not in keys:
-            raise _invalid(path, key, f"is unknown; the keys are {', '.join(keys)}")
+            yield key, f"is unknown; the keys are {', '.join(keys)}"
         if key in _TABLES and not isinstance(value, dict):
-            raise _invalid(path, key, f"has to be a table; write [{key}] on a line of its own")
-        if key not in _TABLES and not _is_name(value):
-            raise _invalid(path, key, "has to be a text in quotes; correct it, or leave it out")
+            yield key, f"has to be a table; write [{key}] on a line of its own"
+        if key not in _TABLES and not (isinstance(value, str) and value):
+            yield key, "has to be a text in quotes; correct it, or leave it out"
     if document.get("schema", SCHEMA) != SCHEMA:
-        raise _invalid(path, "schema", f"is not {SCHEMA}; this version of ExWarp reads that alone")
+        yield "schema", f"is not {SCHEMA}; this version of ExWarp reads that alone"
     for table, needed in (
         ("channels", "a list of channel names"),
         ("aovs", "a text such as PATTERN:R,G"),
     ):
         for name, value in document.get(table, {}).items():
             is_list = table == "channels" and isinstance(value, list)
-            if not _is_name(value) and not (is_list and all(map(_is_name, value))):
-                problem = f"has to be {needed}; correct it, or leave it out"
-                raise _invalid(path, f"{table}.{name}", problem)
-
-
-def _is_name(value: object) -> bool:
-    return isinstance(value, str) and bool(value)
-
-
-def _invalid(path: Path, key: str, problem: str) -> DamagedFileError:
-    return DamagedFileError(f"{key} in the channel map {path} {problem}")
+            if not all(isinstance(text, str) and text for text in (value if is_list else [value])):
+                yield f"{table}.{name}", f"has to be {needed}; correct it, or leave it out"
+    kinds = [kind.value for kind in DepthKind]
+    if document.get("depth_kind", kinds[0]) not in kinds:
+        yield "depth_kind", f"is {document['depth_kind']!r}; write one of {', '.join(kinds)}"
 
 
 def write_channel_map(path: Path, text: str, overwrite: bool) -> None:

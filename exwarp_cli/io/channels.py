@@ -173,7 +173,10 @@ _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+[a-z]?")
 _NAME_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+")
 # Names of parts that say nothing of what they hold.
 _NO_LAYER_NAME = re.compile(r"(part|subimage|image|layer|default|main)?[0-9]*")
-_CRYPTOMATTE = re.compile(r"(^|[._:])(crypto[A-Za-z_]*(\d\d)?|\w*HitProxyMask\d\d)$", re.IGNORECASE)
+# Usual names of a Cryptomatte's ranks and preview. Headers may name others; only they are certain.
+CRYPTOMATTE_NAME = re.compile(
+    r"(^|[._:])(crypto[A-Za-z_]*(\d\d)?|\w*HitProxyMask\d\d)$", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True)
@@ -314,14 +317,6 @@ def vector_direction(layer: str) -> str:
     return ""
 
 
-def is_cryptomatte_name(layer: str) -> bool:
-    """Return True for a usual name of a Cryptomatte's rank or preview.
-
-    Headers may name others; only the file's attributes are certain.
-    """
-    return _CRYPTOMATTE.search(layer) is not None
-
-
 def _group_by_layer(
     channels: Mapping[str, Iterable[Channel]], excluded: Collection[ChannelRef]
 ) -> list[_Layer]:
@@ -345,7 +340,7 @@ def _group_by_layer(
         leading = _shared_word_count(list(names.values()))
         trailing = _shared_word_count([words[leading:][::-1] for words in names.values()])
         for channel in members:
-            if is_cryptomatte_name(channel.name.rpartition(".")[0] or aov):
+            if CRYPTOMATTE_NAME.search(channel.name.rpartition(".")[0] or aov):
                 continue
             layer, last, component, part = _locate(channel, pictures, leading, trailing)
             key = (aov, layer, part)
@@ -429,15 +424,14 @@ def _endings(name: str) -> dict[str, str]:
     words = split_words(name)
     # A name may end at its last word, and before each of its suffixes, numbers and versions.
     end = len(words)
-    while True:
+    while end > 0:
         for i in range(1 if end == len(words) else 0, end):
             endings.setdefault("".join(words[i:end]), words[i - 1] if i else "")
         if end < 2 or not (words[end - 1] in _SUFFIXES or words[end - 1].isdigit()):
-            return endings
+            break
         is_version = words[end - 1].isdigit() and words[end - 2] == "v"
         end -= 1 + is_version
-        if end < 1:
-            return endings
+    return endings
 
 
 def _find_role(layers: list[_Layer], role: Role) -> Refs:

@@ -25,7 +25,6 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -91,7 +90,7 @@ class Cryptomatte:
     aov: str  # name of the AOV's own sequence if each AOV has a file of its own, else ""
     name: str  # of its layers, without the rank
     kind: IdKind
-    # The four channels of each layer, in order: id, share, id, share.
+    # The four channels of each layer, in order: id, share, id, share. The first are the stencil.
     ranks: tuple[tuple[ChannelRef, ...], ...]
     exact: bool = True  # True if all ids are stored as 32-bit floats
     rounded: bool = False  # True if the file's compression (PXR24) has rounded them to 24 bits
@@ -99,16 +98,6 @@ class Cryptomatte:
     hashed: bool = True
     manifest: str | None = field(default=None, repr=False)  # text of it in the header
     sidecar: str | None = None  # path of a manifest's own file, relative to the image
-
-    @property
-    def stencil(self) -> tuple[ChannelRef, ...]:
-        """The channels of ranks 0 and 1: id, share, id, share."""
-        return self.ranks[0]
-
-    @property
-    def refs(self) -> frozenset[ChannelRef]:
-        """All its channels. They go together: ids and shares of two pixels cannot be mixed."""
-        return frozenset(ref for rank in self.ranks for ref in rank)
 
     def require_exact(self, where: str) -> None:
         """Refuse ids that are no 32-bit floats, so that too few bits tell objects apart."""
@@ -212,7 +201,7 @@ def _words(name: str) -> list[str]:
 
 def cryptomatte_refs(cryptomattes: Iterable[Cryptomatte]) -> frozenset[ChannelRef]:
     """Return the channels of all these Cryptomattes."""
-    return frozenset(ref for matte in cryptomattes for ref in matte.refs)
+    return frozenset(ref for matte in cryptomattes for rank in matte.ranks for ref in rank)
 
 
 def surface_ids(
@@ -302,12 +291,6 @@ class IdReading:
     # True if some of the ids that they are compared with were rounded; see `surface_ids`.
     rounded: bool = False
     dynamic: DynamicObjects | None = None  # None if nothing says what moves
-
-    @property
-    def identity(self) -> list[Any]:
-        """What frames depend on, beside the pixels, as plain data."""
-        moving = None if self.dynamic is None else list(self.dynamic.ids)
-        return [self.cryptomatte.aov, self.cryptomatte.name, self.rounded, moving]
 
     def read(
         self, ranks: Float32, depth: Float32 | None, where: object
@@ -411,18 +394,12 @@ def hash_name(name: str) -> int:
 
 def murmur3(data: bytes) -> int:
     """Return the MurmurHash3_x86_32 of bytes, seed 0 (Austin Appleby, public domain algorithm)."""
-    mask = 0xFFFFFFFF
-
-    def mixed(block: int) -> int:
-        block = block * 0xCC9E2D51 & mask
-        return ((block << 15 | block >> 17) & mask) * 0x1B873593 & mask
-
-    tail = len(data) // 4 * 4
-    state = 0
-    for i in range(0, tail, 4):
-        state ^= mixed(int.from_bytes(data[i : i + 4], "little"))
-        state = ((state << 13 | state >> 19) & mask) * 5 + 0xE6546B64 & mask
-    state ^= mixed(int.from_bytes(data[tail:], "little"))
+    mask, state = 0xFFFFFFFF, 0
+    for i in range(0, len(data), 4):
+        block = int.from_bytes(data[i : i + 4], "little") * 0xCC9E2D51 & mask
+        state ^= ((block << 15 | block >> 17) & mask) * 0x1B873593 & mask
+        if i + 4 <= len(data):  # else it is the tail
+            state = ((state << 13 | state >> 19) & mask) * 5 + 0xE6546B64 & mask
     state ^= len(data)
     state = (state ^ state >> 16) * 0x85EBCA6B & mask
     state = (state ^ state >> 13) * 0xC2B2AE35 & mask

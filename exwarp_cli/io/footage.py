@@ -61,17 +61,13 @@ class ClipSequence(Sequence):
         """Path of the video."""
         return str(self.folder)
 
-    @property
-    def display(self) -> Window:
-        """The window of every frame."""
-        return Window(0, 0, self.clip.width, self.clip.height)
-
     def image(self, number: int) -> Image:
         """Decode a frame, cheaply as long as numbers grow; raises DamagedFileError."""
         thread = threading.get_ident()
         if thread not in self._readers:
             self._readers[thread] = ClipReader(self.clip)
-        return Image(self._readers[thread].read(number - 1), self.display, self.display)
+        window = read_display_window(self, number)
+        return Image(self._readers[thread].read(number - 1), window, window)
 
     def close(self) -> None:
         """Stop decoding; a later call begins again."""
@@ -179,7 +175,7 @@ def read_key_picture(shot: Shot, number: int) -> Image:
 def read_display_window(sequence: Sequence, number: int) -> Window:
     """Return the display window of any kind of sequence, by one of its frames."""
     if isinstance(sequence, ClipSequence):
-        return sequence.display
+        return Window(0, 0, sequence.clip.width, sequence.clip.height)
     path = sequence.files[number]
     if is_plain(sequence):
         return Window(0, 0, *still_size(path))

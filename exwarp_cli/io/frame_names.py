@@ -17,7 +17,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from exwarp_cli.io.channels import Role, is_cryptomatte_name, role_named
+from exwarp_cli.io.channels import CRYPTOMATTE_NAME, Role, role_named
 
 _TOKEN = re.compile(r"#+|@+|%[0-9]{0,2}d|\$F[0-9]{0,2}")
 _NUMBER = re.compile(r"-?[0-9]+")
@@ -201,7 +201,7 @@ def split_pass(base: str) -> PassName:
     for boundary in (_PART, _BOUNDARY):
         for start in (0, *(match.start() for match in boundary.finditer(stem))):
             tail = stem[start:]
-            is_matte = tail.lower().startswith("crypto") and is_cryptomatte_name(tail)
+            is_matte = tail.lower().startswith("crypto") and bool(CRYPTOMATTE_NAME.search(tail))
             role = role_named(_PROGRAM.sub("", tail, count=1) if _PROGRAM.match(tail) else tail)
             if role is not None or is_matte:
                 is_data = is_matte or role is not Role.COLOUR

@@ -22,11 +22,13 @@ from exwarp_cli.domain.frame import (
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect_layout
-from exwarp_cli.io.cryptomatte import cryptomatte_refs, find_cryptomattes
+from exwarp_cli.io.cryptomatte import IdReading, cryptomatte_refs, find_cryptomattes
 from exwarp_cli.io.depth import FAR
 from exwarp_cli.io.exr.reader import ExrFile
+from exwarp_cli.io.exr.writer import Plane
 from exwarp_cli.io.shot import Shot, count_nonfinite
 from exwarp_cli.io.views import view_channels, view_in_file
+from exwarp_cli.kernels import raw_channels
 from exwarp_cli.runtime.frame_pool import pool
 
 # Share of non-finite colour from which on a frame is refused rather than repaired.
@@ -47,8 +49,6 @@ class RawFrame:
     gbuffer: GBuffer
     # float32 [H, W, C]: the motion channels as written.
     motion: Float32 | None
-    # Number of pixels of the colour that are NaN or infinite; None if it was not counted.
-    broken: int | None = None
 
     def settle(self, convention: MotionConvention | None) -> GBuffer:
         """Return the G-buffer with motion read by a convention."""
@@ -65,8 +65,7 @@ class RawFrame:
         """Return the frame for synthesis; LayoutError if it has no colour."""
         if self.image is None:
             raise LayoutError(f"{self.path} has no colour channels; render the beauty pass")
-        gbuffer = self.settle(convention)
-        return KeyFrame(self.number, self.image, gbuffer, self.broken)
+        return KeyFrame(self.number, self.image, self.settle(convention))
 
 
 def read_raw(
@@ -87,105 +86,84 @@ def read_raw(
     ids = shot.ids if Role.STENCIL in roles else None
     if ids is not None and ids.dynamic is None and not objects:
         ids = None
-    ranks = () if ids is None else ids.cryptomatte.stencil
-    planes = _Planes(*read_planes(shot, number, *refs.values(), ranks), refs)
+    if ids is not None:
+        refs[Role.STENCIL] = ids.cryptomatte.ranks[0]
+    planes = _Planes(read_planes(shot, number, *refs.values()), refs)
     path = shot.sequence.files[number]
-    canvas = planes.windows[refs[Role.COLOUR][0]] if Role.COLOUR in refs else shot.display
-    image = broken_colour = None
+    canvas = planes.planes[refs[Role.COLOUR][0]].window if Role.COLOUR in refs else shot.display
+    image = None
     if (pixels := planes.stack(Role.COLOUR, canvas)) is not None:
         image = Image(pixels, canvas, shot.display)
-        broken = planes.broken[Role.COLOUR.value]
-        if (share := broken / canvas.pixels) > MAX_BROKEN:
+        if (share := planes.broken[Role.COLOUR.value] / canvas.pixels) > MAX_BROKEN:
             raise DamagedFileError(
                 f"{path} has NaN or infinite colour in {share:.0%} of its pixels; render it again"
             )
-        # Channels of several windows are filled up to the canvas: other pixels than were counted.
-        if len({planes.windows[ref] for ref in refs[Role.COLOUR]}) == 1:
-            broken_colour = broken
-    gbuffer = _geometry(planes, shot, canvas)
-    if ids is not None and (pixels := planes.stack(Role.STENCIL, canvas, refs=ranks)) is not None:
-        file = shot.files(number)[ids.cryptomatte.aov]
-        stencil, object_ids = ids.read(pixels, gbuffer.depth, file)
-        gbuffer = replace(gbuffer, stencil=stencil, objects=object_ids)
+    gbuffer = _geometry(planes, shot, number, canvas, ids)
     motion = planes.stack(Role.MOTION, canvas)
     if motion is not None and not shot.display.covers(canvas):
         # Inside the display window a channel is 0 beyond its data window, as OpenEXR defines it:
         # programs cut a pass to the pixels that are not 0. Outside it is not known.
         overscan = outside_mask(canvas, shot.display)
         for i, ref in enumerate(refs[Role.MOTION]):
-            if not planes.windows[ref].covers(canvas):
-                motion[overscan & outside_mask(canvas, planes.windows[ref]), i] = np.nan
+            window = planes.planes[ref].window
+            if not window.covers(canvas):
+                motion[overscan & outside_mask(canvas, window), i] = np.nan
     shot.nonfinite.note(number, planes.broken)
-    return RawFrame(number, path, image, gbuffer, motion, broken_colour)
+    return RawFrame(number, path, image, gbuffer, motion)
 
 
 @dataclass(frozen=True)
 class _Planes:
-    """Channels of a frame as read, with the data window of each, and the channels of each role."""
+    """Channels of a frame as read, and the channels of each role."""
 
-    planes: Mapping[ChannelRef, np.ndarray]
-    windows: Mapping[ChannelRef, Window]
+    planes: Mapping[ChannelRef, Plane]
     refs: Mapping[Role, tuple[ChannelRef, ...]]
     # Numbers of pixels that are not finite, by role, of what was joined so far.
     broken: dict[str, int] = field(default_factory=dict)
 
-    def stack(
-        self,
-        role: Role,
-        canvas: Window,
-        fill: float = 0.0,
-        count: bool = True,
-        refs: tuple[ChannelRef, ...] = (),
-    ) -> Float32 | None:
-        """Return a role's channels, float32 [H, W, C] on a canvas; None if it has none.
-
-        Without `count`, non-finite pixels are left to the caller to count if the channels cover
-        just the canvas. `refs` stand in for the channels that the layout has for the role.
-        """
-        refs = refs or self.refs.get(role, ())
-        if not refs:
+    def stack(self, role: Role, canvas: Window, fill: float = 0.0) -> Float32 | None:
+        """Return a role's channels, float32 [H, W, C] on a canvas; None if it has none."""
+        if role not in self.refs:
             return None
-        members = [self.planes[ref].astype(np.float32, copy=False) for ref in refs]
-        windows = [self.windows[ref] for ref in refs]
+        planes = [self.planes[ref] for ref in self.refs[role]]
+        members = [plane.values.astype(np.float32, copy=False) for plane in planes]
+        windows = [plane.window for plane in planes]
         if len(set(windows)) == 1:
-            pixels = join_planes(members)
-            if count or windows[0] != canvas:
-                self.broken[role.value] = count_nonfinite((pixels,), role)
-            return place_on_canvas(pixels, windows[0], canvas, fill)
+            members, windows = [join_planes(members)], windows[:1]
         self.broken[role.value] = count_nonfinite(members, role)
-        placed = zip(members, windows, strict=True)
-        return join_planes([place_on_canvas(m, window, canvas, fill) for m, window in placed])
+        pairs = zip(members, windows, strict=True)
+        placed = [place_on_canvas(values, window, canvas, fill) for values, window in pairs]
+        return placed[0] if len(placed) == 1 else join_planes(placed)
 
 
-def _geometry(planes: _Planes, shot: Shot, canvas: Window) -> GBuffer:
-    """Return everything that was read but colour and motion."""
-    written_depth = planes.stack(Role.DEPTH, canvas, np.inf)
-    normal = planes.stack(Role.NORMAL, canvas, count=False)
-    stencil = None
-    if Role.STENCIL in planes.refs:
-        ref = planes.refs[Role.STENCIL][0]
-        plane = planes.planes[ref]
-        planes.broken[Role.STENCIL.value] = count_nonfinite((plane,), Role.STENCIL)
-        stencil = place_on_canvas(clean_stencil(plane), planes.windows[ref], canvas)
-    depth, is_normal_finite = None, False
+def _geometry(
+    planes: _Planes, shot: Shot, number: int, canvas: Window, ids: IdReading | None
+) -> GBuffer:
+    """Return everything that was read but colour and motion; `ids` if they are a Cryptomatte's."""
+    depth, written_depth = None, planes.stack(Role.DEPTH, canvas, np.inf)
+    normal = planes.stack(Role.NORMAL, canvas)
     if written_depth is not None:
-        depth, is_normal_finite = clean_depth(shot.depth.distance(written_depth[..., 0]), normal)
-    if normal is not None and Role.NORMAL.value not in planes.broken:
-        broken = 0 if is_normal_finite else count_nonfinite((normal,), Role.NORMAL)
-        planes.broken[Role.NORMAL.value] = broken
+        depth = clean_depth(shot.depth.distance(written_depth[..., 0]), normal)
+    stencil = objects = None
+    if ids is not None and (ranks := planes.stack(Role.STENCIL, canvas)) is not None:
+        file = shot.files(number)[ids.cryptomatte.aov]
+        stencil, objects = ids.read(ranks, depth, file)
+    elif Role.STENCIL in planes.refs:
+        plane = planes.planes[planes.refs[Role.STENCIL][0]]
+        planes.broken[Role.STENCIL.value] = count_nonfinite((plane.values,), Role.STENCIL)
+        stencil = place_on_canvas(clean_stencil(plane.values), plane.window, canvas)
     position = planes.stack(Role.POSITION, canvas)
     if position is not None and depth is not None:
-        window = planes.windows[planes.refs[Role.POSITION][0]]
+        window = planes.planes[planes.refs[Role.POSITION][0]].window
         if not window.covers(canvas):
             # A surface seen beyond the end of their window: as zeros those pixels would be points
             # at the world's origin, and be moved to where that is seen.
             unknown = outside_mask(canvas, window) & np.isfinite(depth)
             position = np.where(unknown[..., None], np.float32(np.nan), position)
-    surfaces = [planes.stack(role, canvas) for role in SURFACE]
-    for i, values in enumerate(surfaces):
-        if values is not None and not np.isfinite(values).all():
-            surfaces[i] = np.where(np.isfinite(values), values, np.float32(0))
-    albedo, specular, roughness, metallic = surfaces
+    albedo, specular, roughness, metallic = (
+        None if values is None else np.where(np.isfinite(values), values, np.float32(0))
+        for values in (planes.stack(role, canvas) for role in SURFACE)
+    )
     return GBuffer(
         canvas,
         depth,
@@ -196,15 +174,13 @@ def _geometry(planes: _Planes, shot: Shot, canvas: Window) -> GBuffer:
         specular=specular,
         roughness=None if roughness is None else roughness[..., 0],
         metallic=None if metallic is None else metallic[..., 0],
+        objects=objects,
     )
 
 
-def read_planes(
-    shot: Shot, number: int, *groups: Sequence[ChannelRef]
-) -> tuple[dict[ChannelRef, np.ndarray], dict[ChannelRef, Window]]:
-    """Read channels of one frame, with the data window of each; a group is decoded as one array."""
-    planes: dict[ChannelRef, np.ndarray] = {}
-    windows: dict[ChannelRef, Window] = {}
+def read_planes(shot: Shot, number: int, *groups: Sequence[ChannelRef]) -> dict[ChannelRef, Plane]:
+    """Read channels of one frame on their data windows; a group is decoded as one array."""
+    planes: dict[ChannelRef, Plane] = {}
     files = shot.files(number)
     refs = [ref for group in groups for ref in group]
     for aov in sorted({ref.aov for ref in refs}):
@@ -229,9 +205,8 @@ def read_planes(
             )
             for ref in in_file:
                 channel = channels[ref.name]
-                planes[ref] = pixels[channel]
-                windows[ref] = file.parts[channel.part].data_window
-    return planes, windows
+                planes[ref] = Plane(pixels[channel], file.parts[channel.part].data_window)
+    return planes
 
 
 def read_image(path: Path, view: str = "") -> Image:
@@ -291,31 +266,27 @@ def join_planes(planes: list[np.ndarray]) -> Float32:
     return np.stack(planes, axis=-1)
 
 
-def clean_depth(depth: Float32, normal: Float32 | None) -> tuple[Float32, bool]:
-    """Return depth with +inf as background, and True if there are normals, all finite.
+def clean_depth(depth: Float32, normal: Float32 | None) -> Float32:
+    """Return depth with +inf as background.
 
     Renderers write background as 0, 1e10, infinity or NaN; Unreal by the normal (-1, -1, -1).
     """
-    from exwarp_cli.kernels import raw_channels  # numba: not for what only lists channels
-
     cleaned: Float32 = pool.empty(depth.shape, np.float32)
     flat, far = np.ascontiguousarray(depth, np.float32).reshape(-1), np.float32(FAR)
     normals = np.zeros(0, np.float32)
     if normal is not None:
         normals = np.ascontiguousarray(normal, np.float32).reshape(-1)
-    is_finite = raw_channels.write_depths(flat, normals, far, cleaned.reshape(-1))
-    return cleaned, normal is not None and is_finite
+    raw_channels.write_depths(flat, normals, far, cleaned.reshape(-1))
+    return cleaned
 
 
 def clean_stencil(ids: np.ndarray) -> Int32:
     """Return ids, uint32 or float32, as int32; -1 where a fraction tells of mixed ones."""
     if ids.dtype == np.uint32:
         return (ids & np.uint32(0x7FFFFFFF)).astype(np.int32)
-    from exwarp_cli.kernels.raw_channels import round_ids  # numba: not for what only lists channels
-
     # numpy's passes over the frame took 15 times as long.
     cleaned: Int32 = pool.empty(ids.shape, np.int32)
-    round_ids(np.ascontiguousarray(ids, np.float32).reshape(-1), cleaned.reshape(-1))
+    raw_channels.round_ids(np.ascontiguousarray(ids, np.float32).reshape(-1), cleaned.reshape(-1))
     return cleaned
 
 
@@ -345,8 +316,7 @@ def is_visible(shot: Shot, number: int) -> bool:
 def require_visible(shot: Shot) -> None:
     """Refuse a shot of which no frame has a pixel in the display window."""
     # A frame alone may have none: an object that enters later is rendered beyond the edge.
-    numbers = shot.sequence.numbers
-    if is_visible(shot, shot.first) or any(is_visible(shot, number) for number in numbers):
+    if any(is_visible(shot, number) for number in shot.sequence.numbers):
         return
     window = colour_window(shot, shot.first)
     raise LayoutError(

@@ -124,9 +124,9 @@ _NAMES = (
 MAX_LISTED = 12  # layers that a message names
 
 _MOTION_WORDS = frozenset(
-    {"motion", "move", "movement", "mv", "mvec", "mvecs", "mb", "vec", "vecs", "vector", "vectors"}
-    | {"vel", "velo", "velocity", "speed", "flow", "optical", "disparity", "displacement"}
-    | {"forward", "fwd", "fore", "backward", "bwd", "back", "prev", "previous", "next", "blur"}
+    {"move", "movement", "mv", "mb", "vec", "vecs", "vel", "velo", "speed", "optical", "disparity"}
+    | {"displacement", "forward", "fwd", "fore", "backward", "bwd", "back", "prev", "previous"}
+    | {"next", "blur"}
 )
 _MOTION_BEGINNINGS = ("motion", "velocit", "vector", "mvec", "flow")
 _PAIRS = ("UV", "XY", "RG")
@@ -177,9 +177,7 @@ def select_layers(layers: tuple[Layer, ...], text: str, layout: Layout) -> tuple
         matching = {
             layer
             for layer in layers
-            if pattern == ALL
-            or fnmatchcase(layer.name, pattern)
-            or fnmatchcase(layer.leaf, pattern)
+            if pattern == ALL or any(fnmatchcase(n, pattern) for n in (layer.name, layer.leaf))
         }
         if not matching:
             names = ", ".join(dict.fromkeys(layer.name for layer in layers))

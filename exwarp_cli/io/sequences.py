@@ -99,29 +99,26 @@ class Sequence(FramePattern):
 
 @dataclass(frozen=True)
 class AovSet:
-    """Sequences of one shot, one file per AOV and frame.
+    """Sequences of one shot, one file per AOV and frame; an ordinary sequence is colour alone.
 
     Unreal dumps them so for ExtraNet; Redshift, V-Ray and Movie Render Queue write a sequence a
     pass, see :mod:`exwarp_cli.io.frame_names`.
     """
 
-    # None in a folder of G-buffers alone.
-    colour: Sequence | None
+    # What stands for the set: the colour, or one of `aovs` in a folder of G-buffers alone.
+    leader: Sequence
     # By the name of the AOV, for example "MotionVector".
     aovs: dict[str, Sequence]
-    # Name of the AOV that leads where there is no colour.
-    motion: str = MOTION_AOV
 
     @property
-    def leader(self) -> Sequence:
-        """The sequence that stands for the set: colour, else motion."""
-        return self.colour or self.aovs[self.motion]
+    def colour(self) -> Sequence | None:
+        """The sequence that has the colour; None in a folder of G-buffers alone."""
+        return None if self.leader in self.aovs.values() else self.leader
 
     @property
     def members(self) -> tuple[Sequence, ...]:
         """Every sequence of the set."""
-        colour = () if self.colour is None else (self.colour,)
-        return (*colour, *self.aovs.values())
+        return (self.leader, *self.aovs.values())
 
 
 def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False) -> Sequence:
@@ -138,8 +135,7 @@ def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False
         if not spec or not folder.is_dir():
             leaders = [_find_by_name(spec, suffixes)]
         else:
-            candidates = _list_candidates(folder, suffixes)
-            leaders = [c.leader if isinstance(c, AovSet) else c for c in candidates]
+            leaders = [c.leader for c in _list_candidates(folder, suffixes)]
         if not leaders:
             names = (n for n in sorted(_file_names(folder)) if n.lower().endswith(suffixes))
             single = next(names, None)
@@ -160,31 +156,27 @@ def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False
 
 def find_aov_set(
     spec: str, gaps: bool = False, needed: Callable[[AovSet], Collection[str]] | None = None
-) -> AovSet | None:
+) -> AovSet:
     """Find the one-file-per-AOV set that a folder, pattern or frame belongs to.
 
     `needed` returns the AOVs of a set that are used; the others are left out. The sequences have
-    the colour's frames, or all frames that any has if there is no colour. None if `spec` names an
-    ordinary sequence, or no AOV is needed.
+    the colour's frames, or all frames that any has if there is no colour. If `spec` names an
+    ordinary sequence, or no AOV is needed, there is this sequence alone.
 
     Raises InputError as `find_sequence`, MissingFrameError if an AOV lacks a frame.
     """
     leader = find_sequence(spec)
-    sets = [c for c in _list_candidates(leader.folder, EXR) if isinstance(c, AovSet)]
+    sets = [c for c in _list_candidates(leader.folder, EXR) if c.aovs]
     sets = [c for c in sets if c.leader == leader] or [c for c in sets if leader in c.members]
     if len(sets) > 1:
         raise InputError(
             f"{leader.pattern} is a pass of {len(sets)} sequences, "
             f"{_listing([c.leader for c in sets])}; name one of those"
         )
-    if not sets:
-        return None
-    (aov_set,) = sets
-    names = aov_set.aovs if needed is None else needed(aov_set)
+    aov_set = sets[0] if sets else AovSet(leader, {})
+    names = needed(aov_set) if sets and needed is not None else aov_set.aovs
     aovs = {name: member for name, member in aov_set.aovs.items() if name in names}
-    if not aovs:
-        return None
-    colour = aov_set.colour
+    colour = aov_set.colour if aovs else leader
     leading = aovs.values() if colour is None else (colour,)
     numbers = sorted({number for sequence in leading for number in sequence.files})
     if gaps:
@@ -195,10 +187,9 @@ def find_aov_set(
                 f"frame {ranges(absent)} of the AOV {name} is missing from {member.pattern}; "
                 "render it, or move that frame's other files elsewhere"
             )
-    colour = None if colour is None else colour.over(numbers)
-    return replace(
-        aov_set, colour=colour, aovs={name: member.over(numbers) for name, member in aovs.items()}
-    )
+    leader = colour or aov_set.leader
+    aovs = {name: member.over(numbers) for name, member in aovs.items()}
+    return AovSet(leader.over(numbers), aovs)
 
 
 def neighbouring_sequences(sequence: Sequence) -> dict[str, Sequence]:
@@ -206,7 +197,7 @@ def neighbouring_sequences(sequence: Sequence) -> dict[str, Sequence]:
     stem = sequence.base.rstrip(SEPARATORS)
     neighbours = {}
     for candidate in _list_candidates(sequence.folder, (sequence.suffix.lower(),)):
-        for member in candidate.members if isinstance(candidate, AovSet) else (candidate,):
+        for member in candidate.members:
             name = member.base.rstrip(SEPARATORS)
             if stem and name != stem and name.startswith(stem) and member.suffix == sequence.suffix:
                 neighbours[name[len(stem) :].lstrip(SEPARATORS)] = member
@@ -253,8 +244,8 @@ def output_pattern(spec: str, source: Sequence, suffixes: tuple[str, ...] = EXR)
     return target
 
 
-def _list_candidates(folder: Path, suffixes: tuple[str, ...]) -> list[AovSet | Sequence]:
-    """Return the sequences of a folder, those of one AOV set as one."""
+def _list_candidates(folder: Path, suffixes: tuple[str, ...]) -> list[AovSet]:
+    """Return the sequences of a folder, those of one shot as one set."""
     # Names that start with a dot are other programs' bookkeeping, such as macOS' "._" files.
     names = [name for name in _file_names(folder) if not name.startswith(".")]
     patterns = set(split_names(names, suffixes).values())
@@ -272,14 +263,14 @@ def _list_candidates(folder: Path, suffixes: tuple[str, ...]) -> list[AovSet | S
     for aovs in shots.values():
         colours = [name for name in COLOUR_AOVS if name in aovs]
         if len(aovs) > 1 and (colours or MOTION_AOV in aovs):
-            colour = aovs.pop(colours[0]) if colours else None
-            sets.append(AovSet(colour, aovs))
+            leader = aovs.pop(colours[0]) if colours else aovs[MOTION_AOV]
+            sets.append(AovSet(leader, aovs))
     members = [member.pattern for s in sets for member in s.members]
     remaining = [s for s in sequences if s.pattern not in members]
-    for pass_set in _find_pass_sets(remaining):
-        sets.append(pass_set)
-        members += [member.pattern for member in pass_set.members]
-    return [*sets, *(s for s in remaining if s.pattern not in members)]
+    pass_sets = _find_pass_sets(remaining)
+    members += [member.pattern for s in pass_sets for member in s.members]
+    alone = (AovSet(s, {}) for s in remaining if s.pattern not in members)
+    return [*sets, *pass_sets, *alone]
 
 
 def _find_pass_sets(sequences: list[Sequence]) -> list[AovSet]:
@@ -315,9 +306,10 @@ def _find_pass_sets(sequences: list[Sequence]) -> list[AovSet]:
                     aovs.setdefault(pass_name, sequence)
             sets.append(AovSet(colour, aovs))
         for indices in without_beauty.values():
+            aovs = {split[i].name: sequences[i] for i in indices}
             motion = [split[i].name for i in indices if split[i].role is Role.MOTION]
             if motion and len(indices) > 1:
-                sets.append(AovSet(None, {split[i].name: sequences[i] for i in indices}, motion[0]))
+                sets.append(AovSet(aovs[motion[0]], aovs))
     return sets
 
 

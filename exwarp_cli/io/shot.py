@@ -6,14 +6,15 @@ in a frame, pixels that are no numbers too, shows when it is decoded.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Window, is_surely_finite, nonfinite_pixels
+from exwarp_cli.domain.frame import Bool, Window, nonfinite_pixels
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.channel_map import AovFile, ChannelMap, detect_aov, find_channel
@@ -30,7 +31,6 @@ from exwarp_cli.io.exr.reader import ExrFile, FileHeader, HeaderCache, deep_imag
 from exwarp_cli.io.frame_names import split_pass
 from exwarp_cli.io.sequences import AovSet, Sequence, find_aov_set, find_sequence
 from exwarp_cli.io.views import (
-    ALL,
     choose_view,
     expand_view,
     list_views,
@@ -51,30 +51,25 @@ CHANNEL_BATCH = 8
 class NonFinite:
     """Counts of NaN and infinite pixels in a sequence's frames. Several threads may note them."""
 
-    _counts: dict[int, dict[str, int]] = field(default_factory=dict)
+    # By frame number, then by the channels' role or layer; only counts above 0.
+    counts: defaultdict[int, dict[str, int]] = field(default_factory=lambda: defaultdict(dict))
 
     def note(self, number: int, pixels: Mapping[str, int]) -> None:
-        """Note counts by the channels' role or layer; a frame may be read several times."""
+        """Note counts of a frame, which may be read several times."""
+        counts = self.counts[number]
         for channels, count in pixels.items():
             if count:
-                counts = self._counts.setdefault(number, {})
                 counts[channels] = max(count, counts.get(channels, 0))
 
-    def of(self, number: int) -> Iterator[tuple[str, int]]:
-        """Yield the channels and counts of a frame, sorted."""
-        yield from sorted(self._counts.get(number, {}).items())
 
+@dataclass(frozen=True)
+class ShotFiles(AovSet):
+    """The sequences of a shot.
 
-@dataclass
-class ShotFiles:
-    """The sequences of a shot: the leader, which stands for all, and the others by AOV.
-
-    Without colour the leader is one of `aovs`, and keeps its AOV's name. `view` is the view that
-    the files are of by their names, and `views` are all; empty if each file holds all views.
+    `view` is the view that the files are of by their names, and `views` are all; empty if each file
+    holds all views.
     """
 
-    leader: Sequence
-    aovs: Mapping[str, Sequence]
     view: str = ""
     views: tuple[str, ...] = ()
     cache: HeaderCache = field(default_factory=HeaderCache)
@@ -160,61 +155,16 @@ def open_shot(
     Raises InputError if there is no such sequence or view, its first frame cannot be read, or a
     sequence of its AOVs lacks a frame or is of another size.
     """
-    if channel_map is not None:
-        view = view or channel_map.view
-    return _open(spec, view, aovs, channel_map, keep_going)[0]
-
-
-def open_views(
-    spec: str,
-    view: str | None = None,
-    aovs: tuple[AovFile, ...] = (),
-    channel_map: ChannelMap | None = None,
-    keep_going: bool = False,
-) -> tuple[Shot, ...]:
-    """Open every view of a shot, the hero first, if `view` is ``all``; else one, as `open_shot`.
-
-    Files that hold all views are found and read once.
-    """
-    if view != ALL:
-        return (open_shot(spec, view, aovs, channel_map, keep_going),)
-    return _open(spec, None, aovs, channel_map, keep_going, every_view=True)
-
-
-def _open(
-    spec: str,
-    view: str | None,
-    aovs: tuple[AovFile, ...],
-    channel_map: ChannelMap | None,
-    keep_going: bool,
-    every_view: bool = False,
-) -> tuple[Shot, ...]:
-    """Open one view, or the hero and every other one, by the first frame that counts."""
     roles = {aov.role for aov in aovs}
     if channel_map is not None:
+        view = view or channel_map.view
         aovs += tuple(aov for aov in channel_map.aovs if aov.role not in roles)
         roles.update((aov.role for aov in aovs), channel_map.channels)
     files = find_files(spec, keep_going, roles, view)
-
-    def open_by_frame(number: int) -> Shot:
-        shot = _open_view(files, number, view, aovs, channel_map, keep_going)
-        if keep_going:
-            require_sound(shot.files(number).values())
-        return shot
-
-    numbers = files.leader.numbers
-    shot = first_usable(numbers if keep_going else numbers[:1], open_by_frame)
-    if not every_view:
-        return (shot,)
-    if not shot.views:
-        raise LayoutError(f"{shot.sequence.pattern} has no views; leave --view {ALL} out")
-    further = (
-        open_shot(spec, name, aovs, channel_map, keep_going)
-        if files.view
-        else _open_view(files, shot.first, name, aovs, channel_map, keep_going)
-        for name in shot.views[1:]
+    numbers = files.leader.numbers if keep_going else files.leader.numbers[:1]
+    return first_usable(
+        numbers, lambda number: _open_view(files, number, view, aovs, channel_map, keep_going)
     )
-    return (shot, *further)
 
 
 def _open_view(
@@ -225,9 +175,8 @@ def _open_view(
     channel_map: ChannelMap | None,
     keep_going: bool,
 ) -> Shot:
-    """Recognise the channels of one view in one frame."""
-    members = {} if files.leader in files.aovs.values() else {"": files.leader}
-    members |= files.aovs
+    """Recognise the channels of one view in one frame; with `keep_going` it has to be sound."""
+    members = files.aovs if files.colour is None else {"": files.colour, **files.aovs}
     headers = {aov: read_flat_header(m.files[number], files.cache) for aov, m in members.items()}
     parts = {aov: header.parts for aov, header in headers.items()}
     texts = {aov: header.texts for aov, header in headers.items()}
@@ -265,14 +214,19 @@ def _open_view(
     )
     for aov in aovs:
         shot = _with_aov(shot, aov)
-    return _with_readings(shot, own)
+    shot = _with_readings(shot, own)
+    if keep_going:
+        require_sound(shot.files(number).values())
+    return shot
 
 
 def _with_readings(shot: Shot, own: Layout) -> Shot:
     """Set how depth and ids are read, and how the layout differs from the files' `own`."""
-    roles, mattes = dict(shot.layout.roles), shot.cryptomattes
+    roles = {role: shot.layout.roles[role] for role in Role if role in shot.layout}
+    mattes = shot.cryptomattes
     # A Cryptomatte whose channels were named for ids comes first: they are no numbers.
-    named = [matte for matte in mattes if matte.refs.intersection(roles.get(Role.STENCIL, ()))][:1]
+    ids = roles.get(Role.STENCIL, ())
+    named = [matte for matte in mattes if cryptomatte_refs([matte]).intersection(ids)][:1]
     if named:
         del roles[Role.STENCIL]
         mattes = (*named, *(matte for matte in mattes if matte is not named[0]))
@@ -304,8 +258,6 @@ def find_files(
     """
     spec, view_in_name, views = expand_view(spec, view)
     aov_set = find_aov_set(spec, gaps=gaps, needed=lambda members: _needed_aovs(members, decided))
-    if aov_set is None:
-        return ShotFiles(find_sequence(spec, gaps=gaps), {}, view_in_name, views)
     return ShotFiles(aov_set.leader, aov_set.aovs, view_in_name, views)
 
 
@@ -372,7 +324,7 @@ def _with_aov(shot: Shot, aov: AovFile) -> Shot:
     name = next(same_files, aov.role.value)
     mattes = find_cryptomattes({name: channels.values()}, {name: header.texts})
     if aov.role is Role.STENCIL and mattes and not aov.channels:
-        layout = Layout({aov.role: mattes[0].stencil})
+        layout = Layout({aov.role: mattes[0].ranks[0]})
     else:
         layout = detect_aov(aov, channels, name, path)
     every, cryptomattes = shot.every, shot.cryptomattes
@@ -380,10 +332,9 @@ def _with_aov(shot: Shot, aov: AovFile) -> Shot:
         every += tuple(ChannelRef(name, channel) for channel in channels)
         cryptomattes += mattes
     has_guess = Role.MOTION in layout and layout.guess is not None
-    roles = {**shot.layout.roles, **layout.roles}
     merged = replace(
         shot.layout,
-        roles={role: roles[role] for role in Role if role in roles},
+        roles={**shot.layout.roles, **layout.roles},
         guess=layout.guess if Role.MOTION in layout else shot.layout.guess,
         producer=(layout if has_guess else shot.layout).producer,
         alphas=layout.alphas if Role.COLOUR in layout else shot.layout.alphas,
@@ -432,14 +383,14 @@ def _corrected(
     roles = dict(layout.roles)
     for role, names in channel_map.channels.items():
         roles.pop(role, None)
-        option = channel_map.option(f"channels.{role.value}")
+        option = f"channels.{role.value} in the channel map {channel_map.path}"
         if names:
             labels = (find_channel(name, by_label, option, "the shot") for name in names)
             roles[role] = tuple(by_label[label] for label in labels)
     is_same_motion = roles.get(Role.MOTION) == layout.roles.get(Role.MOTION)
     return replace(
         layout,
-        roles={role: roles[role] for role in Role if role in roles},
+        roles=roles,
         guess=layout.guess if is_same_motion else None,
         producer=channel_map.producer or layout.producer,
         alphas=() if Role.COLOUR in channel_map.channels else layout.alphas,
@@ -488,18 +439,14 @@ def count_nonfinite(planes: Iterable[np.ndarray], role: Role | None = None) -> i
     out. In a depth NaN alone counts: infinity is how renderers write the background.
     """
     nonfinite: Bool | None = None
-    shape: tuple[int, ...] | None = None
     for plane in planes:
         if plane.dtype.kind != "f":
             continue
-        shape = shape or plane.shape[:2]
         values = plane.reshape(*plane.shape[:2], -1)
-        if role is Role.DEPTH:
-            pixels = np.asarray(np.isnan(values).any(axis=-1))
-        elif is_surely_finite(values):
-            continue
-        else:
-            pixels = nonfinite_pixels(values)
-        if pixels.shape == shape:
-            nonfinite = pixels if nonfinite is None else nonfinite | pixels
+        is_depth = role is Role.DEPTH
+        pixels = np.isnan(values).any(axis=-1) if is_depth else nonfinite_pixels(values)
+        if nonfinite is None:
+            nonfinite = pixels
+        elif nonfinite.shape == pixels.shape:
+            nonfinite |= pixels
     return 0 if nonfinite is None else int(np.count_nonzero(nonfinite))

@@ -13,11 +13,11 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 import OpenImageIO as oiio
@@ -38,8 +38,6 @@ from exwarp_cli.io.files import (
     with_retries,
 )
 from exwarp_cli.runtime.read_registry import report_reading
-
-T = TypeVar("T")
 
 # Suffixes of the sequences that are found beside EXR, in lower case.
 STILLS = (
@@ -97,16 +95,7 @@ def read_still(path: Path) -> tuple[Image, StillTemplate]:
     LayoutError when it has other channels than grey or RGB, with or without alpha. Raises
     UnreadableError when the system does not let it through.
     """
-
-    def read(file: Any) -> tuple[np.ndarray, StillTemplate]:
-        template = _read_template(path, file.spec())
-        kind = _OIIO_TYPES.get(template.dtype, oiio.FLOAT)
-        codes = file.read_image(0, 0, 0, file.spec().nchannels, kind)
-        if (problem := file.geterror()) or codes is None:
-            raise _damaged_error(path, problem)
-        return np.asarray(codes), template
-
-    codes, template = _read_file(path, read)
+    template, codes = with_retries(path, lambda: _read_file(path))
     height, width = codes.shape[:2]
     window = Window(0, 0, width, height)
     return Image(_to_light(codes, template), window, window), template
@@ -114,12 +103,13 @@ def read_still(path: Path) -> tuple[Image, StillTemplate]:
 
 def read_still_template(path: Path) -> StillTemplate:
     """Read the header of an image alone; raises what `read_still` does."""
-    return _read_file(path, lambda file: _read_template(path, file.spec()))
+    return with_retries(path, lambda: _read_file(path, pixels=False)[0])
 
 
 def still_size(path: Path) -> tuple[int, int]:
     """Return width and height of an image; raises what `read_still` does."""
-    return _read_file(path, lambda file: (file.spec().width, file.spec().height))
+    height, width = with_retries(path, lambda: _read_file(path, pixels=False)[1]).shape[:2]
+    return width, height
 
 
 def require_writer(path: Path) -> Any:
@@ -196,35 +186,42 @@ def write_still(
     return [sealed]
 
 
-def _read_file(path: Path, read: Callable[[Any], T]) -> T:
-    """Open an image, its alpha as the file has it, and return what `read` gets of it."""
+def _read_file(path: Path, pixels: bool = True) -> tuple[StillTemplate, np.ndarray]:
+    """Read the template of an image, and its codes [H, W, C], alpha as the file has it.
 
-    def open_and_read() -> T:
-        if not path.is_file():
-            raise InputError(f"there is no image {path}; check the path")
-        head = b""
-        with suppress(OSError), path.open("rb") as file:
-            head = file.read(len(PNG))
-        if head.startswith(MAGIC):  # as a still it would lose windows, layers and attributes
-            raise InputError(f"{path} is an OpenEXR file by its content; name it .exr")
-        if head.startswith(PNG):
-            with path.open("rb") as file:
-                file.seek(len(PNG))
-                while len(chunk := file.read(8)) == 8 and chunk[4:] != b"IEND":
-                    file.seek(int.from_bytes(chunk[:4], "big") + 4, 1)
-            if len(chunk) < 8:
-                raise _damaged_error(path, "")  # its decoder would print that too
-        hint = oiio.ImageSpec()
-        hint.attribute("oiio:UnassociatedAlpha", 1)
-        with report_reading(path):
-            image = oiio.ImageInput.open(str(path), hint)
-            if image is None:
-                raise _damaged_error(path, oiio.geterror())
-            with closing(image):
-                require_size(path, image.spec().height, image.spec().width)
-                return read(image)
-
-    return with_retries(path, open_and_read)
+    Without `pixels`, the codes are [H, W, 0].
+    """
+    if not path.is_file():
+        raise InputError(f"there is no image {path}; check the path")
+    head = b""
+    with suppress(OSError), path.open("rb") as file:
+        head = file.read(len(PNG))
+    if head.startswith(MAGIC):  # as a still it would lose windows, layers and attributes
+        raise InputError(f"{path} is an OpenEXR file by its content; name it .exr")
+    if head.startswith(PNG):
+        with path.open("rb") as file:
+            file.seek(len(PNG))
+            while len(chunk := file.read(8)) == 8 and chunk[4:] != b"IEND":
+                file.seek(int.from_bytes(chunk[:4], "big") + 4, 1)
+        if len(chunk) < 8:
+            raise _damaged_error(path, "")  # its decoder would print that too
+    hint = oiio.ImageSpec()
+    hint.attribute("oiio:UnassociatedAlpha", 1)
+    with report_reading(path):
+        image = oiio.ImageInput.open(str(path), hint)
+        if image is None:
+            raise _damaged_error(path, oiio.geterror())
+        with closing(image):
+            spec = image.spec()
+            require_size(path, spec.height, spec.width)
+            template = _read_template(path, spec)
+            if not pixels:
+                return template, np.empty((spec.height, spec.width, 0))
+            kind = _OIIO_TYPES.get(template.dtype, oiio.FLOAT)
+            codes = image.read_image(0, 0, 0, spec.nchannels, kind)
+            if (problem := image.geterror()) or codes is None:
+                raise _damaged_error(path, problem)
+            return template, np.asarray(codes)
 
 
 def _damaged_error(path: Path, problem: str) -> DamagedFileError:
@@ -273,17 +270,14 @@ def _to_light(codes: np.ndarray, template: StillTemplate) -> Float32:
     values = codes.astype(np.float32)
     if codes.dtype.kind == "u":
         values /= np.float32(np.iinfo(codes.dtype).max)
-    if not template.has_alpha:
-        light = template.curve.to_linear(values)
-        return np.ascontiguousarray(np.broadcast_to(light, (*codes.shape[:2], 3)))
-    colour, alpha = values[..., :-1], values[..., -1:]
-    if template.premultiplied and template.curve is not LINEAR:
+    colour, alpha = np.split(values, [values.shape[-1] - template.has_alpha], axis=-1)
+    is_divided = template.has_alpha and not (template.premultiplied and template.curve is LINEAR)
+    if is_divided and template.premultiplied:
         colour = _unpremultiply(colour, alpha)
     light = template.curve.to_linear(colour)
-    if not (template.premultiplied and template.curve is LINEAR):
+    if is_divided:
         light = light * alpha
-    light = np.broadcast_to(light, (*codes.shape[:2], 3))
-    return np.concatenate([light, alpha], axis=-1)
+    return np.concatenate([np.broadcast_to(light, (*codes.shape[:2], 3)), alpha], axis=-1)
 
 
 def _widen_grey(pixels: Float32, template: StillTemplate) -> StillTemplate:
@@ -291,12 +285,11 @@ def _widen_grey(pixels: Float32, template: StillTemplate) -> StillTemplate:
 
     Many programs write a frame without colour as a grey file, for example the start of a fade.
     """
+    if template.channels > 2:
+        return template
     colour = pixels[..., :3]
     # The channels of a grey frame differ by rounding alone, if at all.
-    is_grey = template.channels < 3 and np.allclose(
-        colour, colour[..., :1], rtol=1e-5, atol=1e-6, equal_nan=True
-    )
-    if template.channels > 2 or is_grey:
+    if np.allclose(colour, colour[..., :1], rtol=1e-5, atol=1e-6, equal_nan=True):
         return template
     # A profile of a grey file is not valid for RGB.
     metadata = tuple(item for item in template.metadata if not item[0].startswith("ICCProfile"))
@@ -306,16 +299,14 @@ def _widen_grey(pixels: Float32, template: StillTemplate) -> StillTemplate:
 def _to_codes(pixels: Float32, template: StillTemplate) -> np.ndarray:
     """Invert `_to_light`, rounding half up."""
     finite = np.nan_to_num(pixels, nan=0.0, posinf=65504.0, neginf=0.0)
-    values: Float32 = finite[..., : 3 if template.channels > 2 else 1]
+    colour: Float32 = finite[..., : 3 if template.channels > 2 else 1]
+    alpha = finite[..., 3:4] if pixels.shape[-1] > 3 else np.ones_like(finite[..., :1])
+    is_divided = template.has_alpha and not (template.premultiplied and template.curve is LINEAR)
+    values = template.curve.to_code(_unpremultiply(colour, alpha) if is_divided else colour)
+    if is_divided and template.premultiplied:
+        values = values * alpha
     if template.has_alpha:
-        alpha = finite[..., 3:4] if pixels.shape[-1] > 3 else np.ones_like(finite[..., :1])
-        is_linear = template.premultiplied and template.curve is LINEAR
-        values = template.curve.to_code(values if is_linear else _unpremultiply(values, alpha))
-        if template.premultiplied and not is_linear:
-            values = values * alpha
         values = np.concatenate([values, alpha], axis=-1)
-    else:
-        values = template.curve.to_code(values)
     if template.dtype.kind == "f":
         largest = np.finfo(template.dtype).max
         bounded: np.ndarray = np.clip(values, -largest, largest).astype(template.dtype)

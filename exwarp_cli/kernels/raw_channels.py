@@ -37,19 +37,15 @@ def write_depths(
     normals: F32,  # [3 N]; [0] if unknown
     far: np.float32,
     out: F32,  # [N], written: depths above 0 and below `far`; else, and where NaN, +inf
-) -> bool:
-    """Write depths, +inf where the normal is (-1, -1, -1); return whether normals are finite."""
-    # In the same pass: one of its own took as long as this.
+) -> None:
+    """Write depths, +inf where the normal is (-1, -1, -1)."""
     infinite, mark = np.float32(np.inf), np.float32(-1)
-    finite = True
     for n in range(out.size):
         is_valid = (np.float32(0) < depth[n]) & (depth[n] < far)
         if normals.size > 0:
             x, y, z = normals[3 * n], normals[3 * n + 1], normals[3 * n + 2]
             is_valid &= (x != mark) | (y != mark) | (z != mark)
-            finite &= (abs(x) < infinite) & (abs(y) < infinite) & (abs(z) < infinite)
         out[n] = depth[n] if is_valid else infinite
-    return finite
 
 
 MIN_ID, MAX_ID = np.float32(-1), np.float32(2**31 - 128)

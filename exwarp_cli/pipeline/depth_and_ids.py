@@ -59,8 +59,8 @@ def with_depth_measured(shot: Shot) -> Shot:
     kinds = (DepthKind.UNKNOWN, DepthKind.AXIS, DepthKind.RAY)
     if Role.DEPTH in shot.layout and stated in kinds:
         ref = shot.layout.roles[Role.DEPTH][0]
-        planes, _ = read_planes(shot, shot.first, (ref,))
-        if is_negative(planes[ref].astype(np.float32, copy=False)):
+        written = read_planes(shot, shot.first, (ref,))[ref].values
+        if is_negative(written.astype(np.float32, copy=False)):
             evidence = f"{_depth_layer(shot)!r} is negative and read as the distance |z|"
             return replace(shot, depth=DepthReading(DepthKind.NEGATIVE, evidence=evidence))
     is_certain = stated in (DepthKind.AXIS, DepthKind.RAY, DepthKind.NEGATIVE) or (

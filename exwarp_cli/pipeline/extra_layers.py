@@ -177,15 +177,14 @@ class LayerStore:
             return self._frames[number]
         planes: dict[ChannelRef, Plane] = {}
         for group in self._groups:
-            decoded, windows = read_planes(self._shot, number, list(group))
-            for ref, is_half in group.items():
+            for ref, plane in read_planes(self._shot, number, list(group)).items():
                 # Copied, so that the part that it was decoded with can be freed.
-                if is_half and decoded[ref].dtype == np.float32:
+                if group[ref] and plane.values.dtype == np.float32:
                     with np.errstate(over="ignore"):  # another frame may hold the channel as float
-                        values = decoded[ref].astype(np.float16)
+                        values = plane.values.astype(np.float16)
                 else:
-                    values = np.ascontiguousarray(decoded[ref])
-                planes[ref] = Plane(values, windows[ref])
+                    values = np.ascontiguousarray(plane.values)
+                planes[ref] = replace(plane, values=values)
         self._frames[number] = planes
         roles = {refs: role for role, refs in self._shot.layout.roles.items()}
         broken = {}

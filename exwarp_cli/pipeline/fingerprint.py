@@ -200,5 +200,6 @@ def _reading_facts(source: Source, method: Method) -> dict[str, Any]:
         facts["depth"] = depth
     ids = source.geometry.ids
     if ids is not None:
-        facts["ids"] = ids.identity
+        moving = None if ids.dynamic is None else list(ids.dynamic.ids)
+        facts["ids"] = [ids.cryptomatte.aov, ids.cryptomatte.name, ids.rounded, moving]
     return facts

@@ -399,7 +399,7 @@ def count_broken(inputs: IntervalInputs, counted: Mapping[int, int]) -> dict[int
     counts = {}
     for frame in (inputs.frame, inputs.following, *(older.frame for older in inputs.history)):
         if frame is not None:
-            count = counted.get(frame.number, frame.broken)
+            count = counted.get(frame.number)
             counts[frame.number] = (
                 count_nonfinite((frame.image.pixels,)) if count is None else count
             )

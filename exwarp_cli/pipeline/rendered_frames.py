@@ -188,9 +188,8 @@ class RenderedReader:
         digest = digest_frame(self._sequence, number)
         facts = [__version__, FrameKind.RENDERED.value, digest, str(self._source.written_fps)]
         text = json.dumps([*facts, slot.key, slot.index])
-        recipe, broken = hashlib.sha256(text.encode()).hexdigest(), frames[0].broken
-        if broken is None:
-            broken = count_nonfinite((frames[0].image.pixels,))
+        recipe = hashlib.sha256(text.encode()).hexdigest()
+        broken = count_nonfinite((frames[0].image.pixels,))
         return RenderedFrame(path, frames[0], recipe, broken)
 
     def _read_as_key(self, shot: Shot, number: int) -> KeyFrame:

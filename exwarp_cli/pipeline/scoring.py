@@ -225,16 +225,17 @@ def broken_pixels_of(
             by_output = [truth] if source is job.source else []
             by_output += [in_rendered[view]] if in_rendered else []
             number = timeline.numbers[key]
-            counts = [(0, source.keys.nonfinite.of(number))]
+            counts = [(0, source.keys.nonfinite.counts[number])]
             for slot in (Slot(key, 0), *timeline.between(key)):
                 instant = None if source.slots is None else source.slot_number(slot)
                 if instant is not None and source.slots is not None:
-                    counts.append((slot.index, source.slots.nonfinite.of(instant)))
-                counts += [(slot.index, each.of(timeline.number(slot))) for each in by_output]
+                    counts.append((slot.index, source.slots.nonfinite.counts[instant]))
+                output = timeline.number(slot)
+                counts += [(slot.index, each.counts[output]) for each in by_output]
             broken += [
                 BrokenPixels(number, index, view, channels, pixels)
                 for index, by_channel in counts
-                for channels, pixels in by_channel
+                for channels, pixels in sorted(by_channel.items())
             ]
     return tuple(broken)
 

@@ -32,7 +32,7 @@ from exwarp_cli.io.footage import clip_rate, find_footage, is_plain, make_shot, 
 from exwarp_cli.io.frames import require_visible
 from exwarp_cli.io.generated_frames import frame_rate
 from exwarp_cli.io.layers import is_colour_alone, no_vectors_message
-from exwarp_cli.io.shot import Shot, open_shot, open_views
+from exwarp_cli.io.shot import Shot, open_shot
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.views import ALL
 from exwarp_cli.pipeline.depth_and_ids import (
@@ -264,8 +264,12 @@ def each_view(settings: SourceSettings) -> tuple[SourceSettings, ...]:
     """
     if settings.view != ALL or is_clip(settings.sequence):
         return (settings,)
-    shots = open_views(settings.sequence, ALL, *_channel_options(settings), settings.keep_going)
-    return tuple(replace(settings, view=shot.view) for shot in shots)
+    aovs, channel_map = _channel_options(settings)
+    channel_map = channel_map and replace(channel_map, view=None)  # all are asked for
+    shot = open_shot(settings.sequence, None, aovs, channel_map, settings.keep_going)
+    if not shot.views:
+        raise LayoutError(f"{shot.sequence.pattern} has no views; leave --view {ALL} out")
+    return tuple(replace(settings, view=view) for view in shot.views)
 
 
 def open_plain(settings: SourceSettings) -> Shot | None:
@@ -312,14 +316,16 @@ def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
         return shot, settings
     if Role.MOTION not in shot.layout:
         raise LayoutError(
-            f"{channel_map.option('motion')} is of no use, as no motion channels are recognised in "
-            f"{shot.sequence.pattern}; name them in channels.motion"
+            f"motion in the channel map {channel_map.path} is of no use, as no motion channels are "
+            f"recognised in {shot.sequence.pattern}; name them in channels.motion"
         )
     try:
         size = (shot.display.width, shot.display.height)
         parse_motion(channel_map.motion, motion_names(shot), size)
     except UsageError as error:
-        raise UsageError(f"{channel_map.option('motion')} is wrong: {error}") from error
+        raise UsageError(
+            f"motion in the channel map {channel_map.path} is wrong: {error}"
+        ) from error
     return shot, replace(settings, motion=channel_map.motion)
 
 

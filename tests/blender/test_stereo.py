@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.settings import SourceSettings
-from exwarp_cli.io.shot import open_views
+from exwarp_cli.io.shot import open_shot
 from exwarp_cli.pipeline.source import each_view, open_source
 from tests.stereo_layouts import convert, read_eyes
 
@@ -24,8 +24,8 @@ def shot(script, tmp_path_factory) -> Path:
 
 
 def test_blender_writes_both_views(shot):
-    views = open_views(str(shot / "keys"), "all")
-    assert [view.view for view in views] == ["left", "right"]
+    views = [open_shot(str(shot / "keys"), view) for view in ("left", "right")]
+    assert [view.view for view in views] == list(views[0].views) == ["left", "right"]
     assert {view.layout.producer for view in views} == {"Blender"}
     eyes = read_eyes(shot / "keys" / "shot.0001.exr")
     apart = np.abs(eyes["left"]["Position.X"] - eyes["right"]["Position.X"])

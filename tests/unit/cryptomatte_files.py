@@ -134,7 +134,7 @@ def ranks_in(path: Path, cryptomatte: Cryptomatte) -> np.ndarray:
     """Return the pixels of ranks 0 and 1, float32 [H, W, 4]."""
     with ExrFile(path) as file:
         channels = {c.name: c for part in file.parts for c in part.channels}
-        wanted = [channels[ref.name] for ref in cryptomatte.stencil]
+        wanted = [channels[ref.name] for ref in cryptomatte.ranks[0]]
         planes = file.read(wanted)
     return np.stack([planes[c] for c in wanted], axis=-1)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,13 +20,14 @@ def changed_planes(monkeypatch, change: Change) -> None:
     true = frames.read_planes
 
     def read_planes(shot, number, *groups):
-        planes, windows = true(shot, number, *groups)
+        planes = true(shot, number, *groups)
         for role, group in shot.layout.roles.items():
             if all(ref in planes for ref in group):
-                given = np.stack([planes[ref] for ref in group], axis=-1)
+                given = np.stack([planes[ref].values for ref in group], axis=-1)
                 made = change(shot, number, role, given)
                 for index, ref in enumerate(group):
-                    planes[ref] = np.ascontiguousarray(made[..., index])
-        return planes, windows
+                    values = np.ascontiguousarray(made[..., index])
+                    planes[ref] = replace(planes[ref], values=values)
+        return planes
 
     monkeypatch.setattr(frames, "read_planes", read_planes)

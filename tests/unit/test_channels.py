@@ -6,10 +6,10 @@ import pytest
 
 from exwarp_cli.domain.motion import PRESETS, AxisMap, MotionConvention
 from exwarp_cli.io.channels import (
+    CRYPTOMATTE_NAME,
     Layout,
     Role,
     detect_layout,
-    is_cryptomatte_name,
 )
 from exwarp_cli.io.exr.header import Channel
 
@@ -344,10 +344,10 @@ class TestThirdChannel:
      "ActorHitProxyMask00", "FinalImage_ActorHitProxyMask01"],
 )  # fmt: skip
 def test_cryptomatte_by_its_usual_names(layer):
-    assert is_cryptomatte_name(layer)
+    assert CRYPTOMATTE_NAME.search(layer)
     assert found(f"{layer}.RGBA").roles == {}
 
 
 @pytest.mark.parametrize("layer", ["object", "cryptid.mask", "HitProxy", "uCryptomatteManifest.x"])
 def test_other_names_are_no_cryptomatte(layer):
-    assert not is_cryptomatte_name(layer)
+    assert not CRYPTOMATTE_NAME.search(layer)

@@ -65,7 +65,7 @@ def test_two_beauties_are_named(folder):
 
 def test_versions_and_views_are_no_passes(folder):
     spec = folder("shot_v1.", "shot_v2.", "shot_left.")
-    assert find_aov_set(f"{spec}/shot_v1.####.exr") is None
+    assert find_aov_set(f"{spec}/shot_v1.####.exr").aovs == {}
     with pytest.raises(InputError, match="3 sequences"):
         find_sequence(str(spec))
 

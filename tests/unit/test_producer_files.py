@@ -68,7 +68,7 @@ def instant(files: Files, layout: Layout, number: int) -> MotionFrame:
     depth, normal, stencil = stack(Role.DEPTH), stack(Role.NORMAL), stack(Role.STENCIL)
     gbuffer = GBuffer(
         views()[0].scene.window,
-        None if depth is None else clean_depth(depth[..., 0], normal)[0],
+        None if depth is None else clean_depth(depth[..., 0], normal),
         normal,
         stack(Role.POSITION),
         None if stencil is None else clean_stencil(stencil[..., 0]),

@@ -299,14 +299,16 @@ class TestAovSets:
         assert find_aov_set(f"{tmp_path}/BMyStencil.0339.exr").colour.base.startswith("B")
 
     def test_an_ordinary_sequence_is_no_set(self, tmp_path):
-        assert find_aov_set(str(fill(tmp_path, "a.1.exr", "a.2.exr"))) is None
-        assert find_aov_set(str(self.dump(tmp_path / "x", "FinalImage"))) is None
+        spec = str(fill(tmp_path, "a.1.exr", "a.2.exr"))
+        found = find_aov_set(spec)
+        assert (found.colour, found.aovs) == (find_sequence(spec), {})
+        assert find_aov_set(str(self.dump(tmp_path / "x", "FinalImage"))).aovs == {}
 
     def test_the_set_of_a_pattern_leaves_other_sequences_alone(self, tmp_path):
         self.dump(tmp_path, *self.NAMES)
         fill(tmp_path, "other.1.exr")
-        assert find_aov_set(f"{tmp_path}/other.1.exr") is None
-        assert find_aov_set(f"{tmp_path}/MedievalMyStencil.%04d.exr") is not None
+        assert find_aov_set(f"{tmp_path}/other.1.exr").aovs == {}
+        assert find_aov_set(f"{tmp_path}/MedievalMyStencil.%04d.exr").aovs
 
 
 class TestOutputPattern:

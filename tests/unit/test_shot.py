@@ -9,13 +9,15 @@ import OpenEXR
 import pytest
 
 from exwarp_cli.domain.frame import place_on_canvas
+from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import LayoutError, MissingFrameError
 from exwarp_cli.io.channel_map import ChannelMap, parse_aovs
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.cryptomatte import IdReading, hash_name, surface_id
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.frames import read_image, read_raw
-from exwarp_cli.io.shot import open_shot, open_views
+from exwarp_cli.io.shot import open_shot
+from exwarp_cli.pipeline.source import each_view
 from tests.matrix import spread
 from tests.stereo_layouts import LAYOUTS
 from tests.stereo_shots import arguments, eyes_at, write_stereo
@@ -65,14 +67,11 @@ class TestStereoLayouts:
 
     def test_all_views_at_once(self, stereo):
         _, sequence, aovs = stereo
-        found = open_views(sequence, "all", parse_aovs(aovs))
-        assert [shot.view for shot in found] == ["left", "right"]
-        for shot in found:
-            alone = open_shot(sequence, shot.view, parse_aovs(aovs))
-            assert (shot.layout, shot.within) == (alone.layout, alone.within)
-            assert shot.sequence == alone.sequence and shot.aovs == alone.aovs
+        views = [each.view for each in each_view(SourceSettings(sequence, view="all", aovs=aovs))]
+        assert views == ["left", "right"]
+        found = [open_shot(sequence, view, parse_aovs(aovs)) for view in views]
+        assert [shot.view for shot in found] == views
         assert [shot.by_hand.get("view") for shot in found] == [None, "right"]
-        assert open_views(sequence, "right", parse_aovs(aovs))[0].view == "right"
 
     def test_an_unknown_view(self, stereo):
         _, sequence, aovs = stereo
@@ -83,7 +82,7 @@ class TestStereoLayouts:
 class TestViews:
     def test_the_names_are_the_same_for_every_view(self, tmp_path):
         folder = write_stereo(tmp_path / "nuke", "nuke", (1,))
-        left, right = open_views(str(folder), "all")
+        left, right = (open_shot(str(folder), view) for view in ("left", "right"))
         assert left.layout == right.layout and left.layout.producer == right.layout.producer
         names = [ref.name for ref in right.layout.roles[Role.MOTION]]
         assert names == ["forward.u", "forward.v", "backward.u", "backward.v"]
@@ -92,9 +91,10 @@ class TestViews:
         write_single(tmp_path / "a.0001.exr", rgba(3, 4))
         shot = open_shot(str(tmp_path))
         assert (shot.views, shot.view, shot.by_hand) == ((), "", {})
-        for view in ("left", "all"):
-            with pytest.raises(LayoutError, match=r"has no views"):
-                open_views(str(tmp_path), view)
+        with pytest.raises(LayoutError, match=r"has no views"):
+            open_shot(str(tmp_path), "left")
+        with pytest.raises(LayoutError, match=r"has no views; leave --view all out"):
+            each_view(SourceSettings(str(tmp_path), view="all"))
 
     def test_a_view_that_ends(self, tmp_path):
         write_stereo(tmp_path / "single", "single", (1,))
@@ -206,7 +206,7 @@ class TestAovs:
             write_cryptomatte(path, one, Style("uCryptoThing", header_name="uCryptoThing"), others)
         shot = self.open(split, "colour=main", spec="z")
         (found,) = shot.cryptomattes
-        assert {ref.aov for ref in found.refs} == {found.aov} == {"main"}
+        assert {ref.aov for rank in found.ranks for ref in rank} == {found.aov} == {"main"}
         assert Role.STENCIL not in shot.layout and shot.ids is None
         raw = read_raw(replace(shot, ids=IdReading(found)), 2, objects=True)
         assert (raw.gbuffer.objects == surface_id(hash_name("box"))).all()
@@ -285,4 +285,7 @@ class TestChannelMap:
         right = ChannelMap(tmp_path / "m", view="right")
         assert open_shot(str(folder), None, (), right).view == "right"
         assert open_shot(str(folder), "left", (), right).view == "left"
-        assert len(open_views(str(folder), "all", (), right)) == 2
+        for view in ("right", "none"):
+            (tmp_path / "m.toml").write_text(f'view = "{view}"\n')
+            settings = SourceSettings(str(folder), view="all", channel_map=str(tmp_path / "m.toml"))
+            assert [each.view for each in each_view(settings)] == ["left", "right"]

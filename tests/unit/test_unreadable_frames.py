@@ -126,7 +126,7 @@ class TestGaps:
         for number in (1, 3, 4, 5):
             (tmp_path / f"MotionVector.{number}.exr").touch()
         found = find_aov_set(str(tmp_path), gaps=True)
-        assert found is not None and found.leader.numbers == [1, 2, 3, 4]
+        assert found.leader.numbers == [1, 2, 3, 4]
         assert found.aovs["MotionVector"].numbers == [1, 2, 3, 4]
         assert found.aovs["MotionVector"].files[2] == tmp_path / "MotionVector.2.exr"
 

@@ -132,7 +132,7 @@ Buffer: TypeAlias = bytes | bytearray | memoryview
 
 @dataclass(frozen=True)
 class Plane:
-    """One channel of a generated frame: values [H, W] of any type, and their window."""
+    """One channel of a frame: values [H, W] of any type, and their window."""
 
     values: np.ndarray
     window: Window
