@@ -36,10 +36,10 @@ from exwarp_cli.io.exr.header import (
     Part,
     RawHeader,
     channels_in,
+    describe_part,
     file_format,
+    in_openimageio_order,
     name_channels,
-    part_from_header,
-    part_from_spec,
     window_of,
 )
 from exwarp_cli.io.exr.scanlines import (
@@ -113,20 +113,24 @@ def parse_header(path: Path, file: BinaryIO) -> FileHeader:
         header = replace(header, raw=raw, stamp=_stamp(status))
         layouts = parse_layouts(raw, file, status.st_size)
         header = replace(header, layouts=tuple(layouts))
-        for index, (values, layout) in enumerate(zip(raw.by_part(), layouts, strict=True)):
-            if layout is None:
+        # OpenImageIO opens what OpenEXR opens: so both readers accept the same files.
+        with report_reading(path):
+            attributes = raw.typed
+        by_part = zip(raw.by_part(), layouts, attributes, strict=True)
+        for index, (values, layout, own) in enumerate(by_part):
+            if layout is None or (b"multiView" in values and "multiView" not in own):
                 return header
-            part = part_from_header(index, values, layout.channels, len(layouts) > 1)
+            windows = layout.window, window_of(values, b"displayWindow")
+            channels = in_openimageio_order(layout.channels)
+            is_tiled = layout.tile is not None
+            part = describe_part(index, own, windows, channels, len(layouts) > 1, False, is_tiled)
             sides = part.data_window.shape + part.display_window.shape
             size = part.data_window.pixels * sum(layout.sizes)
             count = len(part.channels)
             if max(sides) > USUAL_SIZE or count > USUAL_CHANNELS or size > USUAL_BYTES:
                 return header
             parts.append(part)
-        # OpenImageIO opens what OpenEXR opens: so both readers accept the same files.
-        with report_reading(path):
-            if len(raw.typed) == len(parts):
-                return replace(header, parts=name_channels(parts))
+        return replace(header, parts=name_channels(parts))
     except (OSError, RuntimeError, ValueError, ArithmeticError, DamagedFileError):
         pass
     return header
@@ -215,7 +219,20 @@ class ExrFile(AbstractContextManager["ExrFile"]):
                 specs.append(spec)
         if not specs:
             raise damaged_error(self.path, "it holds no image")
-        parts = [part_from_spec(i, spec, len(specs) > 1) for i, spec in enumerate(specs)]
+        parts = []
+        for index, spec in enumerate(specs):
+            names = {"name": "oiio:subimagename", "view": "view", "multiView": "multiView"}
+            own = {name: spec.getattribute(key) for name, key in names.items()}
+            data = Window(spec.x, spec.y, spec.width, spec.height)
+            display = Window(spec.full_x, spec.full_y, spec.full_width, spec.full_height)
+            types = [str(t) for t in spec.channelformats] or [str(spec.format)] * spec.nchannels
+            channels = zip(spec.channelnames, types, strict=True)
+            is_deep, is_tiled, is_multipart = bool(spec.deep), spec.tile_width > 0, len(specs) > 1
+            parts.append(
+                describe_part(
+                    index, own, (data, display), channels, is_multipart, is_deep, is_tiled
+                )
+            )
         if any(spec.getattribute("textureformat") == CUBE_MAP for spec in specs):
             # OpenImageIO gives a cube map with smaller levels the window of a single face.
             if raw is None:
