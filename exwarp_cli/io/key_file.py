@@ -25,8 +25,6 @@ from exwarp_cli.io.exr.reader import HeaderCache, damaged_error, parse_header
 from exwarp_cli.io.exr.writer import PREFIX
 from exwarp_cli.io.files import (
     CHECKSUM_ZEROS,
-    COPY_BYTES,
-    atomic_copy,
     atomic_path,
     compute_checksum,
     new_checksum,
@@ -36,6 +34,8 @@ from exwarp_cli.io.generated_frames import CHECKSUM, is_intact, seal
 from exwarp_cli.io.sequences import EXR
 
 RATE = b"framesPerSecond"
+
+COPY_BYTES = 1 << 23  # that are copied at a time
 
 # Formats of numbers that a rate may be, beside rationals and text.
 _NUMBER_FORMATS = {b"int": "<i", b"float": "<f", b"double": "<d"}
@@ -89,9 +89,6 @@ class KeyFile:
 
     def write(self, target: Path) -> None:
         """Write the file atomically; errors are those of `pieces`, and OutputError."""
-        if not self.head and self.opened is None:
-            atomic_copy(self.source, target)
-            return
         with atomic_path(target) as temporary, temporary.open("wb") as file:
             file.writelines(self.pieces())
 
