@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import ranges
@@ -26,6 +26,8 @@ from exwarp_cli.models.policy_files import PAPER
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.job import Job
+
+Settings = TypeVar("Settings", UpsampleSettings, SourceSettings)
 
 # Keeps a worker's environment, and settings files there, from changing the job.
 ISOLATED = "--isolated"
@@ -171,24 +173,19 @@ def _split_existing(path: Path) -> tuple[Path, str]:
     return folder, "" if folder == path else path.relative_to(folder).as_posix()
 
 
-def absolute(settings: UpsampleSettings) -> UpsampleSettings:
+def absolute(settings: Settings) -> Settings:
     """Return settings whose paths do not depend on the folder in which a process runs."""
-    source = replace(settings.source, **_absolute_paths(settings.source))
-    return replace(settings, source=source, **_absolute_paths(settings))
-
-
-def _absolute_paths(settings: UpsampleSettings | SourceSettings) -> dict[str, Any]:
     paths: dict[str, Any] = {}
     for name in (f.name for f in fields(settings)):
         value = getattr(settings, name)
-        if not names_files(name, value):
-            continue
-        if PATH_ROLES[name].kind is ValueKind.AOV:  # ROLE=PATTERN[:CHANNELS]
-            parts = (aov.partition("=") for aov in value)
+        if isinstance(value, SourceSettings):
+            paths[name] = absolute(value)
+        elif names_files(name, value) and PATH_ROLES[name].kind is ValueKind.AOV:
+            parts = (aov.partition("=") for aov in value)  # ROLE=PATTERN[:CHANNELS]
             paths[name] = tuple(f"{role}{equals}{_absolute(path)}" for role, equals, path in parts)
-        else:
+        elif names_files(name, value):
             paths[name] = _absolute(value)
-    return paths
+    return replace(settings, **paths)
 
 
 def _absolute(text: str) -> str:

@@ -75,7 +75,7 @@ class Clip:
     _packets: Packets
     _is_indexed: bool
     _decoder: tuple[str, ...] = ()
-    _is_deinterlaced: bool = False
+    is_deinterlaced: bool = False  # whether frames are made of two fields
     _full_alpha: int = 255
 
     @property
@@ -94,12 +94,6 @@ class Clip:
         from exwarp_cli.io.key_file import file_digest  # OpenEXR, which is not needed to decode
 
         return file_digest(self.path)
-
-    @property
-    def reading(self) -> tuple[str, ...]:
-        """Names of what its frames depend on beside the file."""
-        names = {"alpha": self.has_alpha, "deinterlaced": self._is_deinterlaced}
-        return tuple(name for name, applies in names.items() if applies)
 
     def sound(self, start: Fraction | int, stop: Fraction | int | None) -> Soundtrack | None:
         """Return the sound that goes with the frames [start, stop); None where it is silent."""
@@ -140,7 +134,7 @@ class Clip:
         needs the key frame before; by the order of showing it is behind that one.
         """
         packets = self._packets
-        first = (packets.cut(source) or 0) - self._is_deinterlaced  # fields need the frame before
+        first = (packets.cut(source) or 0) - self.is_deinterlaced  # fields need the frame before
         before = bisect_right(packets.keys, first) - 1
         if not self._is_indexed or before < 1 or packets.least_step <= 0:
             return 0
@@ -151,7 +145,7 @@ class Clip:
         names = ("rgb48le", "rgba64le") if self.deep else ("rgb24", "rgba")
         pixels = names[self.has_alpha]
         seek = ["-ss", f"{float(self._packets.time(begin)):.6f}"] if begin else []
-        fields = f"{DEINTERLACE}," if self._is_deinterlaced else ""
+        fields = f"{DEINTERLACE}," if self.is_deinterlaced else ""
         conversion = (
             f"scale={self.width}:{self.height}:in_color_matrix={MATRICES[self.look.colour.matrix]}:"
             f"out_range=pc:{EXACT_SCALING},format={pixels}"

@@ -15,7 +15,6 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from threading import Lock
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -341,7 +340,6 @@ class HeaderCache:
 
     _headers: OrderedDict[Path, FileHeader] = field(default_factory=OrderedDict)
     _decoded_here: dict[str, bool] = field(default_factory=dict)
-    _lock: Lock = field(default_factory=Lock)
 
     def open(self, path: Path, aov: str) -> ExrFile:
         """Open a file of an AOV, the way that was right for the one before; see `ExrFile`."""
@@ -352,8 +350,7 @@ class HeaderCache:
 
     def read(self, path: Path) -> FileHeader:
         """Return the header of a file; raises as `ExrFile` does."""
-        with self._lock:
-            header = self._headers.get(path)
+        header = self._headers.get(path)
         with suppress(OSError):
             if header is not None and header.stamp == _stamp(path.stat()):
                 return header
@@ -363,12 +360,11 @@ class HeaderCache:
 
     def keep(self, path: Path, header: FileHeader) -> None:
         """Keep a header as the newest; one without parts drops what is kept of that file."""
-        with self._lock:
-            self._headers.pop(path, None)
-            if header.parts:
-                self._headers[path] = header
-            while len(self._headers) > MAX_HEADERS:
-                self._headers.popitem(last=False)
+        self._headers.pop(path, None)
+        if header.parts:
+            self._headers[path] = header
+        while len(self._headers) > MAX_HEADERS:
+            self._headers.popitem(last=False)
 
 
 def open_image(path: Path) -> oiio.ImageInput:
