@@ -10,7 +10,6 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -269,20 +268,20 @@ class FarmJob:
         return [*arguments, existing, "--frames", Placeholder.FRAMES]
 
     @property
-    def merging(self) -> list[Argument] | None:
-        """The command that joins the chunks' reports; None without a report."""
-        report = self.path("report_folder")
-        return None if report is None else ["merge-reports", ISOLATED, report, "--overwrite"]
+    def afterwards(self) -> dict[str, list[Argument]]:
+        """The commands to run when all chunks are done, by the names of their steps.
 
-    @property
-    def filming(self) -> list[Argument] | None:
-        """The command that makes the video of the finished frames; None without a video."""
-        video = self.path("video")
-        if video is None:
-            return None
-        without = (*AFTERWARDS, "write_holes", *(() if self.needs_truth else SCORING))
-        arguments = [*self._upsample(without), "--skip-existing", "--video", video]
-        return [*arguments, "--frames", Placeholder.ALL_FRAMES]
+        One joins the chunks' reports, one makes the video of the finished frames.
+        """
+        report, video = self.path("report_folder"), self.path("video")
+        commands: dict[str, list[Argument]] = {}
+        if report is not None:
+            commands["Report"] = ["merge-reports", ISOLATED, report, "--overwrite"]
+        if video is not None:
+            without = (*AFTERWARDS, "write_holes", *(() if self.needs_truth else SCORING))
+            arguments = [*self._upsample(without), "--skip-existing", "--video", video]
+            commands["Video"] = [*arguments, "--frames", Placeholder.ALL_FRAMES]
+        return commands
 
     def _upsample(self, without: Iterable[str]) -> list[Argument]:
         words: list[Argument] = ["upsample", ISOLATED]
@@ -309,14 +308,6 @@ def frames_text(numbers: Sequence[int]) -> str:
     return ranges(list(numbers)).replace("x", ":")
 
 
-def is_dense(numbers: Sequence[int]) -> bool:
-    """Return whether any two key frames have neighbouring numbers.
-
-    Of others, such as 10, 14, 18, a range without a step holds a single one.
-    """
-    return len(numbers) < 2 or any(b - a == 1 for a, b in pairwise(numbers))
-
-
 def command_lines(
     job: FarmJob, program: str
 ) -> tuple[list[tuple[str, list[str]]], list[list[str]]]:
@@ -337,10 +328,9 @@ def command_lines(
         return words
 
     frames = [frames_text(chunk) for chunk in split(job.numbers, job.size)]
-    afterwards = [command for command in (job.merging, job.filming) if command is not None]
     return (
         [(text, fill(job.chunk, text)) for text in frames],
-        [fill(command, all_frames) for command in afterwards],
+        [fill(command, all_frames) for command in job.afterwards.values()],
     )
 
 

@@ -8,7 +8,6 @@ and adds a date.
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 import struct
 from collections.abc import Iterator, Mapping
@@ -99,17 +98,6 @@ class KeyFile:
             return False
         with target.open("rb") as file:
             return all(file.read(len(piece)) == piece for piece in self.pieces())
-
-    def begins_with(self, data: bytes) -> bool:
-        """Return True if these bytes are the beginning of the file."""
-        beginning = io.BytesIO(data)
-        for piece in self.pieces():
-            expected = beginning.read(len(piece))
-            if not piece.startswith(expected):
-                return False
-            if len(expected) < len(piece):
-                return True  # without reading on
-        return not beginning.read(1)
 
     def digest(self) -> str:
         """Return the checksum of the file, hexadecimal; see `exwarp_cli.io.files`."""

@@ -73,10 +73,10 @@ class FileHeader:
     """The headers of a file."""
 
     path: Path
-    parts: tuple[Part, ...]  # its parts; empty where OpenImageIO has to read them
-    raw: RawHeader | None  # the headers as bytes; None where they are not understood here
+    parts: tuple[Part, ...] = ()  # its parts; empty where OpenImageIO has to read them
+    raw: RawHeader | None = None  # the headers as bytes; None where they are not understood here
     # How each part is stored; None for a part that OpenImageIO has to read
-    layouts: tuple[ChunkLayout | None, ...]
+    layouts: tuple[ChunkLayout | None, ...] = ()
     # Device, inode, size and time, by which another file at the path is noticed
     stamp: tuple[int, ...] = ()
 
@@ -105,7 +105,7 @@ def parse_header(path: Path, file: BinaryIO) -> FileHeader:
 
     Without parts, only OpenImageIO can say what the file holds, or what is wrong.
     """
-    header, parts = FileHeader(path, (), None, ()), []
+    header, parts = FileHeader(path), []
     try:
         status = os.fstat(file.fileno())
         raw = RawHeader.read(file, status.st_size)
@@ -158,11 +158,7 @@ class ExrFile(AbstractContextManager["ExrFile"]):
         self._image: oiio.ImageInput | None = None
         self._has_failed = False
         self.header: FileHeader = with_retries(path, self._open)
-
-    @property
-    def parts(self) -> tuple[Part, ...]:
-        """The parts of the file."""
-        return self.header.parts
+        self.parts = self.header.parts
 
     def __exit__(self, *exc: object) -> None:
         self._close()
@@ -184,7 +180,7 @@ class ExrFile(AbstractContextManager["ExrFile"]):
             raise InputError(
                 f"cannot read {path}: its name or a folder's is not valid UTF-8; rename that"
             ) from error
-        header = FileHeader(path, (), None, ())
+        header = FileHeader(path)
         try:
             if self._by_openimageio:
                 with suppress(InputError):
