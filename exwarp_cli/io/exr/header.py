@@ -174,21 +174,6 @@ class RawHeader:
         return headers
 
     @cached_property
-    def texts(self) -> tuple[dict[str, str], ...]:
-        """The attributes of each part that are text, and the compression's name.
-
-        Text that is no UTF-8 keeps its bytes as lone surrogates.
-        """
-        headers: tuple[dict[str, str], ...] = tuple({} for _ in range(self.part_count))
-        for attribute in self.attributes:
-            texts, value = headers[attribute.part], attribute.value
-            if attribute.kind == b"string" and (value := value.partition(b"\0")[0]):
-                texts[decode(attribute.name)] = decode(value)
-            elif attribute.kind == b"compression" and value and value[0] < len(COMPRESSION_NAMES):
-                texts[decode(attribute.name)] = COMPRESSION_NAMES[value[0]]
-        return headers
-
-    @cached_property
     def typed(self) -> tuple[dict[str, Any], ...]:
         """The attributes of each part as OpenEXR's bindings have them.
 

@@ -13,7 +13,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -29,12 +29,14 @@ from exwarp_cli.errors import (
     thread_limit_error,
 )
 from exwarp_cli.io.exr.header import (
+    COMPRESSION_NAMES,
     MAGIC,
     SIGNATURE_BYTES,
     Channel,
     Part,
     RawHeader,
     channels_in,
+    decode,
     describe_part,
     file_format,
     in_openimageio_order,
@@ -80,10 +82,21 @@ class FileHeader:
     # Device, inode, size and time, by which another file at the path is noticed
     stamp: tuple[int, ...] = ()
 
-    @property
+    @cached_property
     def texts(self) -> tuple[dict[str, str], ...]:
-        """Attributes of each part that are text, and its compression's name."""
-        return tuple({} for _ in self.parts) if self.raw is None else self.raw.texts
+        """The attributes of each part that are text, and the compression's name.
+
+        Text that is no UTF-8 keeps its bytes as lone surrogates.
+        """
+        count = len(self.parts) if self.raw is None else self.raw.part_count
+        headers: tuple[dict[str, str], ...] = tuple({} for _ in range(count))
+        for attribute in () if self.raw is None else self.raw.attributes:
+            texts, value = headers[attribute.part], attribute.value
+            if attribute.kind == b"string" and (value := value.partition(b"\0")[0]):
+                texts[decode(attribute.name)] = decode(value)
+            elif attribute.kind == b"compression" and value and value[0] < len(COMPRESSION_NAMES):
+                texts[decode(attribute.name)] = COMPRESSION_NAMES[value[0]]
+        return headers
 
     @property
     def attributes(self) -> tuple[dict[str, Any], ...]:

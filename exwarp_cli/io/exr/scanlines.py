@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
-from threading import Lock, local
+from threading import Lock
 from typing import BinaryIO, TypeAlias
 
 import deflate
@@ -74,7 +74,7 @@ REQUIRED = {
 # part's channels and its place in the array or -1; and that array, bits, uint32 [H, W, C]
 _Destination: TypeAlias = tuple[I64, np.ndarray]
 
-_NO_BYTES, _NO_OFFSETS = np.empty(0, np.uint8), np.empty(0, np.int64)
+_NO_OFFSETS = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -204,17 +204,10 @@ class FileBytes:
 
     _file: BinaryIO
     _lock: Lock = field(default_factory=Lock)
-    _thread: local = field(default_factory=local)
 
     def read_padded(self, start: int, size: int) -> U8:
-        """Read bytes, fewer where the file ends, and append `INPUT_PADDING` bytes of any value.
-
-        They stay until this thread reads the next ones.
-        """
-        # Fresh memory for each run of blocks took as long as half of the reading.
-        out: U8 = getattr(self._thread, "buffer", _NO_BYTES)
-        if len(out) < size + INPUT_PADDING:
-            out = self._thread.buffer = np.zeros(size + INPUT_PADDING, np.uint8)
+        """Read bytes, fewer where the file ends, and append `INPUT_PADDING` bytes of any value."""
+        out = np.empty(size + INPUT_PADDING, np.uint8)
         filled = 0
         while filled < size:
             if hasattr(os, "preadv"):
