@@ -44,7 +44,6 @@ from exwarp_cli.io.exr.header import (
     window_of,
 )
 from exwarp_cli.io.exr.scanlines import (
-    ChannelRequest,
     ChunkLayout,
     parse_layouts,
     read_blocks,
@@ -282,13 +281,12 @@ class ExrFile(AbstractContextManager["ExrFile"]):
         is_interpreted = os.environ.get("NUMBA_DISABLE_JIT", "0") != "0"
         requests = {}
         for key, channels in groups.items():
-            _, index, is_integer = key
+            _, index, _ = key
             layout = self.header.layouts[index] if index < len(self.header.layouts) else None
             if layout is None or not layout.is_decoded_here or is_interpreted:
                 continue
             if layout.window == self.parts[index].data_window:
-                names = tuple(channel.raw_name for channel in channels)
-                requests[key] = ChannelRequest(layout, names, is_integer)
+                requests[key] = layout, channels
         out: dict[Channel, np.ndarray] = {}
         try:
             with report_reading(self.path):
