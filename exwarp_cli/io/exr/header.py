@@ -125,6 +125,7 @@ class RawHeader:
 
     data: bytes  # the file's bytes up to the chunk offset tables
     attributes: tuple[Attribute, ...]  # of all parts, in the order of the file; at least one
+    flags: int  # bits of the version field, with the version's number in the lowest byte
 
     @classmethod
     def read(cls, file: BinaryIO, size: int) -> RawHeader:
@@ -148,13 +149,9 @@ class RawHeader:
                 length *= 8
         if not attributes:
             raise ValueError("a header is empty")
-        is_multipart = bool(int.from_bytes(data[4:BODY], "little") & MULTIPART)
-        return cls(data[: attributes[-1].end + 1 + is_multipart], attributes)
-
-    @property
-    def flags(self) -> int:
-        """Bits of the version field, with the version's number in the lowest byte."""
-        return int.from_bytes(self.data[4:BODY], "little")
+        flags = int.from_bytes(data[4:BODY], "little")
+        end = attributes[-1].end + 1 + bool(flags & MULTIPART)
+        return cls(data[:end], attributes, flags)
 
     @property
     def part_count(self) -> int:
