@@ -348,12 +348,8 @@ class VideoFromFrames(ResourceOwner):
 
     def _open(self, stack: ExitStack) -> None:
         self._frames = stack.enter_context(make_writer(self._job))
+        self.remarks = self._frames.remarks  # what a user has to know about the video
         self._writer = stack.enter_context(AsyncWriter(1, len(self._job.slots)))
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What a user has to know about the video; see `VideoWriter.remarks`."""
-        return self._frames.remarks
 
     def append(self, keys: Iterable[int], missing: Collection[int] = ()) -> None:
         """Append the frames of key intervals; of `missing` output numbers, the frame before."""

@@ -10,9 +10,8 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import ranges
@@ -26,6 +25,8 @@ from exwarp_cli.models.policy_files import PAPER
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.job import Job
+
+Settings = TypeVar("Settings", UpsampleSettings, SourceSettings)
 
 # Keeps a worker's environment, and settings files there, from changing the job.
 ISOLATED = "--isolated"
@@ -171,24 +172,19 @@ def _split_existing(path: Path) -> tuple[Path, str]:
     return folder, "" if folder == path else path.relative_to(folder).as_posix()
 
 
-def absolute(settings: UpsampleSettings) -> UpsampleSettings:
+def absolute(settings: Settings) -> Settings:
     """Return settings whose paths do not depend on the folder in which a process runs."""
-    source = replace(settings.source, **_absolute_paths(settings.source))
-    return replace(settings, source=source, **_absolute_paths(settings))
-
-
-def _absolute_paths(settings: UpsampleSettings | SourceSettings) -> dict[str, Any]:
     paths: dict[str, Any] = {}
     for name in (f.name for f in fields(settings)):
         value = getattr(settings, name)
-        if not names_files(name, value):
-            continue
-        if PATH_ROLES[name].kind is ValueKind.AOV:  # ROLE=PATTERN[:CHANNELS]
-            parts = (aov.partition("=") for aov in value)
+        if isinstance(value, SourceSettings):
+            paths[name] = absolute(value)
+        elif names_files(name, value) and PATH_ROLES[name].kind is ValueKind.AOV:
+            parts = (aov.partition("=") for aov in value)  # ROLE=PATTERN[:CHANNELS]
             paths[name] = tuple(f"{role}{equals}{_absolute(path)}" for role, equals, path in parts)
-        else:
+        elif names_files(name, value):
             paths[name] = _absolute(value)
-    return paths
+    return replace(settings, **paths)
 
 
 def _absolute(text: str) -> str:
@@ -272,20 +268,20 @@ class FarmJob:
         return [*arguments, existing, "--frames", Placeholder.FRAMES]
 
     @property
-    def merging(self) -> list[Argument] | None:
-        """The command that joins the chunks' reports; None without a report."""
-        report = self.path("report_folder")
-        return None if report is None else ["merge-reports", ISOLATED, report, "--overwrite"]
+    def afterwards(self) -> dict[str, list[Argument]]:
+        """The commands to run when all chunks are done, by the names of their steps.
 
-    @property
-    def filming(self) -> list[Argument] | None:
-        """The command that makes the video of the finished frames; None without a video."""
-        video = self.path("video")
-        if video is None:
-            return None
-        without = (*AFTERWARDS, "write_holes", *(() if self.needs_truth else SCORING))
-        arguments = [*self._upsample(without), "--skip-existing", "--video", video]
-        return [*arguments, "--frames", Placeholder.ALL_FRAMES]
+        One joins the chunks' reports, one makes the video of the finished frames.
+        """
+        report, video = self.path("report_folder"), self.path("video")
+        commands: dict[str, list[Argument]] = {}
+        if report is not None:
+            commands["Report"] = ["merge-reports", ISOLATED, report, "--overwrite"]
+        if video is not None:
+            without = (*AFTERWARDS, "write_holes", *(() if self.needs_truth else SCORING))
+            arguments = [*self._upsample(without), "--skip-existing", "--video", video]
+            commands["Video"] = [*arguments, "--frames", Placeholder.ALL_FRAMES]
+        return commands
 
     def _upsample(self, without: Iterable[str]) -> list[Argument]:
         words: list[Argument] = ["upsample", ISOLATED]
@@ -312,14 +308,6 @@ def frames_text(numbers: Sequence[int]) -> str:
     return ranges(list(numbers)).replace("x", ":")
 
 
-def is_dense(numbers: Sequence[int]) -> bool:
-    """Return whether any two key frames have neighbouring numbers.
-
-    Of others, such as 10, 14, 18, a range without a step holds a single one.
-    """
-    return len(numbers) < 2 or any(b - a == 1 for a, b in pairwise(numbers))
-
-
 def command_lines(
     job: FarmJob, program: str
 ) -> tuple[list[tuple[str, list[str]]], list[list[str]]]:
@@ -340,10 +328,9 @@ def command_lines(
         return words
 
     frames = [frames_text(chunk) for chunk in split(job.numbers, job.size)]
-    afterwards = [command for command in (job.merging, job.filming) if command is not None]
     return (
         [(text, fill(job.chunk, text)) for text in frames],
-        [fill(command, all_frames) for command in afterwards],
+        [fill(command, all_frames) for command in job.afterwards.values()],
     )
 
 

@@ -14,6 +14,7 @@ import os.path
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,6 @@ from exwarp_cli.farm.farm_job import (
     PathOption,
     Placeholder,
     frames_text,
-    is_dense,
     split,
 )
 from exwarp_cli.io.files import atomic_write_text, make_folder, path_exists
@@ -204,11 +204,12 @@ def _chunked_frames(job: FarmJob, workers: Workers, parameters: _Parameters) -> 
         "the size.",
         minValue=0,
     )
+    # Frames numbered 10, 14, 18 … would each be a contiguous range.
+    is_dense = len(job.numbers) < 2 or any(b - a == 1 for a, b in pairwise(job.numbers))
     chunks = {
         "defaultTaskCount": count,
         "targetRuntimeSeconds": seconds,
-        # Frames numbered 10, 14, 18 … would each be a contiguous range.
-        "rangeConstraint": "CONTIGUOUS" if is_dense(job.numbers) else "NONCONTIGUOUS",
+        "rangeConstraint": "CONTIGUOUS" if is_dense else "NONCONTIGUOUS",
     }
     frames = {"name": "Frames", "type": "CHUNK[INT]", "range": all_frames, "chunks": chunks}
     return all_frames, frames
@@ -248,12 +249,13 @@ def _steps(
     requires: Data = {"hostRequirements": {"amounts": amounts}} if amounts else {}
     after: Data = {"dependencies": [{"dependsOn": "Upsample"}]}
     tasks = {"parameterSpace": {"taskParameterDefinitions": [space]}}
-    steps = [step("Upsample", job.chunk, tasks, requires)]
-    if job.merging is not None:
-        steps.append(step("Report", job.merging, after, {}))
-    if job.filming is not None:
-        steps.append(step("Video", job.filming, after, requires))
-    return steps
+    return [
+        step("Upsample", job.chunk, tasks, requires),
+        *(
+            step(name, command, after, {} if name == "Report" else requires)
+            for name, command in job.afterwards.items()
+        ),
+    ]
 
 
 def _require_length(value: str, label: str) -> None:

@@ -11,7 +11,6 @@ import errno
 import itertools
 import os
 import re
-import shutil
 import socket
 import sys
 import time
@@ -19,12 +18,12 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import xxhash
 
 from exwarp_cli.domain.wording import first_line
-from exwarp_cli.errors import DamagedFileError, InputError, OutputError, UnreadableError
+from exwarp_cli.errors import DamagedFileError, OutputError, UnreadableError
 from exwarp_cli.runtime.cores import release_cores
 from exwarp_cli.runtime.stop import check_stop, clean_up_after
 
@@ -37,8 +36,6 @@ TEMPORARY_SUFFIX = ".exwarp-tmp"
 # machine can say whether a process lives. A day is longer than any frame takes, and longer than the
 # clocks of a farm differ.
 FOREIGN_AGE_S = 24 * 3600
-
-COPY_BYTES = 1 << 23  # that are copied at a time
 
 # The checksum of a generated file is that of the whole file, with its own digits as zeros. XXH128
 # shows whatever disks and networks do to a file; a checksum that stands in the file itself cannot
@@ -179,55 +176,6 @@ def atomic_write_bytes(path: Path, *pieces: bytes | bytearray | memoryview) -> N
 def atomic_write_text(path: Path, text: str) -> None:
     """Write a whole UTF-8 file with ``\\n`` line ends, or none; raises OutputError."""
     atomic_write_bytes(path, text.encode("utf-8"))
-
-
-def atomic_copy(source: Path, target: Path) -> None:
-    """Copy a file byte for byte, all or nothing.
-
-    Raises InputError when there is no such source. Raises UnreadableError when the system does not
-    let the source through. Raises OutputError when the copy cannot be written.
-    """
-
-    def copy() -> None:
-        with source.open("rb", buffering=0) as reader:
-            try:
-                # Modes and times are the new file's own.
-                with atomic_path(target) as temporary, temporary.open("wb") as writer:
-                    if not _copy_by_system(reader, writer):
-                        reader.seek(0)
-                        writer.seek(0)
-                        writer.truncate()
-                        shutil.copyfileobj(reader, writer, COPY_BYTES)
-            except OutputError:
-                failure = find_read_error(source)  # a copy does not say which file failed
-                if failure is None:
-                    raise
-                raise failure from None
-
-    try:
-        with_retries(source, copy)
-    except OSError as error:
-        raise InputError(
-            f"cannot read {source}: {error.strerror or error}; check the path and its rights"
-        ) from error
-
-
-def _copy_by_system(source: BinaryIO, target: BinaryIO) -> bool:
-    """Have the file system copy a file; return whether it did so to the end."""
-    # Some share the blocks (XFS, Btrfs, ZFS) or let the server do it (NFS 4.2, SMB), so that no
-    # byte passes through this machine; for others the kernel moves them. Those that cannot fail in
-    # many ways, and a real error occurs again in the usual copy.
-    if not hasattr(os, "copy_file_range"):
-        return False
-    with suppress(OSError):
-        remaining = os.fstat(source.fileno()).st_size
-        while remaining > 0:
-            copied = os.copy_file_range(source.fileno(), target.fileno(), remaining)
-            if copied == 0:
-                break
-            remaining -= copied
-        return remaining == 0
-    return False
 
 
 def make_folder(path: Path) -> None:
@@ -388,11 +336,6 @@ def system_failure(path: Path, error: BaseException) -> OSError | None:
         if isinstance(cause, OSError) and cause.errno is not None:
             return None if cause.errno in _PATH_ERRORS else cause
         cause = cause.__cause__
-    return find_read_error(path)
-
-
-def find_read_error(path: Path) -> OSError | None:
-    """Read a file to its end; return the error by which the system refuses that, else None."""
     try:
         # Without waiting, as a pipe has no end.
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
@@ -401,8 +344,8 @@ def find_read_error(path: Path) -> OSError | None:
                 pass
         finally:
             os.close(handle)
-    except OSError as error:
-        return None if error.errno in _PATH_ERRORS else error
+    except OSError as failure:
+        return None if failure.errno in _PATH_ERRORS else failure
     return None
 
 

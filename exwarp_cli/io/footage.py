@@ -186,7 +186,10 @@ def read_display_window(sequence: Sequence, number: int) -> Window:
 def digest_frame(sequence: Sequence, number: int) -> str:
     """Digest what a frame of a video or of stills depends on."""
     if isinstance(sequence, ClipSequence):
-        return " ".join((sequence.clip.digest, str(number), *sequence.clip.reading))
+        clip = sequence.clip
+        names = {"alpha": clip.has_alpha, "deinterlaced": clip.is_deinterlaced}
+        reading = (name for name, applies in names.items() if applies)
+        return " ".join((clip.digest, str(number), *reading))
     return file_digest(sequence.files[number])
 
 

@@ -15,7 +15,6 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from fractions import Fraction
 from functools import reduce
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -23,7 +22,6 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, Image, Window, place_on_canvas
-from exwarp_cli.domain.timeline import parse_rate
 from exwarp_cli.errors import DamagedFileError, InputError, OutputError, UsageError
 from exwarp_cli.io.exr.header import MAGIC, replace_non_utf8, restore_non_utf8
 from exwarp_cli.io.exr.reader import read_headers
@@ -78,16 +76,15 @@ OPENEXR_COMPRESSIONS = {
 # What a generated frame takes over from its key frame's file.
 FrameTemplate: TypeAlias = Template | StillTemplate
 
+# The attribute's digits are the group. It is searched for in the whole file: a Cryptomatte's
+# manifest, which comes before it, may be megabytes long.
 _CHECKSUM_PATTERN = re.compile(
     re.escape(CHECKSUM.encode() + b"\0string\0" + CHECKSUM_DIGITS.to_bytes(4, "little"))
+    + b"(.{%d})" % CHECKSUM_DIGITS,
+    re.DOTALL,
 )
 _PROGRAM_NAME = re.compile(rb"ExWarp \d")
 _NAME_RANGE = 4096  # bytes from both ends in which a format keeps the program's name
-
-
-def frame_rate(header: Mapping[str, Any]) -> Fraction | None:
-    """Return framesPerSecond from a header, of any type; None when absent or not positive."""
-    return parse_rate(header.get("framesPerSecond"))
 
 
 def parse_compression(name: str | None) -> Any:
@@ -186,13 +183,13 @@ def seal(head: Buffer, *rest: Buffer) -> list[Buffer]:
 
     The header is in the first piece, which is changed in place if it can be.
     """
-    start = _find_checksum(head)
-    if start is None:
+    match = _CHECKSUM_PATTERN.search(head)
+    if match is None:
         raise ValueError("no place for the checksum")
     sealed = memoryview(head)
     if sealed.readonly:
         sealed = memoryview(bytearray(head))
-    digits = sealed[start : start + CHECKSUM_DIGITS]
+    digits = sealed[match.start(1) : match.end(1)]
     digits[:] = CHECKSUM_ZEROS.encode()
     digits[:] = compute_checksum((sealed, *rest)).encode()
     return [sealed, *rest]
@@ -200,20 +197,12 @@ def seal(head: Buffer, *rest: Buffer) -> list[Buffer]:
 
 def is_intact(data: bytes) -> bool:
     """Return whether a file's bytes are those that :func:`seal` produced."""
-    start = _find_checksum(data)
-    if start is None:
-        return False
-    view, end = memoryview(data), start + CHECKSUM_DIGITS
-    pieces = (view[:start], CHECKSUM_ZEROS.encode(), view[end:])
-    return compute_checksum(pieces).encode() == view[start:end]
-
-
-def _find_checksum(data: Buffer) -> int | None:
-    # Anywhere: a Cryptomatte's manifest, which comes before it, may be megabytes long.
     match = _CHECKSUM_PATTERN.search(data)
-    if match is None or match.end() + CHECKSUM_DIGITS > len(data):
-        return None
-    return match.end()
+    if match is None:
+        return False
+    view = memoryview(data)
+    pieces = (view[: match.start(1)], CHECKSUM_ZEROS.encode(), view[match.end(1) :])
+    return compute_checksum(pieces).encode() == match[1]
 
 
 def read_string_attribute(data: bytes, name: str) -> str | None:

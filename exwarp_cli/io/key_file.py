@@ -8,7 +8,6 @@ and adds a date.
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 import struct
 from collections.abc import Iterator, Mapping
@@ -25,8 +24,6 @@ from exwarp_cli.io.exr.reader import HeaderCache, damaged_error, parse_header
 from exwarp_cli.io.exr.writer import PREFIX
 from exwarp_cli.io.files import (
     CHECKSUM_ZEROS,
-    COPY_BYTES,
-    atomic_copy,
     atomic_path,
     compute_checksum,
     new_checksum,
@@ -36,6 +33,8 @@ from exwarp_cli.io.generated_frames import CHECKSUM, is_intact, seal
 from exwarp_cli.io.sequences import EXR
 
 RATE = b"framesPerSecond"
+
+COPY_BYTES = 1 << 23  # that are copied at a time
 
 # Formats of numbers that a rate may be, beside rationals and text.
 _NUMBER_FORMATS = {b"int": "<i", b"float": "<f", b"double": "<d"}
@@ -89,9 +88,6 @@ class KeyFile:
 
     def write(self, target: Path) -> None:
         """Write the file atomically; errors are those of `pieces`, and OutputError."""
-        if not self.head and self.opened is None:
-            atomic_copy(self.source, target)
-            return
         with atomic_path(target) as temporary, temporary.open("wb") as file:
             file.writelines(self.pieces())
 
@@ -102,17 +98,6 @@ class KeyFile:
             return False
         with target.open("rb") as file:
             return all(file.read(len(piece)) == piece for piece in self.pieces())
-
-    def begins_with(self, data: bytes) -> bool:
-        """Return True if these bytes are the beginning of the file."""
-        beginning = io.BytesIO(data)
-        for piece in self.pieces():
-            expected = beginning.read(len(piece))
-            if not piece.startswith(expected):
-                return False
-            if len(expected) < len(piece):
-                return True  # without reading on
-        return not beginning.read(1)
 
     def digest(self) -> str:
         """Return the checksum of the file, hexadecimal; see `exwarp_cli.io.files`."""

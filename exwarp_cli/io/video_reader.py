@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from collections import deque
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -76,7 +75,7 @@ class Clip:
     _packets: Packets
     _is_indexed: bool
     _decoder: tuple[str, ...] = ()
-    _is_deinterlaced: bool = False
+    is_deinterlaced: bool = False  # whether frames are made of two fields
     _full_alpha: int = 255
 
     @property
@@ -96,12 +95,6 @@ class Clip:
 
         return file_digest(self.path)
 
-    @property
-    def reading(self) -> tuple[str, ...]:
-        """Names of what its frames depend on beside the file."""
-        names = {"alpha": self.has_alpha, "deinterlaced": self._is_deinterlaced}
-        return tuple(name for name, applies in names.items() if applies)
-
     def sound(self, start: Fraction | int, stop: Fraction | int | None) -> Soundtrack | None:
         """Return the sound that goes with the frames [start, stop); None where it is silent."""
         sound = self.look.sound
@@ -110,87 +103,57 @@ class Clip:
         length = None if stop is None else (stop - start) / self.rate
         return replace(sound, start=sound.start + start / self.rate, length=length)
 
-    def frames(self, start: int = 0) -> Iterator[Float32]:
+    def frames(self, start: int = 0) -> Generator[Float32 | None, None, None]:
         """Decode the frames from `start` on, one at a time: float32 [H, W, 3 or 4], 0 to 1.
 
         They are scene-linear by the sRGB curve, the inverse of `to_display`. With alpha, they are
-        premultiplied. Pixels are the same wherever decoding starts. Raises DamagedFileError when
-        the video cannot be decoded, or ends early.
+        premultiplied. Pixels are the same wherever decoding starts.
+
+        None stands for a frame that damage affects: for one that cannot be decoded, and for those
+        after it up to the next key frame. Raises DamagedFileError when ffmpeg does not start.
         """
-        packets = self._packets
         shown = self.pacing.shown[start:]
         if not shown:
             return
-        first = packets.cut(shown[0]) if packets.times else shown[0]
-        _, key = self._start(shown[0])
-        seek = None if key is None else packets.time(key)
-        begin = [] if seek is None else ["-ss", f"{float(seek):.6f}"]
-        if first is None:
-            cut = "null,"
-        elif packets.times:
-            # Half a frame before its time, as both are rounded.
-            half = max(packets.least_step, packets.tick) / 2
-            since = packets.time(first) - (seek or 0) - half
-            cut = f"trim=start={max(float(since), 0):.6f},"
-        else:
-            cut = f"trim=start_frame={first},"
-        decoded = (first or 0) - 1
-        ahead: deque[tuple[int, bytes]] = deque()
+        begin = self._key_before(shown[0])
         try:
-            with self._decoder_from(["-xerror", *begin], cut) as ffmpeg:
-                for index, source in enumerate(shown, start=start):
-                    # A B-frame is not known to be sound before the frame after it is.
-                    needed = packets.last_needed(source)
-                    while decoded < needed:
-                        data = ffmpeg.read()
-                        if data is None:
-                            why = f"it ends after {index} of {self.count} frames"
-                            raise damaged_clip(self.path, why)
-                        decoded += 1
-                        ahead.append((decoded, data))
-                    while ahead[0][0] < source:
-                        ahead.popleft()
-                    yield self._to_light(ahead[0][1])
+            with self._decoder_from(begin) as ffmpeg:
+                intact = intact_frames(ffmpeg, self._packets, begin, self.rate)
+                decoded, data = -1, b""
+                for source in shown:
+                    while decoded < source:
+                        decoded, data = next(intact, (self.pacing.shown[-1] + 1, b""))
+                    yield None if decoded > source else self._to_light(data)
         except FfmpegError as error:
             raise damaged_clip(self.path, str(error)) from error
 
-    def begins_group(self, index: int) -> bool:
-        """Return whether a frame is the first that is decoded after a seek, or of the file."""
-        first, key = self._start(self.pacing.shown[index])
-        return first <= 0 or key == first
+    def _key_before(self, source: int) -> int:
+        """Return the key frame at which decoding starts for a frame of the file; 0 for its start.
 
-    def intact_frames(self, start: int = 0) -> Iterator[Float32 | None]:
-        """Decode the frames from `start` on as `frames` does, over damage.
-
-        Yields None for a frame that damage affects: for one that cannot be decoded, and for those
-        after it up to the next key frame.
+        What is shown before a key frame but comes after it in the file, an open group of pictures,
+        needs the key frame before; by the order of showing it is behind that one.
         """
-        shown = self.pacing.shown[start:]
-        begin = self._start(shown[0])[1] or 0
-        seek = ["-ss", f"{float(self._packets.time(begin)):.6f}"] if begin else []
-        with self._decoder_from([*ON_DAMAGE, *seek]) as ffmpeg:
-            intact = intact_frames(ffmpeg, self._packets, begin, self.rate)
-            decoded, data = -1, b""
-            for source in shown:
-                while decoded < source:
-                    decoded, data = next(intact, (self._packets.count, b""))
-                yield None if decoded > source else self._to_light(data)
+        packets = self._packets
+        first = (packets.cut(source) or 0) - self.is_deinterlaced  # fields need the frame before
+        before = bisect_right(packets.keys, first) - 1
+        if not self._is_indexed or before < 1 or packets.least_step <= 0:
+            return 0
+        return packets.keys[before]
 
-    def _decoder_from(self, begin: list[str], cut: str = "") -> FfmpegReader:
-        """Return an ffmpeg that reads by the options `begin`, and writes full-range RGB.
-
-        `cut` are filters that choose frames.
-        """
+    def _decoder_from(self, begin: int) -> FfmpegReader:
+        """Return an ffmpeg that decodes from a key frame on, and writes full-range RGB."""
         names = ("rgb48le", "rgba64le") if self.deep else ("rgb24", "rgba")
         pixels = names[self.has_alpha]
-        fields = f"{DEINTERLACE}," if self._is_deinterlaced else ""
+        seek = ["-ss", f"{float(self._packets.time(begin)):.6f}"] if begin else []
+        fields = f"{DEINTERLACE}," if self.is_deinterlaced else ""
         conversion = (
             f"scale={self.width}:{self.height}:in_color_matrix={MATRICES[self.look.colour.matrix]}:"
             f"out_range=pc:{EXACT_SCALING},format={pixels}"
         )
         options = [
-            *(*begin, *IN_ORDER, *self._decoder, "-i", f"file:{self.path}", "-map", "0:V:0"),
-            *("-vf", f"{fields}{cut}{conversion}", "-fps_mode", "passthrough"),
+            *(*ON_DAMAGE, *seek, *IN_ORDER, *self._decoder),
+            *("-i", f"file:{self.path}", "-map", "0:V:0"),
+            *("-vf", f"{fields}{conversion}", "-fps_mode", "passthrough"),
             *("-f", "rawvideo", "-pix_fmt", pixels, "-"),
         ]
         frame_bytes = self.width * self.height * (3 + self.has_alpha) * (1 + self.deep)
@@ -206,87 +169,55 @@ class Clip:
         alpha = np.minimum(codes[..., 3:] / np.float32(self._full_alpha), 1)
         return np.concatenate([light * alpha, alpha], axis=-1)
 
-    def _start(self, source: int) -> tuple[int, int | None]:
-        """Return the first of the file's frames that one is made from, and where decoding starts.
-
-        That is at a key frame to seek to, or at the start for None. What is shown before a key
-        frame but comes after it in the file, an open group of pictures, needs the key frame before;
-        by the order of showing it is behind that one.
-        """
-        packets = self._packets
-        first = (packets.cut(source) or 0) - self._is_deinterlaced  # fields need the frame before
-        before = bisect_right(packets.keys, first) - 1
-        if not self._is_indexed or before < 1 or packets.least_step <= 0:
-            return first, None
-        return first, packets.keys[before]
-
 
 class ClipReader:
     """Frames of a video by their index, cheaply as long as that grows; `close` ends ffmpeg."""
 
     def __init__(self, clip: Clip) -> None:
         self._clip = clip
-        self._next = 0
-        self._frames: Iterator[Float32 | None] | None = None
-        self._last: tuple[int, Float32] | None = None
-        self._damaged: set[int] = set()
-        self._is_damaged = False
+        self._frames: Generator[Float32 | None, None, None] | None = None
+        self._index = -1
+        self._frame: Float32 | None = None  # that was decoded last; None if it is damaged
 
     def read(self, index: int) -> Float32:
         """Return a frame as `Clip.frames` yields it.
 
-        Raises DamagedFileError when the video ends early, or cannot be decoded there. Raises
+        Raises DamagedFileError when damage affects it, or the video ends early. Raises
         UnreadableError when the system does not let it through.
         """
         return with_retries(self._clip.path, partial(self._read, index))
 
     def _read(self, index: int) -> Float32:
         """Return a frame, decoded on from the last one or from the key frame before."""
-        if self._last is not None and self._last[0] == index:
-            return self._last[1]
         clip = self._clip
-        why = f"frame {index + 1} of {clip.count} is damaged, or builds on a damaged one"
-        if index in self._damaged:
-            raise damaged_clip(clip.path, why)
-        try:
-            frame = self._decode(index)
-        except DamagedFileError as error:
-            self.close()
-            if self._is_damaged or system_failure(clip.path, error) is not None:
+        damage = damaged_clip(
+            clip.path, f"frame {index + 1} of {clip.count} is damaged, or builds on a damaged one"
+        )
+        if index != self._index:
+            if self._frames is None or index < self._index:
+                self.close()
+                self._frames, self._index = clip.frames(index), index - 1
+            try:
+                while self._index < index:
+                    self._frame = next(self._frames)
+                    self._index += 1
+            except StopIteration:
+                raise IndexError(f"{clip.path} has no frame {index}") from None
+            except DamagedFileError:
+                self.close()  # a generator that raised has ended
                 raise
-            # Once there is damage, ffmpeg decodes on over it, and does not begin at each frame.
-            self._is_damaged = True
-            frame = self._decode(index)
-        if frame is None:
-            damage = damaged_clip(clip.path, why)
-            if system_failure(clip.path, damage) is None:
-                self._damaged.add(index)
-            else:
+            if self._frame is None and system_failure(clip.path, damage) is not None:
                 self.close()  # the end of what was read is not the end of the file
+                raise damage
+        if self._frame is None:
             raise damage
-        self._last = index, frame
-        return frame
-
-    def _decode(self, index: int) -> Float32 | None:
-        """Return a frame, or None if damage affects it; raises DamagedFileError at first damage."""
-        if self._frames is None or index < self._next:
-            self.close()
-            clip = self._clip
-            # Inside a group of pictures, ffmpeg hands out frames before it stops at earlier damage.
-            is_checked = self._is_damaged or not clip.begins_group(index)
-            self._frames = clip.intact_frames(index) if is_checked else clip.frames(index)
-            self._next = index
-        for frame in self._frames:
-            self._next += 1
-            if self._next > index:
-                return frame
-        raise IndexError(f"{self._clip.path} has no frame {index}")
+        return self._frame
 
     def close(self) -> None:
         """Stop decoding; a later `read` begins again."""
         if self._frames is not None:
-            self._frames.close()  # type: ignore[attr-defined]  # a generator
-        self._frames = None
+            self._frames.close()
+        self._frames, self._index = None, -1
 
 
 def is_clip(spec: str) -> bool:

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -88,7 +89,7 @@ class Packets:
         """Return when a frame is shown, in seconds; 0 where no times are known."""
         return self.times[index] * self.tick if self.times else Fraction(0)
 
-    @property
+    @cached_property
     def least_step(self) -> Fraction:
         """Smallest time between two frames, in seconds; 0 where that is not known."""
         return min((b - a for a, b in pairwise(self.times)), default=0) * self.tick

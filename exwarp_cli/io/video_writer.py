@@ -264,13 +264,19 @@ class VideoWriter(ResourceOwner):
         self._timecode = self._look.timecode and self._look.timecode.convert(self._rate)
         self._count = 0
         self._tracks: EncodedTracks = ()
-        self._track_remarks: tuple[str, ...] = ()
+        # What the video lacks, or has in another form than the input; complete once entered
+        self.remarks = self._look.remarks
 
     def _open(self, stack: ExitStack) -> None:
         temporary = stack.enter_context(atomic_path(self._path))
         temporary.touch()  # a bad folder shows here, with its reason
         if self._look.sound is not None:
-            self._tracks, self._track_remarks = plan_tracks(self._look.sound, self._container)
+            self._tracks, remarks = plan_tracks(self._look.sound, self._container)
+            self.remarks += remarks
+        if self._look.timecode is not None and self._timecode is None:
+            rate = f"{float(self._rate):g}"
+            why = f"as it cannot count {rate} frames a second"
+            self.remarks += (f"the timecode is left out of the video, {why}",)
         try:
             self._ffmpeg = stack.enter_context(FfmpegWriter(self._options(temporary)))
         except FfmpegError as error:
@@ -292,16 +298,6 @@ class VideoWriter(ResourceOwner):
                 f"the video {self._path} would have no frames; choose frames to write, or run "
                 "without the video"
             )
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What the video lacks, or has in another form than the input; complete once entered."""
-        remarks = (*self._look.remarks, *self._track_remarks)
-        if self._look.timecode is None or self._timecode is not None:
-            return remarks
-        rate = f"{float(self._rate):g}"
-        why = f"the timecode is left out of the video, as it cannot count {rate} frames a second"
-        return (*remarks, why)
 
     def write(self, frame: Codes) -> None:
         """Append a frame, [H, W, 3] in display encoding; raises OutputError.

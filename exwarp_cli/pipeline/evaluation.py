@@ -14,7 +14,7 @@ from exwarp_cli.domain.frame import place_on_canvas
 from exwarp_cli.domain.metric import GENERATED, METRICS
 from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
-from exwarp_cli.domain.timeline import parse_frames, ranges
+from exwarp_cli.domain.timeline import parse_frames, parse_rate, ranges
 from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError, UsageError
 from exwarp_cli.io.exr.reader import read_headers
@@ -25,7 +25,7 @@ from exwarp_cli.io.footage import (
     is_plain,
 )
 from exwarp_cli.io.frames import read_plane
-from exwarp_cli.io.generated_frames import frame_rate, read_facts
+from exwarp_cli.io.generated_frames import read_facts
 from exwarp_cli.io.sequences import Sequence, find_sequence
 from exwarp_cli.io.shot import open_shot
 from exwarp_cli.io.video_reader import is_clip
@@ -161,7 +161,8 @@ def evaluate(
     compared, shape = _score(files, origins, scorer, progress or Progress(), watcher)
     rate = clip_rate(judged)
     if rate is None and not is_plain(judged):
-        rate = frame_rate(read_headers(judged.files[min(judged.files)])[0])
+        header = read_headers(judged.files[min(judged.files)])[0]
+        rate = parse_rate(header.get("framesPerSecond"))
     result = Comparison(
         *(truth, judged, masks, matched_by, shape[1], shape[0], compared),
         measuring=measuring,

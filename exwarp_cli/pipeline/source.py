@@ -21,6 +21,7 @@ from exwarp_cli.domain.timeline import (
     compatible_rate,
     number_step,
     parse_cuts,
+    parse_rate,
     ranges,
     standard_rate,
 )
@@ -30,7 +31,6 @@ from exwarp_cli.io.channel_map import AovFile, ChannelMap, parse_aovs, read_chan
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import clip_rate, find_footage, is_plain, make_shot, read_display_window
 from exwarp_cli.io.frames import require_visible
-from exwarp_cli.io.generated_frames import frame_rate
 from exwarp_cli.io.layers import is_colour_alone, no_vectors_message
 from exwarp_cli.io.shot import Shot, open_shot
 from exwarp_cli.io.video_reader import is_clip
@@ -365,7 +365,8 @@ def rate_of(keys: Shot, option: Fraction | None) -> tuple[Fraction, str]:
     rate = None
     if not is_plain(keys.sequence):
         header = keys.headers.read(keys.sequence.files[keys.first])
-        rate = next(filter(None, map(frame_rate, header.attributes)), None)
+        values = (part.get("framesPerSecond") for part in header.attributes)
+        rate = next(filter(None, map(parse_rate, values)), None)
     return (DEFAULT_FPS / step, "assumed") if rate is None else (rate / step, "header")
 
 

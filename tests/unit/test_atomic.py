@@ -17,13 +17,13 @@ from exwarp_cli.io import files
 from exwarp_cli.io.files import (
     FOREIGN_AGE_S,
     TEMPORARY_SUFFIX,
-    atomic_copy,
     atomic_path,
     atomic_write_bytes,
     atomic_write_text,
     make_folder,
     remove_leftovers,
 )
+from exwarp_cli.io.key_file import KeyFile
 
 
 def names(folder: Path) -> list[str]:
@@ -116,34 +116,9 @@ class TestWritersAndCopy:
     def test_copy_is_byte_for_byte(self, tmp_path):
         data = bytes(range(256)) * 5000
         (tmp_path / "a").write_bytes(data)
-        atomic_copy(tmp_path / "a", tmp_path / "b")
+        KeyFile(tmp_path / "a").write(tmp_path / "b")
         assert (tmp_path / "b").read_bytes() == data
         assert names(tmp_path) == ["a", "b"]
-
-    @pytest.mark.skipif(not hasattr(os, "copy_file_range"), reason="this system has no such call")
-    @pytest.mark.parametrize("done", [0, 1000])
-    def test_a_file_system_that_copies_nothing_or_a_part(self, tmp_path, monkeypatch, done):
-        """Some refuse, others stop before the end; then the bytes are copied here."""
-        true, asked = os.copy_file_range, []
-
-        def broken(read: int, written: int, count: int) -> int:
-            asked.append(count)
-            if done == 0:
-                raise OSError(errno.EXDEV, "no")
-            return true(read, written, min(count, done)) if len(asked) == 1 else 0
-
-        data = bytes(range(256)) * 20
-        (tmp_path / "a").write_bytes(data)
-        monkeypatch.setattr(files.os, "copy_file_range", broken)
-        atomic_copy(tmp_path / "a", tmp_path / "b")
-        assert (tmp_path / "b").read_bytes() == data
-        assert asked == ([len(data)] if done == 0 else [len(data), len(data) - done])
-
-    def test_a_system_that_cannot(self, tmp_path, monkeypatch):
-        monkeypatch.delattr(files.os, "copy_file_range", raising=False)
-        (tmp_path / "a").write_bytes(b"1")
-        atomic_copy(tmp_path / "a", tmp_path / "b")
-        assert (tmp_path / "b").read_bytes() == b"1"
 
     def test_pieces_follow_each_other(self, tmp_path):
         pieces = [b"1", bytearray(b"23"), memoryview(b"4" * 99999), b"", b"5"]
@@ -153,19 +128,19 @@ class TestWritersAndCopy:
     def test_a_copy_of_a_read_only_file_can_be_replaced(self, tmp_path):
         (tmp_path / "a").write_bytes(b"1")
         (tmp_path / "a").chmod(0o444)
-        atomic_copy(tmp_path / "a", tmp_path / "b")
-        atomic_copy(tmp_path / "a", tmp_path / "b")
+        KeyFile(tmp_path / "a").write(tmp_path / "b")
+        KeyFile(tmp_path / "a").write(tmp_path / "b")
         assert (tmp_path / "b").stat().st_mode & 0o200
 
     def test_a_missing_source_is_the_inputs_fault(self, tmp_path):
         with pytest.raises(InputError, match=r"cannot read .*/a: No such file"):
-            atomic_copy(tmp_path / "a", tmp_path / "b")
+            KeyFile(tmp_path / "a").write(tmp_path / "b")
         assert names(tmp_path) == []
 
     def test_a_missing_target_folder_is_the_outputs_fault(self, tmp_path):
         (tmp_path / "a").touch()
         with pytest.raises(OutputError, match="the folder does not exist"):
-            atomic_copy(tmp_path / "a", tmp_path / "no" / "b")
+            KeyFile(tmp_path / "a").write(tmp_path / "no" / "b")
 
 
 class TestMakeFolder:

@@ -69,7 +69,7 @@ class TestDamage:
                     assert "0x" not in str(error)
                     lost.append(index)
         assert 0 < len(lost) <= 14 and lost == list(range(lost[0], lost[-1] + 1))
-        assert len(runs) == 2  # up to the damage, and over it
+        assert len(runs) == 1  # it goes on over the damage
         with closing(ClipReader(clip)) as reader:
             after = lost[-1] + 1
             assert np.array_equal(reader.read(after), whole[after])
@@ -115,14 +115,26 @@ class TestBadFiles:
         path = make(tmp_path / "a.mp4", *H264, "-movflags", "+faststart")
         clip, data = open_clip(path), path.read_bytes()
         path.write_bytes(data[: len(data) * 2 // 3])
-        with pytest.raises(DamagedFileError, match=r"cannot read the video .*: ffmpeg says"):
-            list(clip.frames())
+        with closing(ClipReader(clip)) as reader:
+            reader.read(0)
+            with pytest.raises(DamagedFileError, match=r"cannot read the video .*: frame 30 of 30"):
+                reader.read(clip.count - 1)
 
     def test_a_file_with_fewer_frames_than_packets(self, tmp_path):
         clip = open_clip(make(tmp_path / "a.mp4", frames=5))
         longer = replace(clip, pacing=Pacing(clip.rate, tuple(range(8))))
-        with pytest.raises(DamagedFileError, match="it ends after 5 of 8 frames"):
-            list(longer.frames())
+        with closing(ClipReader(longer)) as reader:
+            reader.read(4)
+            with pytest.raises(DamagedFileError, match="frame 6 of 8 is damaged"):
+                reader.read(5)
+
+    def test_a_decoder_that_does_not_start(self, tmp_path, monkeypatch):
+        clip = open_clip(make(tmp_path / "a.mp4", frames=5))
+        with closing(ClipReader(clip)) as reader:
+            monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(tmp_path / "none"))
+            for _ in range(2):
+                with pytest.raises(DamagedFileError, match="ffmpeg does not start"):
+                    reader.read(0)
 
     @pytest.mark.parametrize(("transfer", "name"), [("smpte2084", "PQ"), ("arib-std-b67", "HLG")])
     def test_hdr(self, tmp_path, transfer, name):

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from openjd.model import IntRangeExpr
 
 from exwarp_cli.domain.timeline import parse_frames
-from exwarp_cli.farm.farm_job import frames_text, is_dense, split
+from exwarp_cli.farm.farm_job import FarmJob, frames_text, split
+from exwarp_cli.farm.openjd import Workers, job_template
 
 NUMBERS = st.lists(st.integers(-300, 300), min_size=1, max_size=40, unique=True).map(sorted)
 
@@ -51,4 +52,7 @@ def test_frames_takes_what_open_job_description_writes(numbers):
     [((1, 2, 3), True), ((10, 14, 18), False), ((7,), True), ((1, 5, 6), True), ((1, 9), False)],
 )
 def test_dense_numbers_have_ranges_without_steps(numbers, dense):
-    assert is_dense(numbers) is dense
+    document = job_template(FarmJob((), numbers, 2, "a"), Workers(), None).document
+    (frames,) = document["steps"][0]["parameterSpace"]["taskParameterDefinitions"]
+    constraint = "CONTIGUOUS" if dense else "NONCONTIGUOUS"
+    assert frames["chunks"]["rangeConstraint"] == constraint

@@ -169,16 +169,6 @@ def test_without_a_rate_the_bytes_are_copied(tmp_path):
     assert target.read_bytes() == source.read_bytes() and file.is_at(target)
 
 
-def test_the_beginning_of_a_copy_is_recognised(tmp_path):
-    source = tmp_path / "a.exr"
-    OpenEXR.File(header(), planes()).write(str(source))
-    file = plan_key_file(source, RATE)
-    data = b"".join(file.pieces())
-    assert all(file.begins_with(data[:size]) for size in (0, 9, len(data) // 2, len(data)))
-    others = (data + b"!", data[:-1] + b"!", data[:9] + b"!", source.read_bytes())
-    assert not any(file.begins_with(other) for other in others)
-
-
 def test_a_key_frame_that_has_a_checksum_keeps_a_valid_one(tmp_path):
     source, target = tmp_path / "a.exr", tmp_path / "b.exr"
     OpenEXR.File(header(**{"exwarp:xxh128": "0" * 32}), planes()).write(str(source))

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exwarp_cli.domain.frame import Image, Window
+from exwarp_cli.domain.timeline import parse_rate
 from exwarp_cli.errors import DamagedFileError, OutputError, UsageError
 from exwarp_cli.io import generated_frames
 from exwarp_cli.io.channels import ChannelRef
@@ -288,8 +289,7 @@ class TestSmallThings:
         [(Fraction(24), 24), (Fraction(0), None), (Fraction(-5), None), (25.0, 25), (None, None)],
     )
     def test_frame_rate(self, value, rate):
-        header = {} if value is None else {"framesPerSecond": value}
-        assert generated_frames.frame_rate(header) == rate
+        assert parse_rate(value) == rate
 
     def test_compressions_by_name(self):
         assert generated_frames.parse_compression(None) is None

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import errno
 import os
+from pathlib import Path
 
 import pytest
 
 from exwarp_cli.errors import DamagedFileError, InputError, OutputError, UnreadableError
 from exwarp_cli.io import files
-from exwarp_cli.io.files import atomic_copy, with_retries
+from exwarp_cli.io.files import with_retries
+from exwarp_cli.io.key_file import KeyFile
 
 
 @pytest.fixture(autouse=True)
@@ -92,19 +94,22 @@ def test_a_wrong_path_is_not_tried_again(frame, at_once, number):
 
 class TestCopies:
     def test_the_source_is_named_where_it_fails(self, frame, tmp_path, monkeypatch):
-        def refuse(*_: object) -> int:
-            raise system(errno.EIO)
+        opened = Path.open
 
-        monkeypatch.setattr("exwarp_cli.io.files._copy_by_system", refuse)
-        monkeypatch.setattr(files.os, "open", refuse)
+        def refuse(path: Path, *mode: str, **more: int) -> object:
+            if path == frame:
+                raise system(errno.EIO)
+            return opened(path, *mode, **more)
+
+        monkeypatch.setattr(Path, "open", refuse)
         with pytest.raises(UnreadableError, match=r"cannot read .*a\.exr: Input/output error"):
-            atomic_copy(frame, tmp_path / "b.exr")
+            KeyFile(frame).write(tmp_path / "b.exr")
         assert not (tmp_path / "b.exr").exists()
 
     def test_the_target_is_named_where_it_fails(self, frame, tmp_path, monkeypatch):
         def refuse(*_: object) -> int:
             raise system(errno.EIO)
 
-        monkeypatch.setattr("exwarp_cli.io.files._copy_by_system", refuse)
+        monkeypatch.setattr(files.os, "fsync", refuse)
         with pytest.raises(OutputError, match=r"cannot write .*b\.exr"):
-            atomic_copy(frame, tmp_path / "b.exr")
+            KeyFile(frame).write(tmp_path / "b.exr")

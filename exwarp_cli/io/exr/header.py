@@ -13,14 +13,11 @@ import struct
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 import OpenEXR
 
 from exwarp_cli.domain.frame import Window
-
-if TYPE_CHECKING:
-    import OpenImageIO as oiio
 
 MAGIC = b"\x76\x2f\x31\x01"
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -38,22 +35,6 @@ COMPRESSION_NAMES = ("none", "rle", "zips", "zip", "piz", "pxr24", "b44", "b44a"
 
 UINT, HALF, FLOAT = 0, 1, 2
 PIXEL_TYPES = {UINT: "uint", HALF: "half", FLOAT: "float"}
-
-# Bytes of an attribute, by the types that are of one size.
-ATTRIBUTE_SIZES = {
-    **dict.fromkeys((b"envmap", b"compression", b"lineOrder"), 1),
-    **dict.fromkeys((b"int", b"float"), 4),
-    **dict.fromkeys((b"double", b"rational", b"timecode", b"v2i", b"v2f"), 8),
-    **dict.fromkeys((b"v3i", b"v3f"), 12),
-    **dict.fromkeys((b"v2d", b"box2i", b"box2f"), 16),
-    b"v3d": 24,
-    b"keycode": 28,
-    b"chromaticities": 32,
-    b"m33f": 36,
-    b"m33d": 72,
-    b"m44f": 64,
-    b"m44d": 128,
-}
 
 # Type and value of each attribute of a header, by name.
 Values = Mapping[bytes, tuple[bytes, bytes]]
@@ -144,6 +125,7 @@ class RawHeader:
 
     data: bytes  # the file's bytes up to the chunk offset tables
     attributes: tuple[Attribute, ...]  # of all parts, in the order of the file; at least one
+    flags: int  # bits of the version field, with the version's number in the lowest byte
 
     @classmethod
     def read(cls, file: BinaryIO, size: int) -> RawHeader:
@@ -167,13 +149,9 @@ class RawHeader:
                 length *= 8
         if not attributes:
             raise ValueError("a header is empty")
-        is_multipart = bool(int.from_bytes(data[4:BODY], "little") & MULTIPART)
-        return cls(data[: attributes[-1].end + 1 + is_multipart], attributes)
-
-    @property
-    def flags(self) -> int:
-        """Bits of the version field, with the version's number in the lowest byte."""
-        return int.from_bytes(self.data[4:BODY], "little")
+        flags = int.from_bytes(data[4:BODY], "little")
+        end = attributes[-1].end + 1 + bool(flags & MULTIPART)
+        return cls(data[:end], attributes, flags)
 
     @property
     def part_count(self) -> int:
@@ -190,21 +168,6 @@ class RawHeader:
             if attribute.name in headers[attribute.part]:
                 raise ValueError("an attribute is there twice")
             headers[attribute.part][attribute.name] = attribute.kind, attribute.value
-        return headers
-
-    @cached_property
-    def texts(self) -> tuple[dict[str, str], ...]:
-        """The attributes of each part that are text, and the compression's name.
-
-        Text that is no UTF-8 keeps its bytes as lone surrogates.
-        """
-        headers: tuple[dict[str, str], ...] = tuple({} for _ in range(self.part_count))
-        for attribute in self.attributes:
-            texts, value = headers[attribute.part], attribute.value
-            if attribute.kind == b"string" and (value := value.partition(b"\0")[0]):
-                texts[decode(attribute.name)] = decode(value)
-            elif attribute.kind == b"compression" and value and value[0] < len(COMPRESSION_NAMES):
-                texts[decode(attribute.name)] = COMPRESSION_NAMES[value[0]]
         return headers
 
     @cached_property
@@ -338,70 +301,35 @@ class Part:
     views: tuple[str, ...] = ()
 
 
-def part_from_spec(index: int, spec: oiio.ImageSpec, is_multipart: bool) -> Part:
-    """Describe a part by OpenImageIO's specification; its channels have their raw names."""
+def describe_part(
+    index: int,
+    attributes: Mapping[str, Any],
+    windows: tuple[Window, Window],
+    channels: Iterable[tuple[str, str]],
+    is_multipart: bool,
+    deep: bool,
+    tiled: bool,
+) -> Part:
+    """Describe a part by its attributes, its windows of data and display, and its channels.
+
+    Of each channel, in OpenImageIO's order, the raw name and the pixel type are given.
+    """
     name, view = (
-        value if isinstance(value := spec.getattribute(key), str) else ""
-        for key in ("oiio:subimagename", "view")
+        value.partition("\0")[0] if isinstance(value := attributes.get(key), str) else ""
+        for key in ("name", "view")
     )
-    formats = [str(f) for f in spec.channelformats] or [str(spec.format)] * spec.nchannels
-    channels = enumerate(zip(spec.channelnames, formats, strict=True))
-    views = spec.getattribute("multiView")
+    views = attributes.get("multiView")
     if isinstance(views, str):  # a list of one string
         views = (views,) if views else ()
     return Part(
         index,
         name if is_multipart else "",
-        Window(spec.x, spec.y, spec.width, spec.height),
-        Window(spec.full_x, spec.full_y, spec.full_width, spec.full_height),
-        tuple(Channel(index, i, name, name, kind) for i, (name, kind) in channels),
+        *windows,
+        tuple(Channel(index, i, name, name, kind) for i, (name, kind) in enumerate(channels)),
         view,
-        bool(spec.deep),
-        spec.tile_width > 0,
+        deep,
+        tiled,
         tuple(str(v) for v in views) if isinstance(views, (tuple, list)) else (),
-    )
-
-
-def part_from_header(
-    index: int, values: Values, channels: Iterable[tuple[bytes, int]], is_multipart: bool
-) -> Part:
-    """Describe a part of flat pixels by its header, as `part_from_spec` does.
-
-    Its windows are complete and valid; `channels` are name and pixel type of each. Raises
-    ValueError when texts are stored in an unusual way.
-    """
-    texts = {}
-    for name in (b"name", b"view"):
-        kind, value = values.get(name, (b"string", b""))
-        if kind != b"string" or b"\0" in value:
-            raise ValueError(f"{decode(name)} is no plain text")
-        texts[name] = decode(value)
-    if values.get(b"multiView", (b"stringvector", b""))[0] != b"stringvector":
-        raise ValueError("multiView is no list")
-    # OpenImageIO drops the attributes after a broken one.
-    if any(len(v) != ATTRIBUTE_SIZES.get(kind, len(v)) for kind, v in values.values()):
-        raise ValueError("an attribute has a wrong size")
-    lists: dict[bytes, list[bytes]] = {}
-    for name, (kind, value) in values.items():
-        if kind == b"stringvector":
-            members, at = lists.setdefault(name, []), 0
-            while at + 4 <= len(value):
-                (size,) = struct.unpack_from("<I", value, at)
-                members.append(value[at + 4 : at + 4 + size])
-                at += 4 + size
-            if at != len(value) or b"" in members or any(b"\0" in text for text in members):
-                raise ValueError(f"{decode(name)} is no plain list")
-    ordered = ((decode(raw), PIXEL_TYPES[kind]) for raw, kind in in_openimageio_order(channels))
-    return Part(
-        index,
-        texts[b"name"] if is_multipart else "",
-        window_of(values, b"dataWindow"),
-        window_of(values, b"displayWindow"),
-        tuple(Channel(index, i, name, name, kind) for i, (name, kind) in enumerate(ordered)),
-        texts[b"view"],
-        False,
-        b"tiles" in values,
-        tuple(decode(text) for text in lists.get(b"multiView", ())),
     )
 
 
@@ -411,8 +339,8 @@ def window_of(values: Values, name: bytes) -> Window:
     return Window(left, top, right - left + 1, bottom - top + 1)
 
 
-def in_openimageio_order(channels: Iterable[tuple[bytes, int]]) -> list[tuple[bytes, int]]:
-    """Sort names and types of channels as OpenImageIO does: layer by layer, RGBA first.
+def in_openimageio_order(channels: Iterable[tuple[bytes, int]]) -> list[tuple[str, str]]:
+    """Sort names and pixel types of channels as OpenImageIO does: layer by layer, RGBA first.
 
     Raises ValueError when OpenImageIO takes them for luminance and chroma, and gives them other
     names.
@@ -423,14 +351,14 @@ def in_openimageio_order(channels: Iterable[tuple[bytes, int]]) -> list[tuple[by
         layers.setdefault(name[:dot], {})[name[dot:]] = name, kind
     if {b"y", b"ry", b"by"} <= {last.lower() for layer in layers.values() for last in layer}:
         raise ValueError("luminance and chroma")
-    ordered = []
+    ordered: list[tuple[bytes, int]] = []
     for _, layer in sorted(layers.items()):
         letters = {last.lower() for last in layer}
         is_vector = b"x" in letters and bool(letters & {b"y", b"z"})
         rank = {last: i for i, last in enumerate(_CHANNEL_ORDER[is_vector])}
         names = sorted(layer, key=lambda last: (rank.get(last.lower(), len(rank)), last))
         ordered += [layer[last] for last in names]
-    return ordered
+    return [(decode(name), PIXEL_TYPES[kind]) for name, kind in ordered]
 
 
 def name_channels(parts: Iterable[Part]) -> tuple[Part, ...]:

@@ -13,9 +13,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
-from threading import Lock
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -30,20 +29,21 @@ from exwarp_cli.errors import (
     thread_limit_error,
 )
 from exwarp_cli.io.exr.header import (
+    COMPRESSION_NAMES,
     MAGIC,
     SIGNATURE_BYTES,
     Channel,
     Part,
     RawHeader,
     channels_in,
+    decode,
+    describe_part,
     file_format,
+    in_openimageio_order,
     name_channels,
-    part_from_header,
-    part_from_spec,
     window_of,
 )
 from exwarp_cli.io.exr.scanlines import (
-    ChannelRequest,
     ChunkLayout,
     parse_layouts,
     read_blocks,
@@ -74,17 +74,28 @@ class FileHeader:
     """The headers of a file."""
 
     path: Path
-    parts: tuple[Part, ...]  # its parts; empty where OpenImageIO has to read them
-    raw: RawHeader | None  # the headers as bytes; None where they are not understood here
+    parts: tuple[Part, ...] = ()  # its parts; empty where OpenImageIO has to read them
+    raw: RawHeader | None = None  # the headers as bytes; None where they are not understood here
     # How each part is stored; None for a part that OpenImageIO has to read
-    layouts: tuple[ChunkLayout | None, ...]
+    layouts: tuple[ChunkLayout | None, ...] = ()
     # Device, inode, size and time, by which another file at the path is noticed
     stamp: tuple[int, ...] = ()
 
-    @property
+    @cached_property
     def texts(self) -> tuple[dict[str, str], ...]:
-        """Attributes of each part that are text, and its compression's name."""
-        return tuple({} for _ in self.parts) if self.raw is None else self.raw.texts
+        """The attributes of each part that are text, and the compression's name.
+
+        Text that is no UTF-8 keeps its bytes as lone surrogates.
+        """
+        count = len(self.parts) if self.raw is None else self.raw.part_count
+        headers: tuple[dict[str, str], ...] = tuple({} for _ in range(count))
+        for attribute in () if self.raw is None else self.raw.attributes:
+            texts, value = headers[attribute.part], attribute.value
+            if attribute.kind == b"string" and (value := value.partition(b"\0")[0]):
+                texts[decode(attribute.name)] = decode(value)
+            elif attribute.kind == b"compression" and value and value[0] < len(COMPRESSION_NAMES):
+                texts[decode(attribute.name)] = COMPRESSION_NAMES[value[0]]
+        return headers
 
     @property
     def attributes(self) -> tuple[dict[str, Any], ...]:
@@ -106,27 +117,31 @@ def parse_header(path: Path, file: BinaryIO) -> FileHeader:
 
     Without parts, only OpenImageIO can say what the file holds, or what is wrong.
     """
-    header, parts = FileHeader(path, (), None, ()), []
+    header, parts = FileHeader(path), []
     try:
         status = os.fstat(file.fileno())
         raw = RawHeader.read(file, status.st_size)
         header = replace(header, raw=raw, stamp=_stamp(status))
         layouts = parse_layouts(raw, file, status.st_size)
         header = replace(header, layouts=tuple(layouts))
-        for index, (values, layout) in enumerate(zip(raw.by_part(), layouts, strict=True)):
-            if layout is None:
+        # OpenImageIO opens what OpenEXR opens: so both readers accept the same files.
+        with report_reading(path):
+            attributes = raw.typed
+        by_part = zip(raw.by_part(), layouts, attributes, strict=True)
+        for index, (values, layout, own) in enumerate(by_part):
+            if layout is None or (b"multiView" in values and "multiView" not in own):
                 return header
-            part = part_from_header(index, values, layout.channels, len(layouts) > 1)
+            windows = layout.window, window_of(values, b"displayWindow")
+            channels = in_openimageio_order(layout.channels)
+            is_tiled = layout.tile is not None
+            part = describe_part(index, own, windows, channels, len(layouts) > 1, False, is_tiled)
             sides = part.data_window.shape + part.display_window.shape
             size = part.data_window.pixels * sum(layout.sizes)
             count = len(part.channels)
             if max(sides) > USUAL_SIZE or count > USUAL_CHANNELS or size > USUAL_BYTES:
                 return header
             parts.append(part)
-        # OpenImageIO opens what OpenEXR opens: so both readers accept the same files.
-        with report_reading(path):
-            if len(raw.typed) == len(parts):
-                return replace(header, parts=name_channels(parts))
+        return replace(header, parts=name_channels(parts))
     except (OSError, RuntimeError, ValueError, ArithmeticError, DamagedFileError):
         pass
     return header
@@ -155,11 +170,7 @@ class ExrFile(AbstractContextManager["ExrFile"]):
         self._image: oiio.ImageInput | None = None
         self._has_failed = False
         self.header: FileHeader = with_retries(path, self._open)
-
-    @property
-    def parts(self) -> tuple[Part, ...]:
-        """The parts of the file."""
-        return self.header.parts
+        self.parts = self.header.parts
 
     def __exit__(self, *exc: object) -> None:
         self._close()
@@ -181,7 +192,7 @@ class ExrFile(AbstractContextManager["ExrFile"]):
             raise InputError(
                 f"cannot read {path}: its name or a folder's is not valid UTF-8; rename that"
             ) from error
-        header = FileHeader(path, (), None, ())
+        header = FileHeader(path)
         try:
             if self._by_openimageio:
                 with suppress(InputError):
@@ -215,7 +226,20 @@ class ExrFile(AbstractContextManager["ExrFile"]):
                 specs.append(spec)
         if not specs:
             raise damaged_error(self.path, "it holds no image")
-        parts = [part_from_spec(i, spec, len(specs) > 1) for i, spec in enumerate(specs)]
+        parts = []
+        for index, spec in enumerate(specs):
+            names = {"name": "oiio:subimagename", "view": "view", "multiView": "multiView"}
+            own = {name: spec.getattribute(key) for name, key in names.items()}
+            data = Window(spec.x, spec.y, spec.width, spec.height)
+            display = Window(spec.full_x, spec.full_y, spec.full_width, spec.full_height)
+            types = [str(t) for t in spec.channelformats] or [str(spec.format)] * spec.nchannels
+            channels = zip(spec.channelnames, types, strict=True)
+            is_deep, is_tiled, is_multipart = bool(spec.deep), spec.tile_width > 0, len(specs) > 1
+            parts.append(
+                describe_part(
+                    index, own, (data, display), channels, is_multipart, is_deep, is_tiled
+                )
+            )
         if any(spec.getattribute("textureformat") == CUBE_MAP for spec in specs):
             # OpenImageIO gives a cube map with smaller levels the window of a single face.
             if raw is None:
@@ -257,13 +281,12 @@ class ExrFile(AbstractContextManager["ExrFile"]):
         is_interpreted = os.environ.get("NUMBA_DISABLE_JIT", "0") != "0"
         requests = {}
         for key, channels in groups.items():
-            _, index, is_integer = key
+            _, index, _ = key
             layout = self.header.layouts[index] if index < len(self.header.layouts) else None
             if layout is None or not layout.is_decoded_here or is_interpreted:
                 continue
             if layout.window == self.parts[index].data_window:
-                names = tuple(channel.raw_name for channel in channels)
-                requests[key] = ChannelRequest(layout, names, is_integer)
+                requests[key] = layout, channels
         out: dict[Channel, np.ndarray] = {}
         try:
             with report_reading(self.path):
@@ -324,7 +347,6 @@ class HeaderCache:
 
     _headers: OrderedDict[Path, FileHeader] = field(default_factory=OrderedDict)
     _decoded_here: dict[str, bool] = field(default_factory=dict)
-    _lock: Lock = field(default_factory=Lock)
 
     def open(self, path: Path, aov: str) -> ExrFile:
         """Open a file of an AOV, the way that was right for the one before; see `ExrFile`."""
@@ -335,8 +357,7 @@ class HeaderCache:
 
     def read(self, path: Path) -> FileHeader:
         """Return the header of a file; raises as `ExrFile` does."""
-        with self._lock:
-            header = self._headers.get(path)
+        header = self._headers.get(path)
         with suppress(OSError):
             if header is not None and header.stamp == _stamp(path.stat()):
                 return header
@@ -346,12 +367,11 @@ class HeaderCache:
 
     def keep(self, path: Path, header: FileHeader) -> None:
         """Keep a header as the newest; one without parts drops what is kept of that file."""
-        with self._lock:
-            self._headers.pop(path, None)
-            if header.parts:
-                self._headers[path] = header
-            while len(self._headers) > MAX_HEADERS:
-                self._headers.popitem(last=False)
+        self._headers.pop(path, None)
+        if header.parts:
+            self._headers[path] = header
+        while len(self._headers) > MAX_HEADERS:
+            self._headers.popitem(last=False)
 
 
 def open_image(path: Path) -> oiio.ImageInput:

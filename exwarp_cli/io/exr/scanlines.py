@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
-from threading import Lock, local
+from threading import Lock
 from typing import BinaryIO, TypeAlias
 
 import deflate
@@ -28,8 +28,10 @@ from exwarp_cli.io.exr.header import (
     HALF,
     LONG_NAMES,
     MULTIPART,
+    PIXEL_TYPES,
     TILED,
     UINT,
+    Channel,
     RawHeader,
     Values,
     channels_in,
@@ -70,11 +72,11 @@ REQUIRED = {
     b"screenWindowWidth": (b"float", 4),
 }
 
-# Where the channels of a `ChannelRequest` go: int64 [K, 2] as kernels want it, bytes of each of the
+# Where the channels of a request go: int64 [K, 2] as kernels want it, bytes of each of the
 # part's channels and its place in the array or -1; and that array, bits, uint32 [H, W, C]
 _Destination: TypeAlias = tuple[I64, np.ndarray]
 
-_NO_BYTES, _NO_OFFSETS = np.empty(0, np.uint8), np.empty(0, np.int64)
+_NO_OFFSETS = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -204,17 +206,10 @@ class FileBytes:
 
     _file: BinaryIO
     _lock: Lock = field(default_factory=Lock)
-    _thread: local = field(default_factory=local)
 
     def read_padded(self, start: int, size: int) -> U8:
-        """Read bytes, fewer where the file ends, and append `INPUT_PADDING` bytes of any value.
-
-        They stay until this thread reads the next ones.
-        """
-        # Fresh memory for each run of blocks took as long as half of the reading.
-        out: U8 = getattr(self._thread, "buffer", _NO_BYTES)
-        if len(out) < size + INPUT_PADDING:
-            out = self._thread.buffer = np.zeros(size + INPUT_PADDING, np.uint8)
+        """Read bytes, fewer where the file ends, and append `INPUT_PADDING` bytes of any value."""
+        out = np.empty(size + INPUT_PADDING, np.uint8)
         filled = 0
         while filled < size:
             if hasattr(os, "preadv"):
@@ -231,27 +226,20 @@ class FileBytes:
         return out[: filled + INPUT_PADDING]
 
 
-@dataclass(frozen=True)
-class ChannelRequest:
-    """Channels of one part that are decoded into one array."""
-
-    layout: ChunkLayout  # of the part
-    names: tuple[str, ...]  # of channels that are all integers, or none
-    integer: bool  # whether they are integers
-
-
-def read_blocks(file: BinaryIO, requests: Sequence[ChannelRequest]) -> list[np.ndarray | None]:
+def read_blocks(
+    file: BinaryIO, requests: Sequence[tuple[ChunkLayout, Sequence[Channel]]]
+) -> list[np.ndarray | None]:
     """Decode channels of parts of an unbuffered file whose layout `is_decoded_here`.
 
-    Returns float32 or uint32 [H, W, C] for each request; None where OpenImageIO is to decide.
+    A request lists channels of one part, all integers or none, that go into one array. Returns
+    float32 or uint32 [H, W, C] for each; None where OpenImageIO is to decide.
     """
     arrays: list[np.ndarray | None] = []
     by_part: dict[int | None, tuple[ChunkLayout, list[_Destination]]] = {}
-    for request in requests:
-        layout, out = request.layout, None
-        kinds = dict(layout.channels)
-        names = [name.encode("utf-8", "surrogateescape") for name in request.names]
-        if all(n in kinds and (kinds[n] == UINT) == request.integer for n in names):
+    for layout, channels in requests:
+        out, kinds = None, dict(layout.channels)
+        names = [channel.raw_name.encode("utf-8", "surrogateescape") for channel in channels]
+        if [PIXEL_TYPES.get(kinds.get(n, -1)) for n in names] == [c.pixel_type for c in channels]:
             with suppress(MemoryError):
                 out = pool.empty((*layout.window.shape, len(names)), np.uint32)
                 places = [names.index(n) if n in names else -1 for n, _ in layout.channels]
@@ -286,9 +274,9 @@ def read_blocks(file: BinaryIO, requests: Sequence[ChannelRequest]) -> list[np.n
         decode(run)
     return [
         None
-        if out is None or request.layout.number in broken
-        else out.view(np.uint32 if request.integer else np.float32)
-        for request, out in zip(requests, arrays, strict=True)
+        if out is None or layout.number in broken
+        else out.view(np.uint32 if channels[0].pixel_type == "uint" else np.float32)
+        for (layout, channels), out in zip(requests, arrays, strict=True)
     ]
 
 

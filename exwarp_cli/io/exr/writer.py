@@ -42,6 +42,7 @@ from isal import isal_zlib
 from exwarp_cli.domain.frame import Float32, Window, nonfinite_pixels
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.channels import ChannelRef
+from exwarp_cli.io.display_colour import HALF_MAX
 from exwarp_cli.io.exr.header import COMPRESSION_NAMES, Part, attributes_in
 from exwarp_cli.io.exr.reader import HeaderCache, damaged_error
 from exwarp_cli.io.layers import Layer, LayerKind
@@ -67,8 +68,6 @@ FLUSHED_ALONE = 4  # bytes at the beginning of a stream; see `deflate_stream`
 
 _MIN_OWN_CODE = 1024  # bytes of a kind that are worth a code of their own
 _BAND_ROWS = 16  # are prepared at once, whole blocks of them: they stay in the processor's cache
-
-HALF_MAX = 65504.0
 
 PREFIX = "exwarp:"  # of ExWarp's own attributes, which describe one generated frame
 
