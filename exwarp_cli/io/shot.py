@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Window, is_surely_finite, nonfinite_pixels
+from exwarp_cli.domain.frame import Bool, Window, nonfinite_pixels
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.channel_map import AovFile, ChannelMap, detect_aov, find_channel
@@ -496,8 +496,6 @@ def count_nonfinite(planes: Iterable[np.ndarray], role: Role | None = None) -> i
         values = plane.reshape(*plane.shape[:2], -1)
         if role is Role.DEPTH:
             pixels = np.asarray(np.isnan(values).any(axis=-1))
-        elif is_surely_finite(values):
-            continue
         else:
             pixels = nonfinite_pixels(values)
         if pixels.shape == shape:
