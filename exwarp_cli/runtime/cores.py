@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
-from threading import Condition, get_ident, local
+from threading import Condition, local
 
 
 class Cores:
@@ -72,8 +72,6 @@ class Cores:
 
 _count: int | None = None
 _cores = Cores(None)
-# Threads that render a frame each. Adding and removing one needs no lock.
-_rendering: set[int] = set()
 
 
 def set_count(count: int | None, usable: int) -> None:
@@ -88,23 +86,6 @@ def set_count(count: int | None, usable: int) -> None:
 def count() -> int:
     """Return how many cores this process uses, and so how many threads a library may have."""
     return _count or os.cpu_count() or 1
-
-
-def spare_count() -> int:
-    """Return how many cores no thread keeps busy that renders a frame, at least 1."""
-    # On two cores with two such threads, reading and features on two threads more took 3 % more
-    # processor time: each time that another thread gets a core, it fills the cache again.
-    return max(1, count() - len(_rendering))
-
-
-@contextmanager
-def rendering() -> Iterator[None]:
-    """Count this thread as one that renders a frame, and keeps a core busy, in the block."""
-    _rendering.add(get_ident())
-    try:
-        yield
-    finally:
-        _rendering.discard(get_ident())
 
 
 def hold_cores(count: int = 1) -> AbstractContextManager[None]:

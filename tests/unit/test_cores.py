@@ -158,31 +158,3 @@ class TestOfTheProcess:
             assert not other.done()
             with cores.release_cores():
                 other.result(SOON)
-
-
-def test_cores_are_left_that_no_frame_is_made_on():
-    inside, gate = threading.Barrier(3), threading.Barrier(3)
-    cores.set_count(4, 4)
-    assert cores.spare_count() == 4
-
-    def make() -> None:
-        with cores.rendering():
-            inside.wait(SOON)
-            gate.wait(SOON)
-
-    with ThreadPoolExecutor(2) as pool:
-        made = [pool.submit(make) for _ in range(2)]
-        inside.wait(SOON)
-        assert cores.spare_count() == 2
-        cores.set_count(2, 2)
-        assert cores.spare_count() == 1, "who goes on beside them has one at least"
-        gate.wait(SOON)
-        for each in made:
-            each.result(SOON)
-    assert cores.spare_count() == 2
-
-
-def test_a_core_is_left_again_where_making_a_frame_fails():
-    with pytest.raises(ValueError, match="made badly"), cores.rendering():
-        raise ValueError("made badly")
-    assert cores.spare_count() == cores.count()
