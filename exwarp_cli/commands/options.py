@@ -105,17 +105,11 @@ threads_option = click.option(
 )
 
 
-def _read_metrics(
-    _context: click.Context, _parameter: click.Parameter, text: str | None
-) -> tuple[str, ...] | None:
-    return None if text is None else parse_metrics(text)
-
-
 # Its value is a tuple of names in `Score`, or None.
 metrics_option = click.option(
     "--metrics",
     metavar="LIST",
-    callback=_read_metrics,
+    callback=lambda _ctx, _parameter, text: None if text is None else parse_metrics(text),
     help=f"What is measured, with commas between, out of {', '.join(BY_OPTION)}; or {ALL}. "
     "Default: psnr,ssim,flip,pulse.",
 )
