@@ -38,8 +38,6 @@ ADDED = frozenset({"frames", "skip_existing", "overwrite"})
 # Of what `commands` prints with ``--json``.
 SCHEMA = "exwarp.chunks/1"
 
-METRIC_OPTIONS = {metric.field: metric.option for metric in METRICS}
-
 
 @click.group("farm", subcommand_metavar="[COMMAND] [ARGS]...")
 def command() -> None:
@@ -207,7 +205,7 @@ def option_values(options: Mapping[str, Any]) -> Iterator[tuple[str, str, str | 
         elif parameter.multiple:
             yield from ((name, parameter.opts[-1], str(item)) for item in value)
         elif isinstance(value, tuple):  # what --metrics made of its list
-            yield name, parameter.opts[-1], ",".join(METRIC_OPTIONS[field] for field in value)
+            yield name, parameter.opts[-1], ",".join(m.option for m in METRICS if m.field in value)
         else:
             yield name, parameter.opts[-1], str(value)
 

@@ -224,11 +224,10 @@ def summary_lines(
             f"{frames['resumed']} kept of an earlier run, {frames['made']} made, "
             f"{frames['replaced']} replaced"
         )
-    shots = (
-        (document["cuts"], sentences.describe_cuts),
-        (document["held"], sentences.describe_holds),
-    )
-    lines += [describe(value) for value, describe in shots if value]
+    if document["cuts"]:
+        lines.append(sentences.describe_cuts(document["cuts"]))
+    if document["held"]:
+        lines.append(sentences.describe_holds(document["held"]))
     # A method outside the paper's decision tree has no paths.
     paths = {name: count for name, count in decisions["paths"].items() if count}
     if paths and decisions["cost"] is None:

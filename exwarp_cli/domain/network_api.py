@@ -211,10 +211,6 @@ def cut_tiles(
 class Interpolator(NetworkModel, Protocol):
     """A network that makes the frame at any time between two, from their colour alone."""
 
-    @property
-    def name(self) -> str:
-        """Name in tables."""
-
     def __call__(self, before: Float32, after: Float32, time: float) -> Float32:
         """Return the frame at a time, 0 < time < 1, between two frames.
 
