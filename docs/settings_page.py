@@ -53,7 +53,7 @@ def leaf_commands(group: click.Group, name: str) -> list[tuple[str, click.Comman
     context = click.Context(group, info_name=name)
     commands: list[tuple[str, click.Command]] = []
     for child in group.list_commands(context):
-        command = group.get_command(context, child)
+        _, command, _ = group.resolve_command(context, [child])
         assert command is not None
         if isinstance(command, click.Group):
             commands += leaf_commands(command, f"{name} {child}")

@@ -6,7 +6,6 @@ Commands are imported when they run, so that ``exwarp --help`` loads neither num
 from __future__ import annotations
 
 import atexit
-import gc
 import importlib
 import os
 import re
@@ -17,7 +16,7 @@ import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 import click
 
@@ -34,9 +33,6 @@ from exwarp_cli.runtime.compilation import compilation
 from exwarp_cli.runtime.stop import StopRequested, graceful_stop
 from exwarp_cli.standard_streams import is_debugging, prepare_streams
 from exwarp_cli.supervisor import FORWARDED_SIGNALS, ChildExit, fork_command, is_supervised
-
-if TYPE_CHECKING:
-    from click.shell_completion import CompletionItem
 
 # Every command by its module in `exwarp_cli.commands`, with its line in ``exwarp --help``.
 COMMANDS = {
@@ -73,42 +69,31 @@ TERMINATED = 128 + signal.SIGTERM
 
 
 class LazyGroup(click.Group):
-    """A group that imports a command when it is called."""
+    """A group that lists commands by the table, and imports one when it is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands, in the order of the table."""
         return list(COMMANDS)
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command:
-        """Import a command; UsageError where there is none of that name."""
-        if cmd_name not in COMMANDS:
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str, click.Command, list[str]]:
+        """Import the command of the first word; UsageError where there is none of that name."""
+        name, *rest = args
+        if name not in COMMANDS:
             if ctx.resilient_parsing:  # a shell asks for completions, and there are none
-                return click.Command(cmd_name)
-            ctx.fail(f"there is no command {cmd_name!r}; the commands are {', '.join(COMMANDS)}")
+                return name, click.Command(name), rest
+            ctx.fail(f"there is no command {name!r}; the commands are {', '.join(COMMANDS)}")
         from exwarp_cli.commands.options import with_settings
 
-        module = importlib.import_module(f"exwarp_cli.commands.{cmd_name.replace('-', '_')}")
-        return with_settings(module.command, (cmd_name,), completing=ctx.resilient_parsing)
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the commands without importing any."""
-        with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
-
-    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Offer the commands without importing any, or the options."""
-        from click.shell_completion import CompletionItem
-
-        commands = [
-            CompletionItem(name, help=text)
-            for name, text in COMMANDS.items()
-            if name.startswith(incomplete)
-        ]
-        return commands + click.Command.shell_complete(self, ctx, incomplete)
+        module = importlib.import_module(f"exwarp_cli.commands.{name.replace('-', '_')}")
+        command = with_settings(module.command, (name,), completing=ctx.resilient_parsing)
+        return name, command, rest
 
 
 @click.group(
     cls=LazyGroup,
+    commands={name: click.Command(name, short_help=text) for name, text in COMMANDS.items()},
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog=EPILOG,
@@ -141,9 +126,6 @@ def main() -> NoReturn:
         atexit.register(_exit_now, codes)  # before all others, which run before it
     # BLAS would begin a thread a core with numpy, for products that are small here: 0.04 s.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # What is imported stays, and is most of what there is: looking through it for garbage after
-    # every 700 objects took a tenth of the time of importing it.
-    gc.set_threshold(50_000)
     prepare_streams()
     if not is_debugging():
         # numpy warns of overflow, with a line of code, for values that no renderer means.
@@ -217,12 +199,9 @@ def run(args: list[str], is_last: bool = False) -> int:
     """
     origins: dict[str, str] = {}  # of options that files and the environment set, by name
 
-    def announce(text: str) -> None:
-        with suppress(OSError, OutputError):  # a stream that fails is no reason to end the work
-            _print_message(text)
-
+    stops = graceful_stop(partial(_last_words, args), is_last)
     try:
-        with graceful_stop(partial(_last_words, args), is_last), compilation.messages_to(announce):
+        with stops, compilation.messages_to(_print_message):
             try:
                 result = exwarp.main(args, prog_name="exwarp", standalone_mode=False, obj=origins)
             except click.exceptions.NoArgsIsHelpError as error:  # a group without a command

@@ -16,7 +16,7 @@ import difflib
 import os
 import shlex
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -310,7 +310,7 @@ def every_command(ctx: click.Context) -> Iterator[click.Context]:
     """Yield a context for each command below a group."""
     assert isinstance(ctx.command, click.Group)
     for name in ctx.command.list_commands(ctx):
-        command = ctx.command.get_command(ctx, name)
+        _, command, _ = ctx.command.resolve_command(ctx, [name])
         assert command is not None
         context = click.Context(command, parent=ctx, info_name=name)
         if isinstance(command, click.Group):
@@ -400,10 +400,10 @@ def _read_layers(
     if _path_of(ctx) in JOB_COMMANDS:
         root = ctx.find_root()
         assert isinstance(root.command, click.Group)
-        upsample = root.command.get_command(root, UPSAMPLE)
+        _, upsample, _ = root.command.resolve_command(root, [UPSAMPLE])
         assert upsample is not None
         targets.append(click.Context(upsample, parent=root, info_name=UPSAMPLE))
-    own = {long_name(option): option for option in configurable(ctx.command)}
+    own = {long_name(option) for option in configurable(ctx.command)} - NOT_INHERITED
     layers: list[Layer] = []
     for file in (None, *files):
         for target in targets:
@@ -413,11 +413,7 @@ def _read_layers(
                 problems.append(str(error))
                 layer = {}
             if target is not ctx:
-                layer = {
-                    name: replace(setting, parameter=own[name])
-                    for name, setting in layer.items()
-                    if name in own and name not in NOT_INHERITED
-                }
+                layer = {name: setting for name, setting in layer.items() if name in own}
             layers.append(layer)
     return layers
 

@@ -29,18 +29,14 @@ NOT_SHARED = frozenset(
     {"progress", "cluster", "workers", "chunk_size", "dry_run", "as_chunk", "as_json"}
 )
 
+# The argument and the options of `upsample` that a farm's job has, too.
+SHARED_PARAMETERS = [p for p in upsample.command.params if p.name not in NOT_SHARED]
+
 # Options of `upsample` that each call gets of its own.
 ADDED = frozenset({"frames", "skip_existing", "overwrite"})
 
 # Of what `commands` prints with ``--json``.
 SCHEMA = "exwarp.chunks/1"
-
-METRIC_OPTIONS = {metric.field: metric.option for metric in METRICS}
-
-
-def shared_parameters() -> list[click.Parameter]:
-    """Return the argument and the options of `upsample` that a farm's job has, too."""
-    return [p for p in upsample.command.params if p.name not in NOT_SHARED]
 
 
 @click.group("farm", subcommand_metavar="[COMMAND] [ARGS]...")
@@ -79,7 +75,7 @@ _chunk_options = combined(
 )
 
 
-@command.command("openjd", params=shared_parameters())
+@command.command("openjd", params=[*SHARED_PARAMETERS])
 @_chunk_options
 @click.option("--plain", is_flag=True, help="List the chunks, for engines without TASK_CHUNKING.")
 @click.option(
@@ -149,7 +145,7 @@ def openjd(
         show(f"job bundle in {bundle}: deadline bundle submit {shlex.quote(str(bundle))}")
 
 
-@command.command("commands", params=shared_parameters())
+@command.command("commands", params=[*SHARED_PARAMETERS])
 @_chunk_options
 def commands(chunk_size: int, program: str, as_json: bool, **options: Any) -> None:
     """Print a command line for each chunk.
@@ -194,7 +190,7 @@ def option_values(options: Mapping[str, Any]) -> Iterator[tuple[str, str, str | 
 
     Defaults are left out: calls are isolated, so that a worker sets nothing but its own threads.
     """
-    for parameter in shared_parameters():
+    for parameter in SHARED_PARAMETERS:
         name, value = str(parameter.name), options[str(parameter.name)]
         if name in ADDED or value in (None, (), parameter.default):
             continue
@@ -209,7 +205,7 @@ def option_values(options: Mapping[str, Any]) -> Iterator[tuple[str, str, str | 
         elif parameter.multiple:
             yield from ((name, parameter.opts[-1], str(item)) for item in value)
         elif isinstance(value, tuple):  # what --metrics made of its list
-            yield name, parameter.opts[-1], ",".join(METRIC_OPTIONS[field] for field in value)
+            yield name, parameter.opts[-1], ",".join(m.option for m in METRICS if m.field in value)
         else:
             yield name, parameter.opts[-1], str(value)
 

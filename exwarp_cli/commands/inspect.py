@@ -61,15 +61,10 @@ def _print_inspection(inspection: Inspection) -> None:
     from rich import box
     from rich.console import Console
     from rich.table import Table
-    from rich.text import Text
 
     from exwarp_cli.io.cryptomatte import cryptomatte_refs
 
-    def text(line: str) -> Text:
-        """Return text in which neither a terminal nor rich sees markup."""
-        return Text(printable(line))
-
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, soft_wrap=True, markup=False, emoji=False)
     data = inspection.as_dict()
     producer = f", written by {data['producer']}" if data["pictures"] is None else ""
     head = [
@@ -79,7 +74,7 @@ def _print_inspection(inspection: Inspection) -> None:
     ]
     head += [note for note in (data["naming_note"], data["fps"]["note"]) if note is not None]
     for line in (*head, *_structure_lines(data)):
-        console.print(text(line))
+        console.print(printable(line))
     if data["pictures"] is not None:
         return
     table = Table("role", "channels", "type", box=box.SIMPLE)
@@ -91,10 +86,10 @@ def _print_inspection(inspection: Inspection) -> None:
     rows = [*data["roles"].items(), *((meaning, names) for (meaning, _), names in unused.items())]
     for meaning, names in rows:
         kinds = sorted({inspection.types.get(name, "") for name in names})
-        table.add_row(meaning, text(", ".join(names)), ", ".join(kinds))
+        table.add_row(meaning, printable(", ".join(names)), ", ".join(kinds))
     console.print(table)
     for line in _finding_lines(inspection, data):
-        console.print(text(line))
+        console.print(printable(line))
 
 
 def _finding_lines(inspection: Inspection, data: Mapping[str, Any]) -> Iterator[str]:

@@ -105,17 +105,11 @@ threads_option = click.option(
 )
 
 
-def _read_metrics(
-    _context: click.Context, _parameter: click.Parameter, text: str | None
-) -> tuple[str, ...] | None:
-    return None if text is None else parse_metrics(text)
-
-
 # Its value is a tuple of names in `Score`, or None.
 metrics_option = click.option(
     "--metrics",
     metavar="LIST",
-    callback=_read_metrics,
+    callback=lambda _ctx, _parameter, text: None if text is None else parse_metrics(text),
     help=f"What is measured, with commas between, out of {', '.join(BY_OPTION)}; or {ALL}. "
     "Default: psnr,ssim,flip,pulse.",
 )
@@ -230,11 +224,10 @@ def summary_lines(
             f"{frames['resumed']} kept of an earlier run, {frames['made']} made, "
             f"{frames['replaced']} replaced"
         )
-    shots = (
-        (document["cuts"], sentences.describe_cuts),
-        (document["held"], sentences.describe_holds),
-    )
-    lines += [describe(value) for value, describe in shots if value]
+    if document["cuts"]:
+        lines.append(sentences.describe_cuts(document["cuts"]))
+    if document["held"]:
+        lines.append(sentences.describe_holds(document["held"]))
     # A method outside the paper's decision tree has no paths.
     paths = {name: count for name, count in decisions["paths"].items() if count}
     if paths and decisions["cost"] is None:

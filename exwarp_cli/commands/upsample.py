@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import fields, replace
-from importlib import import_module
 from pathlib import Path
-from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -270,9 +268,6 @@ def command(
             settings, skip_existing=True, overwrite=False, replaces_foreign=settings.overwrite
         )
     distribution = ClusterSettings(workers, cluster, chunk_size)
-    if not (dry_run or distribution.spread) and settings.threads != 1:
-        with suppress(RuntimeError):  # no more threads: what needs one says so
-            Thread(target=_import_run, name="exwarp-import").start()
     # Engines of Open Job Description know success and failure alone. They try one that fails
     # again, and never begin the steps after it, which join the reports and make the video.
     leniency = suppress(IncompleteError) if progress == "openjd" else nullcontext()
@@ -302,15 +297,6 @@ def settings_of(options: Mapping[str, Any]) -> UpsampleSettings:
     source = {field.name: options[field.name] for field in fields(SourceSettings)}
     own = {f.name: options[f.name] for f in fields(UpsampleSettings) if f.name in options}
     return UpsampleSettings(SourceSettings(**source), **own)
-
-
-def _import_run() -> None:
-    """Import what makes frames, while the main thread waits for the frames that motion is found by.
-
-    What fails here fails again where it is used, and is reported there.
-    """
-    with suppress(Exception):
-        import_module("exwarp_cli.pipeline.run")
 
 
 def _print_dry_run(

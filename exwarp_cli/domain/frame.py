@@ -215,27 +215,10 @@ def outside_mask(canvas: Window, window: Window) -> Bool:
 
 def nonfinite_pixels(pixels: npt.NDArray[np.floating[Any]]) -> Bool:
     """Return the pixels [H, W, C] with a NaN or infinity in any channel, bool [H, W]."""
-    if pixels.dtype == np.float16:  # whose comparisons take ten times as long as those of its bits
-        bits = pixels.view(np.uint16) & np.uint16(0x7FFF)
-        return np.asarray((bits >= np.uint16(0x7C00)).any(axis=-1))
-    if is_surely_finite(pixels):
+    finite = np.isfinite(pixels)
+    if finite.all():  # a tenth of the time of testing each pixel
         return np.zeros(pixels.shape[:2], np.bool_)
-    return np.asarray(~np.isfinite(pixels).all(axis=-1))
-
-
-def is_surely_finite(pixels: npt.NDArray[np.floating[Any]]) -> bool:
-    """Return whether no channel of pixels [H, W, C] is NaN or infinite, as far as a sum shows it.
-
-    False also for values beyond 1e19, whose squares overflow, and for halves.
-    """
-    # A thirtieth of the time of testing each pixel.
-    if pixels.dtype == np.float16:
-        return False
-    with np.errstate(invalid="ignore", over="ignore"):
-        # The sum of squares, or the sum, which is faster where pixels lie apart.
-        if pixels.flags.c_contiguous:
-            return bool(np.isfinite(np.vdot(pixels, pixels)))
-        return bool(np.isfinite(pixels.sum(dtype=np.float64)))
+    return np.asarray(~finite.all(axis=-1))
 
 
 def place_on_canvas(

@@ -45,20 +45,10 @@ class AxisMap:
         Non-finite values give NaN, and so do clipped ones, where `still` is the middle of 0 … 1.
         """
         out: Float32 = pool.empty((*raw.shape[:-1], 2), np.float32)
-        if not self.still and self.length is None and self.alpha is None:
-            # A third of the time of the passes over the frame below.
-            from exwarp_cli.kernels import raw_channels  # numba: not for `exwarp --help`
-
-            rows = np.ascontiguousarray(raw, np.float32).reshape(-1, raw.shape[-1])
-            scales = np.float32(self.x_scale), np.float32(self.y_scale)
-            channels = self.x_channel, self.y_channel
-            raw_channels.scale_vectors(rows, channels, scales, out.reshape(-1, 2))
-            return out
-        axes = []
         clipped = self.length is None and abs(self.still - STILL_MIDDLE) < STILL_TOLERANCE
-        pairs = ((self.x_channel, self.x_scale), (self.y_channel, self.y_scale))
+        axes = ((self.x_channel, self.x_scale), (self.y_channel, self.y_scale))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            for channel, scale in pairs:
+            for axis, (channel, scale) in enumerate(axes):
                 value = raw[..., channel]
                 if self.alpha is not None:
                     value = np.where(raw[..., self.alpha] > 0, value / raw[..., self.alpha],
@@ -69,9 +59,8 @@ class AxisMap:
                     value = value - np.float32(self.still)
                 if self.length is not None:
                     value = value * raw[..., self.length]
-                axes.append(value * np.float32(scale))
-            np.stack(axes, axis=-1, out=out)
-            out[~np.isfinite(axes[0] + axes[1])] = np.nan
+                np.multiply(value, np.float32(scale), out=out[..., axis])
+            out[~np.isfinite(out[..., 0] + out[..., 1])] = np.nan
         return out
 
     def write(

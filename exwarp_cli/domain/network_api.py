@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from math import prod
 from typing import Protocol, runtime_checkable
 
@@ -165,7 +164,6 @@ class TileSpan:
 Tile = tuple[TileSpan, TileSpan]  # rows and columns
 
 
-@lru_cache(maxsize=8)
 def cut_tiles(
     size: tuple[int, int],  # height and width of the picture, multiples of `stride`
     stride: int,  # where tiles may begin and end
@@ -212,10 +210,6 @@ def cut_tiles(
 
 class Interpolator(NetworkModel, Protocol):
     """A network that makes the frame at any time between two, from their colour alone."""
-
-    @property
-    def name(self) -> str:
-        """Name in tables."""
 
     def __call__(self, before: Float32, after: Float32, time: float) -> Float32:
         """Return the frame at a time, 0 < time < 1, between two frames.

@@ -81,9 +81,6 @@ REWARP = "rewarp"
 # Letters of the makers in headers and tables.
 MAKER_LETTERS = {WARP: "w", EXTRAPOLATE: "e", REWARP: "r", SOFTSPLAT: "s", LOOKAHEAD: "l"}
 
-# Those that run a network.
-DEAR_MAKERS = (EXTRAPOLATE, LOOKAHEAD)
-
 # Paths of tiles, and the letters of their makers in slots 1 to 3. d1 warps, as a repeated frame
 # gains nothing.
 TILE_PATHS = {"S3": "wee", "S4": "wer", "S5": "wwe", "S6": "www"}
@@ -130,7 +127,7 @@ class TileMakers:
     @property
     def dear_share(self) -> float:
         """Return the share of the tiles that a network made, 0 to 1."""
-        return sum(map(self.share, DEAR_MAKERS))
+        return self.share(EXTRAPOLATE) + self.share(LOOKAHEAD)
 
     @property
     def text(self) -> str:

@@ -174,10 +174,7 @@ def list_numbers(text: str) -> list[Any]:
     """List the numbers of a frame range, whole or not; ValueError if it is none."""
     if re.search(r"\d\s+\d", text):
         raise ValueError(f"no comma between two numbers of {text!r}")  # one would be made of both
-    plain = re.fullmatch(r"\s*(\d{1,5})\s*(?:-\s*(\d{1,5})\s*)?", text, re.ASCII)
-    if plain and int(plain[1]) <= int(plain[2] or plain[1]):  # most often, and at once
-        return list(range(int(plain[1]), int(plain[2] or plain[1]) + 1))
-    from fileseq.frameset import FrameSet  # not for `exwarp --help`, nor where all is done
+    from fileseq.frameset import FrameSet  # not for `exwarp --help`
 
     try:
         return list(FrameSet(re.sub(r"\s", "", text).replace(":", "x")))
@@ -187,12 +184,9 @@ def list_numbers(text: str) -> list[Any]:
 
 def ranges(numbers: Collection[int]) -> str:
     """Write frame numbers compactly, for messages: ``1-4,7``."""
-    ordered = sorted(set(numbers))
-    if not ordered or ordered[-1] - ordered[0] == len(ordered) - 1:  # most often, and at once
-        return "-".join(str(number) for number in dict.fromkeys(ordered[:1] + ordered[-1:]))
     from fileseq.frameset import FrameSet
 
-    return str(FrameSet(ordered))
+    return str(FrameSet(sorted(set(numbers))))
 
 
 # Relative distance at which a rate counts as a standard one: 23.98 is 24000/1001, not 24.

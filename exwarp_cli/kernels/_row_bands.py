@@ -95,20 +95,15 @@ def _wait_for(started: Sequence[Future[None]]) -> None:
         raise
 
 
-def set_threads(count: int | Callable[[], int] | None) -> None:
-    """Set how many threads run the kernels that this thread calls.
-
-    `count`: a number, a function that returns it at each call, or None for all threads.
-    """
+def set_threads(count: int | None) -> None:
+    """Set how many threads run the kernels that this thread calls; None for all threads."""
     _own.count = count
 
 
 def threads() -> int:
     """Return how many threads run the kernels that this thread calls."""
     most = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
-    count: int | Callable[[], int] | None = getattr(_own, "count", None)
-    if callable(count):
-        count = count()
+    count: int | None = getattr(_own, "count", None)
     return most if count is None else max(1, min(count, most))
 
 

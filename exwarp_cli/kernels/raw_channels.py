@@ -1,34 +1,15 @@
-"""Motion vectors, depths and ids from the raw channels of a file.
+"""Depths and ids from the raw channels of a file.
 
-Serial except for vectors: each takes 5 to 20 ms for 1080p, and several frames are read at once.
+Serial: each takes 5 to 20 ms for 1080p, and several frames are read at once.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import ParallelKernel, inline, kernel
-from exwarp_cli.kernels._row_bands import Band, band_range
+from exwarp_cli.kernels._compile import inline, kernel
 from exwarp_cli.kernels.array_types import F32, I32, U32
 from exwarp_cli.kernels.silhouettes import SAME_DEPTH
-
-
-@ParallelKernel
-def scale_vectors(
-    raw: F32,  # [N, C]
-    channels: tuple[int, int],  # of x and y
-    scales: tuple[np.float32, np.float32],
-    out: F32,  # [N, 2], written; NaN where x, y or their sum is not finite
-    band: Band,
-) -> None:
-    """Write two channels times their scales."""
-    rows = band_range(out.shape[0], band)
-    values, vectors = raw[rows.start : rows.stop], out[rows.start : rows.stop]
-    for n in range(vectors.shape[0]):
-        x, y = values[n, channels[0]] * scales[0], values[n, channels[1]] * scales[1]
-        is_finite = abs(x + y) < np.float32(np.inf)
-        vectors[n, 0] = x if is_finite else np.float32(np.nan)
-        vectors[n, 1] = y if is_finite else np.float32(np.nan)
 
 
 @kernel

@@ -23,7 +23,7 @@ import OpenImageIO as oiio
 from exwarp_cli.errors import InputError
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.runtime import cores
-from exwarp_cli.runtime.cores import hold_cores, release_cores, rendering
+from exwarp_cli.runtime.cores import hold_cores, release_cores
 from exwarp_cli.runtime.machine import processors
 
 if TYPE_CHECKING:
@@ -47,11 +47,8 @@ def use_threads(count: int | None) -> None:
 
 
 def _limit_kernel_threads() -> None:
-    """Limit the kernels that this thread starts to the spare cores.
-
-    Each thread has to call it: the kernels of a new thread use all cores.
-    """
-    _row_bands.set_threads(cores.spare_count)
+    """Limit the kernels that this thread calls to the cores of this process."""
+    _row_bands.set_threads(cores.count())
 
 
 def fits_pool(
@@ -156,7 +153,7 @@ class ParallelSlots(AbstractContextManager["ParallelSlots"]):
 
     def _run(self, render: Callable[[S], T], slot: S) -> T:
         # Cores of slots are not left for others meanwhile.
-        with hold_cores(self._share), rendering():
+        with hold_cores(self._share):
             return render(slot)
 
 

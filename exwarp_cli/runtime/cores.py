@@ -13,76 +13,25 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
-from threading import Condition, get_ident, local
-
-
-class Cores:
-    """A number of cores, None for no limit, which threads hold while they work."""
-
-    def __init__(self, count: int | None) -> None:
-        self.count, self._free = count, count or 0
-        self._changed = Condition()
-        self._thread = local()
-
-    @contextmanager
-    def hold(self, count: int = 1) -> Iterator[None]:
-        """Wait for so many cores, or all there are, and hold them in the block.
-
-        A thread that holds some already keeps to these.
-        """
-        if self.count is None or self._held:
-            yield
-            return
-        self._keep(min(count, self.count))
-        try:
-            yield
-        finally:
-            self._keep(0)
-
-    @contextmanager
-    def release(self) -> Iterator[None]:
-        """Let other threads work on this thread's cores, if it holds any, within the block.
-
-        The thread must hold no lock that these may want: they could wait for each other.
-        """
-        count = self._held
-        if not count:
-            yield
-            return
-        self._keep(0)
-        try:
-            yield
-        finally:
-            self._keep(count)
-
-    @property
-    def _held(self) -> int:
-        return int(getattr(self._thread, "held", 0))
-
-    def _keep(self, count: int) -> None:
-        """Wait for so many cores and hold them, or give all back for 0."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._free >= count)
-            self._free += self._held - count
-            self._thread.held = count
-            if not count:
-                self._changed.notify_all()
-
+from contextlib import contextmanager
+from threading import Condition, local
 
 _count: int | None = None
-_cores = Cores(None)
-# Threads that render a frame each. Adding and removing one needs no lock.
-_rendering: set[int] = set()
+_limit: int | None = None  # cores that threads hold while they work; None where all may work
+_free = 0  # of these
+_changed = Condition()
+_thread = local()  # `held`: cores that a thread holds
 
 
 def set_count(count: int | None, usable: int) -> None:
     """Set how many cores this process uses: `count`, or all `usable` ones for None."""
-    global _count, _cores
+    global _count, _limit, _free, _thread
     _count = count or usable
     limit = _count if _count < usable else None
-    if limit != _cores.count:  # else what threads hold stays valid
-        _cores = Cores(limit)
+    if limit != _limit:  # else what threads hold stays valid
+        with _changed:
+            _limit, _free, _thread = limit, limit or 0, local()
+            _changed.notify_all()
 
 
 def count() -> int:
@@ -90,28 +39,50 @@ def count() -> int:
     return _count or os.cpu_count() or 1
 
 
-def spare_count() -> int:
-    """Return how many cores no thread keeps busy that renders a frame, at least 1."""
-    # On two cores with two such threads, reading and features on two threads more took 3 % more
-    # processor time: each time that another thread gets a core, it fills the cache again.
-    return max(1, count() - len(_rendering))
-
-
 @contextmanager
-def rendering() -> Iterator[None]:
-    """Count this thread as one that renders a frame, and keeps a core busy, in the block."""
-    _rendering.add(get_ident())
+def hold_cores(count: int = 1) -> Iterator[None]:
+    """Wait for so many cores, or all there are, and let this thread work on them in the block.
+
+    A thread that holds some already keeps to these.
+    """
+    if _limit is None or _held():
+        yield
+        return
+    _keep(count)
     try:
         yield
     finally:
-        _rendering.discard(get_ident())
+        _keep(0)
 
 
-def hold_cores(count: int = 1) -> AbstractContextManager[None]:
-    """Return a block in which this thread works; it waits for cores first."""
-    return _cores.hold(count)
+@contextmanager
+def release_cores() -> Iterator[None]:
+    """Let other threads work on this thread's cores, if it holds any, while it waits in the block.
+
+    The thread must hold no lock that these may want: they could wait for each other.
+    """
+    count = _held()
+    if not count:
+        yield
+        return
+    _keep(0)
+    try:
+        yield
+    finally:
+        _keep(count)
 
 
-def release_cores() -> AbstractContextManager[None]:
-    """Return a block in which this thread waits, and other threads may have its cores."""
-    return _cores.release()
+def _held() -> int:
+    return int(getattr(_thread, "held", 0))
+
+
+def _keep(count: int) -> None:
+    """Wait for so many cores, or all there are, and hold them; give all back for 0."""
+    global _free
+    with _changed:
+        _changed.wait_for(lambda: _free >= min(count, _limit or 0))
+        kept = min(count, _limit or 0)  # after `set_count` there may be fewer
+        _free += _held() - kept
+        _thread.held = kept
+        if not kept:
+            _changed.notify_all()

@@ -16,6 +16,7 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from math import inf, prod
+from operator import is_not
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -29,29 +30,15 @@ MAX_FREE_BYTES = 256 << 20  # of free buffers in a pool: about those of a slot a
 LARGE_PIXELS = 4 * 2**20
 
 T = TypeVar("T")
-Buffer = npt.NDArray[np.uint8]
 
 # Pages that other processes do not share, as always on Windows: only these can be huge.
 _PRIVATE = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
 
 
-class _Lease:
-    """The base of an array and of all its views: the buffer is free when this is collected."""
-
-    def __init__(self, buffer: Buffer, shape: tuple[int, ...], dtype: np.dtype) -> None:
-        interface = buffer.__array_interface__
-        self.__array_interface__ = {
-            "version": interface["version"],
-            "data": interface["data"],
-            "shape": shape,
-            "typestr": dtype.str,
-        }
-
-
 class _FreeBuffer(NamedTuple):
     """A free buffer, and the count of `trim` calls when it became free."""
 
-    buffer: Buffer
+    buffer: mmap.mmap
     since: int
 
 
@@ -67,14 +54,14 @@ class FramePool:
         self._trims = 0
         self._lock = threading.Lock()
         # A finalizer may run while its thread has the lock, so it only appends; that needs none.
-        self._returned: deque[Buffer] = deque()
+        self._returned: deque[mmap.mmap] = deque()
 
     @property
     def free_bytes(self) -> int:
         """Bytes that no array uses."""
         with self._lock:
             self._collect()
-            return sum(free.buffer.nbytes for free in self._free)
+            return sum(len(free.buffer) for free in self._free)
 
     def empty(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> np.ndarray:
         """Return a C-contiguous array of arbitrary values.
@@ -91,21 +78,20 @@ class FramePool:
             self._collect()
             buffer = None
             for index in range(len(self._free) - 1, -1, -1):  # the one that was used last
-                if self._free[index].buffer.nbytes == size:
+                if len(self._free[index].buffer) == size:
                     buffer = self._free.pop(index).buffer
                     break
         if buffer is None:  # map memory, which returns to the system when the buffer is dropped
             try:
-                pages = mmap.mmap(-1, size, **_PRIVATE)
+                buffer = mmap.mmap(-1, size, **_PRIVATE)
             except OSError as error:
                 raise MemoryError(f"{size} bytes") from error
             if hasattr(mmap, "MADV_HUGEPAGE"):
                 with suppress(OSError):  # the system has none
-                    pages.madvise(mmap.MADV_HUGEPAGE)
-            buffer = np.frombuffer(pages, np.uint8)
-        lease = _Lease(buffer, shape, dtype)
+                    buffer.madvise(mmap.MADV_HUGEPAGE)
+        lease = np.frombuffer(buffer, dtype)  # the base of the array and of all its views
         weakref.finalize(lease, self._returned.append, buffer).atexit = False
-        return np.asarray(lease)
+        return lease.reshape(shape)
 
     def copy(self, array: np.ndarray) -> np.ndarray:
         """Return a C-contiguous copy of an array."""
@@ -130,9 +116,9 @@ class FramePool:
         """Take over the returned buffers, and drop the oldest above the limit."""
         while self._returned:
             self._free.append(_FreeBuffer(self._returned.popleft(), self._trims))
-        excess = sum(free.buffer.nbytes for free in self._free) - self._max_free
+        excess = sum(len(free.buffer) for free in self._free) - self._max_free
         while excess > 0 and self._free:
-            excess -= self._free.pop(0).buffer.nbytes
+            excess -= len(self._free.pop(0).buffer)
 
 
 pool = FramePool()
@@ -161,17 +147,13 @@ class ScratchFrames:
         if isinstance(before, np.ndarray):
             after = self._store_array(before)
         elif type(before) is tuple:
-            items = tuple(self.store(item) for item in before)
-            if any(new is not old for new, old in zip(items, before, strict=True)):
+            items = tuple(map(self.store, before))
+            if any(map(is_not, items, before)):
                 after = items
         elif is_dataclass(before) and not isinstance(before, type):
-            changed = {}
-            for name in (field.name for field in fields(before) if field.init):
-                part = self.store(getattr(before, name))
-                if part is not getattr(before, name):
-                    changed[name] = part
-            if changed:
-                after = replace(before, **changed)
+            parts = {f.name: self.store(getattr(before, f.name)) for f in fields(before) if f.init}
+            if any(part is not getattr(before, name) for name, part in parts.items()):
+                after = replace(before, **parts)
         stored: T = after
         return stored
 

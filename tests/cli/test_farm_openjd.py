@@ -338,7 +338,7 @@ class TestOptions:
             assert {p.name for p in upsample.command.params} - own <= farm.NOT_SHARED
 
     def test_those_that_name_files_have_a_purpose(self):
-        for parameter in farm.shared_parameters():
+        for parameter in farm.SHARED_PARAMETERS:
             named = parameter.name == "sequence" or names_paths(parameter)
             assert named == (parameter.name in PATH_ROLES), parameter.name
 
@@ -352,7 +352,7 @@ class TestOptions:
 
     def test_they_are_written_as_they_were_given(self):
         words = ["keys"]
-        for parameter in farm.shared_parameters():
+        for parameter in farm.SHARED_PARAMETERS:
             if isinstance(parameter, click.Option) and parameter.name not in farm.ADDED:
                 words += sample(parameter)
         context = upsample.command.make_context("upsample", list(words))
@@ -361,7 +361,7 @@ class TestOptions:
         found = upsample.command.make_context("upsample", again).params
         assert found == context.params
         assert {name for name, _, _ in given} | farm.ADDED == {
-            p.name for p in farm.shared_parameters()
+            p.name for p in farm.SHARED_PARAMETERS
         }
 
     def test_defaults_are_left_out(self):

@@ -297,16 +297,6 @@ def areas_measured(stencil: np.ndarray) -> Arrays:
     return (areas[: connected_components.measure_component_areas(stencil, areas)],)
 
 
-def scaled(
-    raw: np.ndarray, axes: tuple[int, int], scales: tuple[float, float], serial: bool = False
-) -> Arrays:
-    out = np.zeros((len(raw), 2), np.float32)
-    x, y = scales
-    scale = build(raw_channels, "scale_vectors", serial)
-    scale(raw, axes, (np.float32(x), np.float32(y)), out)
-    return (out,)
-
-
 def rounded(values: np.ndarray) -> Arrays:
     out = np.full(values.shape, -9, np.int32)
     raw_channels.round_ids(values, out)

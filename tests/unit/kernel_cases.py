@@ -160,13 +160,6 @@ def seen_by(seed: int) -> calls.Arrays:
     return field(seed), at_slot, depth(seed + 1), rng.random(SHAPE) < 0.3, rng.random(SHAPE) < 0.2
 
 
-def scale(serial: bool) -> calls.Arrays:
-    """By channels that lie apart, and by neighbours of four."""
-    raw = image(63).reshape(-1, 4)
-    scales = (0.5, -3)
-    return calls.scaled(raw, (3, 1), scales, serial) + calls.scaled(raw, (2, 3), scales, serial)
-
-
 def choose(serial: bool) -> calls.Arrays:
     """With two key frames, and with one."""
     both = calls.chosen(seen_by(50), seen_by(52), 0.5, serial)
@@ -234,7 +227,6 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     ),
     "find_fringe": lambda serial: calls.fringe_found(field(18), depth(18), depth(19), serial),
     "block_means": lambda serial: calls.averaged(field(34), 8, shown(35), serial),
-    "scale_vectors": scale,
     "write_ranges": lambda serial: calls.extended(image(36), shown(37), serial),
     "count_histograms": count,
     "write_opponent": write_opponent,

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from exwarp_cli.runtime import cores
-from exwarp_cli.runtime.cores import Cores
+from exwarp_cli.runtime.cores import hold_cores, release_cores
 
 SOON = 10.0
 """Seconds after which a wait counts as hanging; none should take a hundredth of it."""
@@ -41,10 +41,11 @@ def side_by_side(count: int, work: Callable[[], None]) -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_no_more_work_than_there_are_cores_for(count):
-    shared, busy = Cores(count), Busy()
+    cores.set_count(count, 8)
+    busy = Busy()
 
     def work() -> None:
-        with shared.hold():
+        with hold_cores():
             busy.work()
 
     side_by_side(6, work)
@@ -52,38 +53,41 @@ def test_no_more_work_than_there_are_cores_for(count):
 
 
 def test_without_a_bound_no_thread_waits():
-    shared, meeting = Cores(None), threading.Barrier(6)
+    cores.set_count(None, 8)
+    meeting = threading.Barrier(6)
 
     def work() -> None:
-        with shared.hold(), shared.release():
+        with hold_cores(), release_cores():
             meeting.wait(SOON)
 
     side_by_side(6, work)
 
 
 def test_cores_are_given_to_others_for_as_long_as_their_owner_waits():
-    shared, order = Cores(1), []
+    cores.set_count(1, 8)
+    order = []
 
     def work() -> None:
-        with shared.hold():
+        with hold_cores():
             order.append("other")
 
-    with ThreadPoolExecutor(1) as pool, shared.hold():
+    with ThreadPoolExecutor(1) as pool, hold_cores():
         other = pool.submit(work)
         time.sleep(0.02)
         order.append("before")
-        with shared.release():
+        with release_cores():
             other.result(SOON)
         order.append("after")
     assert order == ["before", "other", "after"]
 
 
 def test_some_take_several_and_all_is_the_most():
-    shared, busy = Cores(3), Busy()
+    cores.set_count(3, 8)
+    busy = Busy()
 
     def work(many: int) -> Callable[[], None]:
         def run() -> None:
-            with shared.hold(many):
+            with hold_cores(many):
                 busy.work(min(many, 3))
 
         return run
@@ -96,12 +100,13 @@ def test_some_take_several_and_all_is_the_most():
 
 
 def test_within_a_block_a_thread_takes_no_more():
-    shared, busy = Cores(1), Busy()
+    cores.set_count(1, 8)
+    busy = Busy()
 
     def work() -> None:
-        with shared.hold(), shared.hold():
+        with hold_cores(), hold_cores():
             busy.work()
-            with shared.release(), shared.release():
+            with release_cores(), release_cores():
                 time.sleep(0.002)
             busy.work()
 
@@ -110,11 +115,11 @@ def test_within_a_block_a_thread_takes_no_more():
 
 
 def test_what_fails_gives_its_cores_back():
-    shared = Cores(1)
+    cores.set_count(1, 8)
     for _ in range(2):
-        with pytest.raises(OSError, match="full"), shared.hold():
+        with pytest.raises(OSError, match="full"), hold_cores():
             raise OSError("full")
-        with pytest.raises(OSError, match="gone"), shared.hold(), shared.release():
+        with pytest.raises(OSError, match="gone"), hold_cores(), release_cores():
             raise OSError("gone")
 
 
@@ -124,7 +129,7 @@ class TestOfTheProcess:
         busy = Busy()
 
         def work() -> None:
-            with cores.hold_cores():
+            with hold_cores():
                 busy.work()
 
         side_by_side(5, work)
@@ -136,7 +141,7 @@ class TestOfTheProcess:
         meeting = threading.Barrier(10)
 
         def work() -> None:
-            with cores.hold_cores():
+            with hold_cores():
                 meeting.wait(SOON)
 
         with ThreadPoolExecutor(10) as pool:
@@ -148,41 +153,23 @@ class TestOfTheProcess:
         cores.set_count(1, 8)
 
         def work() -> None:
-            with cores.hold_cores():
+            with hold_cores():
                 pass
 
-        with ThreadPoolExecutor(1) as pool, cores.hold_cores():
+        with ThreadPoolExecutor(1) as pool, hold_cores():
             cores.set_count(1, 8)
             other = pool.submit(work)
             time.sleep(0.02)
             assert not other.done()
-            with cores.release_cores():
+            with release_cores():
                 other.result(SOON)
 
 
-def test_cores_are_left_that_no_frame_is_made_on():
-    inside, gate = threading.Barrier(3), threading.Barrier(3)
-    cores.set_count(4, 4)
-    assert cores.spare_count() == 4
-
-    def make() -> None:
-        with cores.rendering():
-            inside.wait(SOON)
-            gate.wait(SOON)
-
-    with ThreadPoolExecutor(2) as pool:
-        made = [pool.submit(make) for _ in range(2)]
-        inside.wait(SOON)
-        assert cores.spare_count() == 2
-        cores.set_count(2, 2)
-        assert cores.spare_count() == 1, "who goes on beside them has one at least"
-        gate.wait(SOON)
-        for each in made:
-            each.result(SOON)
-    assert cores.spare_count() == 2
-
-
-def test_a_core_is_left_again_where_making_a_frame_fails():
-    with pytest.raises(ValueError, match="made badly"), cores.rendering():
-        raise ValueError("made badly")
-    assert cores.spare_count() == cores.count()
+def test_who_waits_meanwhile_goes_on_with_fewer_cores():
+    cores.set_count(4, 8)
+    with hold_cores(4), release_cores():
+        cores.set_count(2, 8)
+    with hold_cores(2), release_cores():
+        cores.set_count(None, 8)
+    with hold_cores(), release_cores():
+        assert cores.count() == 8

@@ -1,4 +1,4 @@
-"""Ids and vectors out of raw channels: the kernels against their twins."""
+"""Ids out of raw channels: the kernel against its twin."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.reference import ids as naive_ids
-from tests.reference import vectors as naive_vectors
-from tests.unit.kernel_calls import rounded, scaled
+from tests.unit.kernel_calls import rounded
 
 VALUES = st.floats(width=32) | st.integers(-3, 40).map(float) | st.sampled_from(
     [0.5, 1.5, 2.5, 0.98, 1.02, -0.5, -1.0, 2.0**24, 2.0**31, -(2.0**31), 3e38]
@@ -25,25 +24,3 @@ def test_ids_are_those_of_the_twin(values):
 def test_ids_near_whole_numbers_are_whole_and_others_mixed():
     ids = np.array([0, 7.01, 6.99, 7.03, 6.97, 0.5, -1, np.nan, np.inf, 2**24], np.float32)
     assert rounded(ids)[0].tolist() == [0, 7, 7, -1, -1, -1, -1, -1, -1, 2**24]
-
-
-@given(
-    st.lists(st.tuples(VALUES, VALUES, VALUES), min_size=1, max_size=20),
-    st.sampled_from([(0, 1), (2, 0), (1, 1)]),
-    st.tuples(st.sampled_from([1.0, -1.0, 960.0]), st.sampled_from([1.0, -540.0])),
-)
-def test_vectors_are_those_of_the_twin(rows, channels, scales):
-    raw = np.array(rows, np.float32)
-    (found,) = scaled(raw, channels, scales)
-    np.testing.assert_array_equal(found, naive_vectors.scale_vectors(raw, channels, scales))
-
-
-@given(
-    st.lists(st.tuples(VALUES, VALUES, VALUES, VALUES), min_size=1, max_size=20),
-    st.sampled_from([(0, 1), (1, 2), (2, 3), (3, 2), (0, 2)]),
-    st.tuples(st.sampled_from([1.0, -1.0, 960.0]), st.sampled_from([1.0, -540.0])),
-)
-def test_vectors_of_four_channels_are_those_of_the_twin(rows, channels, scales):
-    raw = np.array(rows, np.float32)
-    (found,) = scaled(raw, channels, scales)
-    np.testing.assert_array_equal(found, naive_vectors.scale_vectors(raw, channels, scales))

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from exwarp_cli.domain.motion import AxisMap
+from tests.reference import vectors as naive_vectors
+
+VALUES = st.floats(width=32) | st.integers(-3, 40).map(float) | st.sampled_from([0.5, -1.0, 3e38])
 
 MAPS = {
     "plain": AxisMap(0, 1, 1.0, -1.0),
@@ -70,6 +75,16 @@ class TestApply:
                 values = [0.3, 0.3, 1.0, 1.0]
                 values[index] = bad
                 assert np.isnan(MAPS[name].apply(raw(*values))).all()
+
+    @given(
+        st.lists(st.tuples(VALUES, VALUES, VALUES, VALUES), min_size=1, max_size=20),
+        st.sampled_from([(0, 1), (1, 2), (2, 3), (3, 2), (0, 2), (1, 1)]),
+        st.tuples(st.sampled_from([1.0, -1.0, 960.0]), st.sampled_from([1.0, -540.0])),
+    )
+    def test_plain_vectors_are_those_of_the_twin(self, rows, channels, scales):
+        values = np.array(rows, np.float32)
+        found = AxisMap(*channels, *scales).apply(values)
+        np.testing.assert_array_equal(found, naive_vectors.scale_vectors(values, channels, scales))
 
 
 @pytest.mark.parametrize("name", MAPS)

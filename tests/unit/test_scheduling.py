@@ -7,7 +7,6 @@ import time
 from functools import partial
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
@@ -23,7 +22,6 @@ from exwarp_cli.pipeline.scheduling import (
     prefetch,
     read_depth,
 )
-from exwarp_cli.runtime import cores
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.motion_fields import reproject
@@ -250,27 +248,6 @@ class TestParallelSlots:
             rendered = pool.render(lambda slot: slot, range(slots), in_pool=True)
             assert list(rendered) == list(range(slots))
         assert shares and set(shares) == {share}
-
-    def test_what_goes_on_meanwhile_has_the_cores_that_are_left(self):
-        arrived, gate, order = threading.Semaphore(0), threading.Semaphore(0), []
-        cores.set_count(3, 3)
-        _row_bands.set_threads(cores.spare_count)
-
-        def render(slot: int) -> int:
-            arrived.release()
-            gate.acquire(timeout=SOON)  # where an assertion fails, nothing opens it
-            return slot
-
-        with ParallelSlots(2, 3) as slots:
-            stream = slots.render(render, (1, 2), in_pool=True)
-            taking = threading.Thread(target=lambda: order.extend(stream))
-            taking.start()
-            assert arrived.acquire(timeout=SOON) and arrived.acquire(timeout=SOON)
-            assert cores.spare_count() == 1 and _row_bands.threads() == 1
-            gate.release(2)
-            taking.join(SOON)
-        assert order == [1, 2] and cores.spare_count() == 3
-        assert _row_bands.threads() == min(3, numba.config.NUMBA_NUM_THREADS)
 
     @pytest.mark.parametrize("in_pool", [False, True])
     def test_an_error_comes_where_its_slot_is_due(self, in_pool):

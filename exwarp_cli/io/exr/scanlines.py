@@ -261,7 +261,7 @@ def read_blocks(
             if run[0].number not in broken and not _decode_blocks(file_bytes, *run):
                 broken.add(run[0].number)
 
-    threads = min(cores.spare_count(), len(runs))
+    threads = min(cores.count(), len(runs))
     if threads > 1:
         # No thread can be started when the interpreter ends, or the system has no more.
         with suppress(RuntimeError), ThreadPoolExecutor(threads, "exr") as executor:

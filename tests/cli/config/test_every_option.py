@@ -36,7 +36,7 @@ class TestEveryOption:
 
     def test_groups_have_none_of_their_own(self):
         for name in cli.COMMANDS:
-            command = cli.exwarp.get_command(click.Context(cli.exwarp), name)
+            _, command, _ = cli.exwarp.resolve_command(click.Context(cli.exwarp), [name])
             if isinstance(command, click.Group):
                 assert configurable(command) == []
 
@@ -55,5 +55,5 @@ class TestEveryOption:
         from exwarp_cli.commands.upsample import command
 
         before = list(command.params)
-        cli.exwarp.get_command(click.Context(cli.exwarp), "upsample")
+        cli.exwarp.resolve_command(click.Context(cli.exwarp), ["upsample"])
         assert command.params == before and command.epilog is None
