@@ -19,15 +19,14 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.footage import read_sequence_picture
-from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.fingerprint import key_fingerprint
 from exwarp_cli.pipeline.frame_writer import (
     FRAMES_BEHIND,
     FrameWriter,
-    files_of,
-    verify,
+    list_files,
+    require_sound,
     verify_video,
 )
 from exwarp_cli.pipeline.interval_builder import IntervalPreparer, PreparedInterval, make_builders
@@ -39,7 +38,7 @@ from exwarp_cli.pipeline.interval_inputs import (
 )
 from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.key_frames import window_note
-from exwarp_cli.pipeline.messages import announce_skipped, skipped_slots
+from exwarp_cli.pipeline.messages import announce_skipped
 from exwarp_cli.pipeline.output_plan import is_video_kept, video_fingerprint, video_look, video_note
 from exwarp_cli.pipeline.progress import FrameListener, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.scheduling import (
@@ -117,12 +116,13 @@ def write_intervals(
         outcome = RunOutcome(frames, leader.shots.cuts, tuple(run.left_out), nonfinite=broken)
         if not (job.sums and frames):
             return outcome
-        files, verified = files_of(targets, frames, run.writer.sums), None
+        files, verified = list_files(targets, frames, run.writer.sums), None
         if settings.verify:
-            verified = verify(targets, frames, files, job.source.keys.view, outcome.shown)
+            require_sound(files, job.source.keys.view, outcome.shown)
+            verified = len(files)
             if targets.frames is not None and targets.video is not None:
                 verify_video(targets.video, outcome.shown)
-        return replace(outcome, files=files, verified=verified)
+        return replace(outcome, files=tuple(f.written for f in files), verified=verified)
     finally:
         job.close()
 
@@ -154,8 +154,9 @@ class Run:
             job, reader, builder, self.writer, progress, self._layers.any
         )
         self._renderer = SlotRenderer(
-            job.source, job.method, self.writer, self._layers, job.measures_key_pulse
-        )
+            job.source, job.method, self.writer, self._layers, job.measures_key_pulse,
+            listens=listener is not None,
+        )  # fmt: skip
         self._pulses = KeyedPulses(job.source) if job.measures_key_pulse else None
         most = max((len(self._timeline.made_of(key)) for key in job.keys), default=0)
         self._slots = ParallelSlots(_row_bands.threads(), most)
@@ -211,9 +212,16 @@ class Run:
                 raise
             self._skip(SkippedInterval(inputs.key, str(error), inputs.without_geometry()))
             return
-        for problem in skipped_slots(
-            self._timeline, inputs.key, inputs.truth.unscored, inputs.rendered.unusable
-        ):
+        key, number = self._timeline.numbers[inputs.key], self._timeline.number
+        problems = [
+            LeftOut(key, (), reason, scores=(number(Slot(inputs.key, slot)),))
+            for slot, reason in sorted(inputs.truth.unscored.items())
+        ]
+        problems += [
+            LeftOut(key, (), reason, rendered=(number(Slot(inputs.key, slot)),))
+            for slot, reason in sorted(inputs.rendered.unusable.items())
+        ]
+        for problem in problems:
             self.left_out.append(problem)
             announce_skipped(self._progress, problem)
         if self._pulses is not None:
@@ -310,7 +318,7 @@ class Run:
                     "recipe": recipe,
                 }
                 attributes, image = header_attributes(source, facts), self._key_image(inputs)
-                writer.write_decoded(output, image, inputs.template, attributes)
+                writer.write(output, image, inputs.template, attributes)
         record = FrameRecord(
             output, writer.name(output), number, 0, FrameKind.KEY, "key", (number,),
             resumed=resumed,
@@ -361,11 +369,8 @@ class Run:
             image = self._key_image(inputs)
         elif rendered.image is None:
             image = writer.read(record.number)
-        elif rendered.rounded:
-            image = rendered.image
         else:
-            image, template = rendered.image, inputs.template
-            image = replace(image, pixels=quantise_picture(image.pixels, template))
+            image = rendered.image
         if listener is not None:
             truth = inputs.truth.frames.get(record.slot)
             listener.frame(

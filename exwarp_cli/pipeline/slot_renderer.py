@@ -21,7 +21,12 @@ from exwarp_cli.domain.tiles import Risk, TileMakers, TilePlan
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io.exr.writer import PREFIX, Template
-from exwarp_cli.io.generated_frames import KEY_FRAMES, REQUESTED_METHOD, quantise_picture
+from exwarp_cli.io.generated_frames import (
+    KEY_FRAMES,
+    REQUESTED_METHOD,
+    quantise_picture,
+    read_facts,
+)
 from exwarp_cli.io.layers import LayerKind
 from exwarp_cli.metrics.temporal import mean_gradient
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
@@ -46,8 +51,7 @@ class RenderedSlot:
     """A slot's frame on its way to its file, or there."""
 
     record: FrameRecord  # without scores, and without the time that writing took
-    image: Image | None = None  # None where it has to be read from its file
-    rounded: bool = True  # True if `image` is as its file has it
+    image: Image | None = None  # as its file has it; None where it has to be read from there
     mask: Bool | None = None  # [H, W]: its holes on the display window; None without motion
     # Its mean gradient, where that is compared with those of its key frames; None elsewhere.
     gradient: float | None = None
@@ -62,6 +66,7 @@ class SlotRenderer:
     writer: FrameWriter
     layers: ExtraLayers
     gradients: bool  # whether new frames without ground truth come with their mean gradient
+    listens: bool  # whether a `FrameListener` may want frames
 
     def render(
         self, prepared: PreparedInterval, inputs: IntervalInputs, slot: Slot, in_pool: bool = False
@@ -93,7 +98,9 @@ class SlotRenderer:
         is_first = slot.index == 1 and not is_shown
         kind = FrameKind.GENERATED if is_first else predicted.kind
         measures = self._measures_gradient(kind, slot, inputs)
-        shows = bool(inputs.truth.frames) or writer.output.video is not None
+        # What a listener wants of a frame from the pool is read from its file.
+        listens = self.listens and not in_pool
+        shows = bool(inputs.truth.frames) or writer.output.video is not None or listens
         as_written, gradient = None, None
         if shows or measures:
             as_written = replace(image, pixels=quantise_picture(image.pixels, template))
@@ -105,12 +112,8 @@ class SlotRenderer:
         if in_pool:
             interval.forget(slot.index)
         attributes = self._attributes(record, inputs)
-        writer.write(record.number, image, mask, template, attributes, layers, inline=in_pool)
-        if shows:
-            return RenderedSlot(record, as_written, mask=mask, gradient=gradient)
-        if in_pool:  # what else needs it reads its file
-            return RenderedSlot(record, mask=mask, gradient=gradient)
-        return RenderedSlot(record, image, rounded=False, mask=mask, gradient=gradient)
+        writer.write(record.number, image, template, attributes, mask, layers, inline=in_pool)
+        return RenderedSlot(record, as_written if shows else None, mask, gradient)
 
     def resume(
         self, slot: Slot, interval: Interval | None, inputs: IntervalInputs, masked: bool
@@ -118,7 +121,7 @@ class SlotRenderer:
         """Return a frame that an earlier run wrote; with its holes if `masked` or scored."""
         number, writer = self.source.timeline.number(slot), self.writer
         try:
-            header = writer.written(number)
+            header = read_facts(writer.path(number))
             sources, rendered_sources = (
                 tuple(int(source) for source in str(text).split(",") if source)
                 for text in (header["sources"], header.get(RENDERED_SOURCES, ""))
@@ -155,7 +158,7 @@ class SlotRenderer:
         if image is not None and measures:
             gradient = mean_gradient(image.on(self.source.keys.display).pixels)
         mask = None if interval is None or not (scored or masked) else self._mask(interval, slot)
-        return RenderedSlot(record, image, mask=mask, gradient=gradient)
+        return RenderedSlot(record, image, mask, gradient)
 
     def pass_rendered(self, slot: Slot, inputs: IntervalInputs) -> RenderedSlot:
         """Pass a frame through that was rendered in the place of a generated one."""
@@ -177,7 +180,7 @@ class SlotRenderer:
             writer.pass_frame(number, frame.path, marks)
         elif not resumed and writer.output.frames is not None:
             attributes = header_attributes(self.source, marks)
-            writer.write_decoded(number, frame.frame.image, inputs.template, attributes)
+            writer.write(number, frame.frame.image, inputs.template, attributes)
         record = FrameRecord(
             number, writer.name(number), key, slot.index, FrameKind.RENDERED,
             FrameKind.RENDERED.value, (number,), resumed=resumed, replaced=replaced,
@@ -275,7 +278,9 @@ class SlotRenderer:
             "risk": None if record.risk is None else record.risk.text,
             "vectorSpan": None if span is None else float(span),
         }
-        return header_attributes(self.source, facts)
+        attributes = header_attributes(self.source, facts)
+        compression = self.writer.output.compression
+        return attributes if compression is None else attributes | {"compression": compression}
 
 
 def header_attributes(source: Source, facts: Mapping[str, Any]) -> dict[str, Any]:
