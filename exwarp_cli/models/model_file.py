@@ -122,22 +122,24 @@ def shape_text(shape: Sequence[Any]) -> str:
     return f"[{', '.join('?' if size is None else str(size) for size in shape)}]"
 
 
-def embed_weights(path: Path, data: bytes) -> bytes:
-    """Return a model's bytes with the weights in them that it keeps in other files.
+def embed_weights(path: Path, data: bytes) -> tuple[bytes, tuple[Path, ...]]:
+    """Return a model's bytes with the weights in them that it keeps in other files, and these.
 
     Raises DamagedFileError if the bytes are no Protocol Buffers or a file of weights is too short,
     LayoutError if it names files outside of its folder or is too large with them, InputError if a
     file cannot be read.
     """
-    chunks = _Weights(path).embed(data)
-    return data if chunks is None else b"".join(chunks)
-
-
-def weight_files(path: Path) -> tuple[Path, ...]:
-    """Return the files in which a model keeps weights; errors are those of `embed_weights`."""
     weights = _Weights(path)
-    weights.embed(read_file_bytes(path))
-    return tuple(path.parent / location for location in weights.files)
+    try:
+        with report_reading(path, required=True):
+            chunks = weights.embed_in(memoryview(data), "ModelProto", 0)
+    except _MalformedError as error:
+        raise DamagedFileError(
+            f"{path} is no ONNX model, or a damaged one ({error}); check the path, or export it "
+            "again"
+        ) from error
+    files = tuple(path.parent / location for location in weights.files)
+    return data if chunks is None else b"".join(chunks), files
 
 
 class _MalformedError(ValueError):
@@ -152,17 +154,7 @@ class _Weights:
         self._size = 0
         self.files: dict[str, memoryview] = {}
 
-    def embed(self, data: bytes) -> Chunks | None:
-        try:
-            with report_reading(self._path, required=True):
-                return self._embed_in(memoryview(data), "ModelProto", 0)
-        except _MalformedError as error:
-            raise DamagedFileError(
-                f"{self._path} is no ONNX model, or a damaged one ({error}); check the path, or "
-                "export it again"
-            ) from error
-
-    def _embed_in(self, message: memoryview, name: str, depth: int) -> Chunks | None:
+    def embed_in(self, message: memoryview, name: str, depth: int) -> Chunks | None:
         if depth > MAX_DEPTH:
             raise _MalformedError("it is nested too deeply")
         chunks: Chunks = []
@@ -174,7 +166,7 @@ class _Weights:
             if nested == "TensorProto":
                 new = self._embed_tensor(field.content)
             elif nested is not None:
-                new = self._embed_in(field.content, nested, depth + 1)
+                new = self.embed_in(field.content, nested, depth + 1)
             is_changed = is_changed or new is not None
             chunks += [field.raw] if new is None else _length_delimited(field.number, new)
         return chunks if is_changed else None
