@@ -238,10 +238,9 @@ def unpack_arrays(data: bytes) -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class StateRow:
-    """A row of a table with a state; `row` counts from 1 without the header, `line` with it."""
+    """A row of a table with a state; `row` counts from 1 without the header."""
 
     row: int
-    line: int
     identity: dict[str, str]  # by IDENTITY_COLUMNS
     state: npt.NDArray[np.int32]  # [n], Q16.16
 
@@ -271,7 +270,7 @@ def read_states(path: Path, size: int) -> tuple[StateRow, ...]:
                     identity = {
                         name: cells[name] or "" for name in IDENTITY_COLUMNS if name in columns
                     }
-                    rows.append(StateRow(number, table.line_num, identity, state))
+                    rows.append(StateRow(number, identity, state))
     except OSError as error:
         raise InputError(
             f"cannot read {path}: {error.strerror}; check the path and its rights"

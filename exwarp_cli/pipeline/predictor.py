@@ -301,8 +301,6 @@ def _require_buildable(array: MacArray, sizes: Sequence[int]) -> None:
             f"--cores {array.cores} --macs {array.macs}: the design has at most {MOST_CORES} "
             "cores, and no more than MAC units in each; give other numbers"
         )
-    if array.pipeline_stages != MacArray.pipeline_stages:
-        raise UsageError(f"the design's pipeline has {MacArray.pipeline_stages} stages")
     try:
         room = resident_words(array, sizes)
     except ValueError as error:
@@ -334,8 +332,8 @@ def design(
     ------
     UsageError
         For a machine that the design cannot implement: more than 10 cores, more cores than MAC
-        units in each, a pipeline of other than four stages, a cache that is too small, and weights
-        that do not fit without a port.
+        units in each, a cache that is too small, and weights that do not fit without a port. Its
+        pipeline has four stages.
     """
     _require_buildable(array, sizes)
     # Where all fits, the port is not used, and as wide as a word.

@@ -153,11 +153,10 @@ class Run:
         self._preparer = IntervalPreparer(
             job, reader, builder, self.writer, progress, self._layers.any
         )
-        self._renderer = SlotRenderer(
-            job.source, job.method, self.writer, self._layers, job.measures_key_pulse,
-            listens=listener is not None,
-        )  # fmt: skip
         self._pulses = KeyedPulses(job.source) if job.measures_key_pulse else None
+        self._renderer = SlotRenderer(
+            job.source, job.method, self.writer, self._layers, self._pulses, listener is not None
+        )
         most = max((len(self._timeline.made_of(key)) for key in job.keys), default=0)
         self._slots = ParallelSlots(_row_bands.threads(), most)
         self._records: list[FrameRecord] = []
@@ -225,7 +224,7 @@ class Run:
             self.left_out.append(problem)
             announce_skipped(self._progress, problem)
         if self._pulses is not None:
-            self._pulses.add_key(inputs.key, self._key_image(inputs), inputs.followed)
+            self._pulses.add(Slot(inputs.key, 0), self._key_image(inputs), inputs.followed)
         if self._timeline.shows(inputs.key):
             self._write_key(inputs)
         self._render_slots(prepared, inputs)
@@ -341,8 +340,6 @@ class Run:
         self, rendered: RenderedSlot, inputs: IntervalInputs, scores: IntervalScores | None
     ) -> None:
         record, image = rendered.record, rendered.image
-        if self._pulses is not None and rendered.gradient is not None:
-            self._pulses.add(record.number, Slot(inputs.key, record.slot), rendered.gradient)
         truth = inputs.truth.frames.get(record.slot)
         if scores is not None and truth is not None and image is not None:
             timing_ms = dict(record.timing_ms)

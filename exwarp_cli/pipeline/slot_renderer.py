@@ -28,12 +28,12 @@ from exwarp_cli.io.generated_frames import (
     read_facts,
 )
 from exwarp_cli.io.layers import LayerKind
-from exwarp_cli.metrics.temporal import mean_gradient
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.frame_writer import FrameWriter
 from exwarp_cli.pipeline.interval_builder import PreparedInterval
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scheduling import record_time
+from exwarp_cli.pipeline.scoring import KeyedPulses
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Method, Predicted, predict_path, predict_tiles, repeat_held
@@ -53,8 +53,6 @@ class RenderedSlot:
     record: FrameRecord  # without scores, and without the time that writing took
     image: Image | None = None  # as its file has it; None where it has to be read from there
     mask: Bool | None = None  # [H, W]: its holes on the display window; None without motion
-    # Its mean gradient, where that is compared with those of its key frames; None elsewhere.
-    gradient: float | None = None
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class SlotRenderer:
     method: Method
     writer: FrameWriter
     layers: ExtraLayers
-    gradients: bool  # whether new frames without ground truth come with their mean gradient
+    pulses: KeyedPulses | None  # of new frames without ground truth; None where not measured
     listens: bool  # whether a `FrameListener` may want frames
 
     def render(
@@ -97,23 +95,23 @@ class SlotRenderer:
         is_shown = inputs.after_hold or self.source.timeline.shows(slot.key)
         is_first = slot.index == 1 and not is_shown
         kind = FrameKind.GENERATED if is_first else predicted.kind
-        measures = self._measures_gradient(kind, slot, inputs)
+        pulses = self._pulses_of(kind, slot, inputs)
         # What a listener wants of a frame from the pool is read from its file.
         listens = self.listens and not in_pool
         shows = bool(inputs.truth.frames) or writer.output.video is not None or listens
-        as_written, gradient = None, None
-        if shows or measures:
+        as_written = None
+        if shows or pulses is not None:
             as_written = replace(image, pixels=quantise_picture(image.pixels, template))
-        if as_written is not None and measures:
+        if as_written is not None and pulses is not None:
             with record_time(timing, "pulse"):
-                gradient = mean_gradient(as_written.on(self.source.keys.display).pixels)
+                pulses.add(slot, as_written, inputs.followed)
         predicted = replace(predicted, kind=kind)
         record = self._new_record(slot, prepared, inputs, predicted, part, mask, timing)
         if in_pool:
             interval.forget(slot.index)
         attributes = self._attributes(record, inputs)
         writer.write(record.number, image, template, attributes, mask, layers, inline=in_pool)
-        return RenderedSlot(record, as_written if shows else None, mask, gradient)
+        return RenderedSlot(record, as_written if shows else None, mask)
 
     def resume(
         self, slot: Slot, interval: Interval | None, inputs: IntervalInputs, masked: bool
@@ -152,13 +150,12 @@ class SlotRenderer:
                 "give --overwrite to replace all frames"
             ) from error
         scored = interval is not None and slot.index in inputs.truth.frames
-        measures = self._measures_gradient(record.kind, slot, inputs)
-        image = writer.read(number) if scored or measures else None
-        gradient = None
-        if image is not None and measures:
-            gradient = mean_gradient(image.on(self.source.keys.display).pixels)
+        pulses = self._pulses_of(record.kind, slot, inputs)
+        image = writer.read(number) if scored or pulses is not None else None
+        if image is not None and pulses is not None:
+            pulses.add(slot, image, inputs.followed)
         mask = None if interval is None or not (scored or masked) else self._mask(interval, slot)
-        return RenderedSlot(record, image, mask, gradient)
+        return RenderedSlot(record, image, mask)
 
     def pass_rendered(self, slot: Slot, inputs: IntervalInputs) -> RenderedSlot:
         """Pass a frame through that was rendered in the place of a generated one."""
@@ -187,10 +184,10 @@ class SlotRenderer:
         )  # fmt: skip
         return RenderedSlot(record, frame.frame.image)
 
-    def _measures_gradient(self, kind: FrameKind, slot: Slot, inputs: IntervalInputs) -> bool:
-        """Return True if a frame's gradient is compared with those of its key frames."""
-        is_new = kind is FrameKind.GENERATED
-        return self.gradients and is_new and slot.index not in inputs.truth.frames
+    def _pulses_of(self, kind: FrameKind, slot: Slot, inputs: IntervalInputs) -> KeyedPulses | None:
+        """Return what a frame's pulse is measured by; None where it is not."""
+        has_pulse = kind is FrameKind.GENERATED and slot.index not in inputs.truth.frames
+        return self.pulses if has_pulse else None
 
     def _mask(self, interval: Interval, slot: Slot) -> Bool | None:
         """Return the hole mask of a slot on the display window."""
@@ -295,14 +292,15 @@ def header_attributes(source: Source, facts: Mapping[str, Any]) -> dict[str, Any
 
 def decision_text(decision: Decision) -> str:
     """Write a decision as JSON on one line."""
-    document: dict[str, Any] = {"node": decision.node, "choice": decision.choice}
-    if decision.outputs is not None:
-        document["outputs"] = decision.outputs
-    if decision.features is not None:
-        document["features"] = astuple(decision.features)
-    if decision.inputs:
-        document["inputs"] = decision.inputs
-    return json.dumps(document, separators=(",", ":"))
+    document = {
+        "node": decision.node,
+        "choice": decision.choice,
+        "outputs": decision.outputs,
+        "features": decision.features and astuple(decision.features),
+        "inputs": decision.inputs,
+    }
+    known = {name: value for name, value in document.items() if value}
+    return json.dumps(known, separators=(",", ":"))
 
 
 def parse_decision(text: str | None) -> Decision | None:
