@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -47,10 +46,9 @@ class Fingerprinter:
     # nothing may be unreadable.
     reading: Callable[[Slot], AbstractContextManager[None]] | None = None
     key_rate: Fraction | None = None  # frame rate that written key frames get; None: as they are
-    # Of files that were digested; views share them, which may be of the same files.
-    digests: OrderedDict[FrameFiles, str] = field(default_factory=OrderedDict, init=False)
-    # Of key frames as they are written, by the file's path; one short text each, so all are kept.
-    _rewritten: dict[Path, str] = field(default_factory=dict, init=False)
+    # Of files that were digested; views share them, which may be of the same files. The second is
+    # that of the key frame as it is written, where it is known.
+    digests: dict[FrameFiles, tuple[str, str | None]] = field(default_factory=dict, init=False)
 
     def digest(self, slot: Slot) -> None:
         """Digest all files of a slot's frame ahead; raises InputError where one cannot be read."""
@@ -123,51 +121,47 @@ class Fingerprinter:
                 with self.reading(slot):
                     self.digest(slot)
         if source.slots is None:
-            return [self._digest(source.keys, numbers[slot.key]) for slot in keys + instants]
-        files = [self._digest(source.keys, numbers[slot.key]) for slot in keys]
+            return [self._digest(source.keys, numbers[slot.key])[0] for slot in keys + instants]
+        files = [self._digest(source.keys, numbers[slot.key])[0] for slot in keys]
         in_slots = map(source.slot_number, keys + instants)
-        return files + [self._digest(source.slots, n) for n in in_slots if n is not None]
+        return files + [self._digest(source.slots, n)[0] for n in in_slots if n is not None]
 
     def key_digests(self, keys: Iterable[int]) -> dict[int, str]:
         """Return the digests of written key frames by input number; none for a video."""
         shot, numbers = self.source.keys, self.source.timeline.numbers
         if isinstance(shot.sequence, ClipSequence):
             return {}
-        digests_read = {numbers[key]: self._digest(shot, numbers[key]) for key in keys}
-        if is_plain(shot.sequence):
-            return digests_read
         written = {}
-        for number, digest in digests_read.items():
-            path = shot.sequence.files[number]
-            if path not in self._rewritten:
-                file = plan_key_file(path, self.key_rate)
-                copied = json.loads(digest)[""]
-                self._rewritten[path] = file.digest() if file.head else copied
-            written[number] = self._rewritten[path]
+        for number in (numbers[key] for key in keys):
+            digest, rewritten = self._digest(shot, number)
+            if rewritten is None:
+                file = plan_key_file(shot.sequence.files[number], self.key_rate)
+                rewritten = file.digest() if file.head else json.loads(digest)[""]
+            written[number] = rewritten
         return written
 
-    def _digest(self, shot: Shot, number: int) -> str:
+    def _digest(self, shot: Shot, number: int) -> tuple[str, str | None]:
         """Digest all files of one frame; kept for the interval that shares it."""
         files = shot.files(number)
         frame = (number, tuple(files.items()))
         if frame in self.digests:
             return self.digests[frame]
+        rewritten: str | None = None
         if is_plain(shot.sequence):
-            digest = digest_frame(shot.sequence, number)
+            digest = rewritten = digest_frame(shot.sequence, number)
         else:
             by_aov = {}
             for aov, path in files.items():
                 # A key frame's file is digested as it is written, too.
                 is_key = not aov and shot is self.source.keys
                 rate = self.key_rate if is_key else None
-                by_aov[aov], rewritten = digests(path, rate, None if aov else shot.headers)
-                if is_key and rewritten is not None:
-                    self._rewritten[path] = rewritten
+                by_aov[aov], written = digests(path, rate, None if aov else shot.headers)
+                rewritten = written if is_key else rewritten
             digest = json.dumps(by_aov, sort_keys=True)
-        self.digests[frame] = digest
-        while len(self.digests) > DIGESTS:
-            self.digests.popitem(last=False)
-        return digest
+        self.digests[frame] = digest, rewritten
+        if len(self.digests) > DIGESTS:
+            del self.digests[next(iter(self.digests))]  # the oldest
+        return self.digests[frame]
 
 
 def key_fingerprint(keys: Shot, number: int, rate: Fraction | None = None) -> str:

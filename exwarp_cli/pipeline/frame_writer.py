@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, Image, Window
+from exwarp_cli.domain.frame import Bool, Image, Window
 from exwarp_cli.domain.results import FrameKind, FrameRecord, WrittenFile
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError, OutputError
@@ -71,6 +71,7 @@ class FrameWriter(ResourceOwner):
     def _open(self, stack: ExitStack) -> None:
         threads = cores.count()
         self._writer = stack.enter_context(AsyncWriter(threads, self.behind + threads))
+        self.display_look = DisplayLook(self.look.primaries, self.output.view)
         if self.output.video is not None:
             # To what the video's codec takes
             self._encode = to_display_16 if self.output.codec.is_deep else to_display
@@ -176,15 +177,10 @@ class FrameWriter(ResourceOwner):
     def show(self, image: Image) -> None:
         """Append a frame to the video, if there is one."""
         if self._video is not None:
-            shown = self.displayed(image.on(self.display).pixels, self.output.exposure)
-            code = self._encode(shown)
+            pixels = image.on(self.display).pixels
+            code = self._encode(self.display_look.apply(pixels, self.output.exposure))
             self._video.write(code)
             self._last_shown = code if self.skips else None
-
-    def displayed(self, pixels: Float32, exposure_stops: float = 0.0) -> Float32:
-        """Return the light of a display that shows scene-linear colour; see `DisplayLook`."""
-        look = DisplayLook(self.look.primaries, self.output.view)
-        return look.apply(pixels, exposure_stops)
 
     def show_again(self) -> None:
         """Append the last frame to the video again, so that sound stays in step; else a black one.

@@ -325,9 +325,7 @@ class Run:
             timing_ms={} if resumed else {"read": inputs.read_ms},
             render=inputs.template.render,
         )  # fmt: skip
-        self._records.append(record)
-        self._show(RenderedSlot(record), inputs)
-        self._progress.advance(output, "key", kind_of(0), made=not resumed)
+        self._record(RenderedSlot(record), inputs, None)
 
     def _key_image(self, inputs: IntervalInputs) -> Image:
         """Return a key frame's colour, from disk where nothing else of its interval was read."""
@@ -339,45 +337,38 @@ class Run:
     def _record(
         self, rendered: RenderedSlot, inputs: IntervalInputs, scores: IntervalScores | None
     ) -> None:
-        record, image = rendered.record, rendered.image
+        """Score and record a frame; show it to the video, and with its truth to the listener."""
+        record, image, writer = rendered.record, rendered.image, self.writer
         truth = inputs.truth.frames.get(record.slot)
-        if scores is not None and truth is not None and image is not None:
+        true_pixels = None if truth is None else truth.on(truth.display_window).pixels
+        if scores is not None and true_pixels is not None and image is not None:
             timing_ms = dict(record.timing_ms)
             with record_time(timing_ms, "score"):
-                reference = truth.on(truth.display_window).pixels
                 test = image.on(self._display).pixels
-                overall, holes = scores.frame(record.slot, reference, test, rendered.mask)
+                overall, holes = scores.frame(record.slot, true_pixels, test, rendered.mask)
             record = replace(record, score=overall, hole_score=holes, timing_ms=timing_ms)
         self._records.append(record)
-        self._show(replace(rendered, record=record), inputs)
+        listener, is_key = self._listener, record.kind is FrameKind.KEY
+        if listener is not None and not listener.wants(record.number, record.score, record.risk):
+            listener = None
+        if listener is not None or writer.output.video is not None:
+            if is_key:
+                image = self._key_image(inputs)
+            elif image is None:
+                image = writer.read(record.number)
+            if listener is not None:
+                look = writer.display_look
+                listener.frame(
+                    record.number,
+                    look.apply(image.on(self._display).pixels),
+                    None if true_pixels is None else look.apply(true_pixels),
+                    rendered.mask,
+                    is_key=is_key,
+                )
+            writer.show(image)
         self._progress.advance(
             record.number, record.method, kind_of(record.slot), made=not record.resumed
         )
-
-    def _show(self, rendered: RenderedSlot, inputs: IntervalInputs) -> None:
-        """Show a frame as its file has it: to the video, and with its truth to the listener."""
-        record, writer, listener = rendered.record, self.writer, self._listener
-        if listener is not None and not listener.wants(record.number, record.score, record.risk):
-            listener = None
-        if listener is None and writer.output.video is None:
-            return
-        is_key = record.kind is FrameKind.KEY
-        if is_key:
-            image = self._key_image(inputs)
-        elif rendered.image is None:
-            image = writer.read(record.number)
-        else:
-            image = rendered.image
-        if listener is not None:
-            truth = inputs.truth.frames.get(record.slot)
-            listener.frame(
-                record.number,
-                writer.displayed(image.on(self._display).pixels),
-                None if truth is None else writer.displayed(truth.on(truth.display_window).pixels),
-                rendered.mask,
-                is_key=is_key,
-            )
-        writer.show(image)
 
 
 def make_reader(job: Job) -> ViewsReader:
