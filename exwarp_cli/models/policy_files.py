@@ -85,17 +85,23 @@ class PolicyFile:
         return self.metadata.get("state") == TILE_STATE
 
     @property
-    def efforts(self) -> tuple[tuple[float, float], ...]:
-        """Shares of the area, ascending, and the price of each; () if not stated."""
-        stated = self.metadata.get("efforts")
-        return tuple((share, price) for share, price in stated) if stated else ()
-
-    @property
     def trained_for(self) -> tuple[str, ...]:
         """SHA-256 of the networks whose frames it learned to judge; () if not stated."""
         stated = self.metadata.get("extrapolator")
         stated = [stated] if isinstance(stated, str) else stated
         return tuple(map(str, stated)) if isinstance(stated, list) else ()
+
+    def price(self, effort: float) -> int:
+        """Return the price at which a share of the area is extrapolated on the training scenes.
+
+        The metadata state it for some shares; beyond the first and the last, theirs counts. 0 if
+        they state none.
+        """
+        stated = self.metadata.get("efforts")
+        if not stated:
+            return 0
+        shares, prices = zip(*stated, strict=True)
+        return round(float(np.interp(effort, shares, prices)))
 
 
 def policy_name_without(scene: str) -> str:

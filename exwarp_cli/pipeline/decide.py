@@ -93,10 +93,10 @@ class TilePaths:
     """
 
     def __init__(self, policy: PolicyFile, effort: float) -> None:
-        from exwarp_cli.policy.state import TilePolicy, interpolate_price
+        from exwarp_cli.policy.state import TilePolicy
 
         self._fixed_path = {0.0: "S6", 1.0: "S3"}.get(effort)
-        self._policy = TilePolicy(policy.network, interpolate_price(policy.efforts, effort))
+        self._policy = TilePolicy(policy.network, policy.price(effort))
 
     def __call__(self, inputs: IntervalInputs, interval: Interval) -> Choice:
         """Compute the features of an interval's tiles, and decide by them."""
@@ -154,9 +154,9 @@ def make_chooser(policy: PolicyFile | None, effort: float) -> TileChooser | None
     """Return what chooses the tiles between key frames that a network makes; None for all."""
     if policy is None:
         return None
-    from exwarp_cli.policy.state import LookAheadPolicy, interpolate_price
+    from exwarp_cli.policy.state import LookAheadPolicy
 
-    return LookAheadPolicy(policy.network, interpolate_price(policy.efforts, effort))
+    return LookAheadPolicy(policy.network, policy.price(effort))
 
 
 def make_selector(

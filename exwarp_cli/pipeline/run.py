@@ -62,19 +62,15 @@ MAX_BYTES_BEHIND = 80 * 10**6
 PIXEL_BYTES = 16
 
 
-def upsample(
-    settings: UpsampleSettings,
-    progress: Progress | None = None,
-    listener: FrameListener | None = None,
-) -> RunSummary:
+def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> RunSummary:
     """Write the slots of the selected key frames; return what was written and how good it is.
 
     Raises ExwarpError for anything that a user can cause; frames written until then are complete.
     """
-    return run_job(open_job(settings), progress or Progress(), listener)
+    return run_job(open_job(settings), progress or Progress(), None)
 
 
-def run_job(job: Job, progress: Progress, listener: FrameListener | None = None) -> RunSummary:
+def run_job(job: Job, progress: Progress, listener: FrameListener | None) -> RunSummary:
     """Do a job that is open; see `upsample`."""
     job.refuse()
     job.targets.make_folders()
@@ -90,9 +86,7 @@ def run_job(job: Job, progress: Progress, listener: FrameListener | None = None)
     return job.summary(outcome, perf_counter() - begin)
 
 
-def write_intervals(
-    job: Job, progress: Progress, listener: FrameListener | None = None
-) -> RunOutcome:
+def write_intervals(job: Job, progress: Progress, listener: FrameListener | None) -> RunOutcome:
     """Do the work of a job whose folders exist, in this thread.
 
     The caller starts and finishes `progress`, and has planned `listener`. The outcome has no frames
@@ -139,7 +133,7 @@ class Run:
         reader: ViewsReader,
         note: str,
         progress: Progress,
-        listener: FrameListener | None = None,
+        listener: FrameListener | None,
     ) -> None:
         self._job, self._reader = job, reader
         self._progress, self._listener = progress, listener

@@ -330,7 +330,7 @@ class TilePolicy:
     `price`: margin that the output for extrapolation needs over that for warping.
     """
 
-    def __init__(self, network: QuantisedMlp, price: int = 0) -> None:
+    def __init__(self, network: QuantisedMlp, price: int) -> None:
         self._kernel = MlpKernel(apply_price(network, price))
 
     def plan(self, features: Sequence[F64], width: int) -> TilePlan:
@@ -351,7 +351,7 @@ class TilePolicy:
 class LookAheadPolicy:
     """The policy for tiles between two key frames; see `TilePolicy`."""
 
-    def __init__(self, network: QuantisedMlp, price: int = 0) -> None:
+    def __init__(self, network: QuantisedMlp, price: int) -> None:
         self._kernel = MlpKernel(apply_price(network, price))
 
     def __call__(self, features: F64, time: float) -> Bool:
@@ -359,18 +359,6 @@ class LookAheadPolicy:
         states = look_ahead_inputs(features.reshape(-1, len(LOOK_AHEAD_FEATURES)), time)
         _, choices = self._kernel.decide_many(to_fixed(states))
         return np.asarray(choices.reshape(features.shape[:2]) == 1)
-
-
-def interpolate_price(efforts: Sequence[Sequence[float]], share: float) -> int:
-    """Return the price at which a share of the area is extrapolated on the training scenes.
-
-    `efforts`: ascending shares, each with its price, from a policy's metadata; none for no price.
-    Beyond the first and the last, theirs counts.
-    """
-    if not efforts:
-        return 0
-    shares, prices = zip(*efforts, strict=True)
-    return round(float(np.interp(share, shares, prices)))
 
 
 def apply_price(network: QuantisedMlp, price: int) -> QuantisedMlp:

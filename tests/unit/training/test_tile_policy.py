@@ -20,7 +20,6 @@ from exwarp_cli.policy.state import (
     STATE_SIZE,
     TilePolicy,
     apply_price,
-    interpolate_price,
     scale_tile_features,
     tile_inputs,
     tile_paths,
@@ -99,17 +98,14 @@ class TestPolicy:
     def test_it_is_the_paper_s_network(self, shipped):
         assert shipped.network.sizes == PAPER_SIZES and shipped.of_tiles
         assert shipped.metadata["state"] == TILE_STATE
-        shares = [share for share, _ in shipped.efforts]
-        prices = [price for _, price in shipped.efforts]
+        shares, prices = (list(each) for each in zip(*shipped.metadata["efforts"], strict=True))
         assert shares == sorted(shares) and prices == sorted(prices, reverse=True)
 
     def test_no_constant_decides_so(self, shipped):
         """Tiles with holes and motion are extrapolated, still ones are warped."""
         features = np.zeros((1, 2, 6))
         features[0, 1] = [0.3, 0.1, 40.0, 20.0, 200.0, 400.0]
-        plan = TilePolicy(shipped.network, interpolate_price(shipped.efforts, 0.5)).plan(
-            [features] * 3, 427
-        )
+        plan = TilePolicy(shipped.network, shipped.price(0.5)).plan([features] * 3, 427)
         assert plan.paths == ("S6", "S3")
 
     def test_a_price_is_added_to_the_output_for_warping(self, shipped):
@@ -120,11 +116,10 @@ class TestPolicy:
         )
         np.testing.assert_array_equal(dear - plain, np.tile([1234, 0], (50, 1)))
 
-    def test_prices_lie_between_those_that_are_kept(self):
-        assert interpolate_price([(0.2, 90), (0.4, 10)], 0.3) == 50
-        assert (
-            interpolate_price([(0.2, 90), (0.4, 10)], 0.9) == 10 and interpolate_price([], 0.5) == 0
-        )
+    def test_prices_lie_between_those_that_are_kept(self, shipped):
+        stating = replace(shipped, metadata={"efforts": [[0.2, 90], [0.4, 10]]})
+        assert stating.price(0.3) == 50 and stating.price(0.9) == 10
+        assert replace(shipped, metadata={}).price(0.5) == 0
 
     def test_a_high_price_warps_everything(self, shipped):
         plan = TilePolicy(shipped.network, 2**29).plan([np.ones((8, 3, 6))] * 3, 64)
