@@ -22,6 +22,7 @@ import os
 import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, NamedTuple
 
@@ -129,7 +130,7 @@ def embed_weights(path: Path, data: bytes) -> tuple[bytes, tuple[Path, ...]]:
     LayoutError if it names files outside of its folder or is too large with them, InputError if a
     file cannot be read.
     """
-    weights = _Weights(path)
+    weights = _Weights(path, {})
     try:
         with report_reading(path, required=True):
             chunks = weights.embed_in(memoryview(data), "ModelProto", 0)
@@ -146,13 +147,13 @@ class _MalformedError(ValueError):
     """The bytes are no Protocol Buffers."""
 
 
+@dataclass
 class _Weights:
     """Copies external weights into one model. A method returns None where nothing changes."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._size = 0
-        self.files: dict[str, memoryview] = {}
+    path: Path
+    files: dict[str, memoryview]  # those that were read, by location
+    size: int = 0  # of all that was copied, bytes
 
     def embed_in(self, message: memoryview, name: str, depth: int) -> Chunks | None:
         if depth > MAX_DEPTH:
@@ -194,7 +195,7 @@ class _Weights:
                 self.files[location] = memoryview(read_file_bytes(path))
             except OSError as error:
                 raise InputError(
-                    f"{self._path} keeps weights in {path}, which cannot be read: "
+                    f"{self.path} keeps weights in {path}, which cannot be read: "
                     f"{error.strerror}; copy that file along, or save the model with its weights "
                     "inside"
                 ) from error
@@ -204,7 +205,7 @@ class _Weights:
             text = entries.get(key, "0")
             if not (text.isascii() and text.isdecimal() and len(text) < 20):
                 raise DamagedFileError(
-                    f"{self._path} keeps weights in another file at {key} {text[:40]!r}, which is "
+                    f"{self.path} keeps weights in another file at {key} {text[:40]!r}, which is "
                     "no number of bytes; export it again"
                 )
             numbers[key] = int(text)
@@ -212,13 +213,13 @@ class _Weights:
         end = begin + numbers["length"] if "length" in entries else max(begin, len(content))
         if end > len(content):
             raise DamagedFileError(
-                f"{self._path.parent / location}, where {self._path.name} keeps weights, has "
+                f"{self.path.parent / location}, where {self.path.name} keeps weights, has "
                 f"{len(content)} bytes and should have {end}; copy or export both files again"
             )
-        self._size += end - begin
-        if self._size > MAX_BYTES:
+        self.size += end - begin
+        if self.size > MAX_BYTES:
             raise LayoutError(
-                f"{self._path} has more than 2 GiB of weights, which ExWarp does not take; use a "
+                f"{self.path} has more than 2 GiB of weights, which ExWarp does not take; use a "
                 "smaller network"
             )
         return content[begin:end]
@@ -230,13 +231,13 @@ class _Weights:
         leads_out = ".." in parts or windows.drive or windows.root
         if location and not leads_out and "\0" not in location:
             # Model and weights may both be links into one folder, as download caches have them.
-            folders = {self._path.parent.resolve(), self._path.resolve().parent}
-            path = self._path.parent / location
+            folders = {self.path.parent.resolve(), self.path.resolve().parent}
+            path = self.path.parent / location
             with suppress(OSError, RuntimeError):  # links that lead to each other
                 if any(path.resolve().is_relative_to(folder) for folder in folders):
                     return path
         raise LayoutError(
-            f"{self._path} keeps weights in {location[:200]!r}, and only files in the folder of a "
+            f"{self.path} keeps weights in {location[:200]!r}, and only files in the folder of a "
             "model are read; put them there, or save the model with its weights inside"
         )
 

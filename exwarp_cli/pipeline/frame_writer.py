@@ -88,11 +88,10 @@ class FrameWriter(ResourceOwner):
 
     def name(self, number: int) -> str:
         """Return the name of a frame's file, or of the video without files, without its folder."""
-        frames, video = self.output.frames, self.output.video
-        if frames is None:
-            assert video is not None
-            return video.name
-        return frames.path(number).name
+        frames = self.output.frames
+        path = self.output.video if frames is None else frames.path(number)
+        assert path is not None
+        return path.name
 
     def has(self, number: int, recipe: str, masked: bool = True) -> bool:
         """Return True if an earlier run wrote a frame's files as this one would, and they are kept.

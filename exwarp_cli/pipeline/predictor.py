@@ -36,6 +36,7 @@ FORMAT = "exwarp.policy-hex/1"
 MANIFEST = "manifest.json"
 README = "README.txt"
 README_DESIGN = "README_design.txt"  # the end of that file, where it has the design
+VERILOG = resources.files(accelerator) / "verilog"  # the folder of texts and sources
 SOURCES = ("exwarp_predictor.v", "exwarp_core.v", "exwarp_predictor_tb.v", "Makefile")
 
 CACHE = 20 * 1024  # bytes of a core that hold the shipped network; 16 KB do not
@@ -199,7 +200,8 @@ def export(
     """
     source = load_policy(policy)
     network = source.network
-    about = _read_source(README) + (_read_source(README_DESIGN) if verilog else "")
+    names = (README, README_DESIGN) if verilog else (README,)
+    about = "".join((VERILOG / name).read_text(encoding="utf-8") for name in names)
     texts = {README: about.format(cores=array.cores, macs=array.macs, inputs=network.sizes[0])}
     texts |= hex_files(array, network, sample_states(network.sizes[0], vectors, seed))
     if verilog:
@@ -290,10 +292,6 @@ def _lines(words: Iterable[str]) -> str:
     return "".join(f"{word}\n" for word in words)
 
 
-def _read_source(name: str) -> str:
-    return resources.files(accelerator).joinpath("verilog", name).read_text(encoding="utf-8")
-
-
 def _require_buildable(array: MacArray, sizes: Sequence[int]) -> None:
     """Refuse a machine that the design cannot implement; raises UsageError."""
     if array.cores > MOST_CORES or array.cores > array.macs:
@@ -346,7 +344,7 @@ def design(
         "scales": [_scales(texts, array, core) for core in cores],
         "biases": [texts[f"core{core}_bias.hex"].split() for core in cores],
     }
-    files = {name: _read_source(name) for name in SOURCES}
+    files = {name: (VERILOG / name).read_text(encoding="utf-8") for name in SOURCES}
     for core in cores:
         for name, words in memories.items():  # all as deep as the fullest core's, the first
             filled = words[core] + ["0" * len(words[0][0])] * (len(words[0]) - len(words[core]))

@@ -279,14 +279,13 @@ class KeyedPulses:
             yield replace(record, key_pulse=pulse(gradient, expected))
 
 
+@dataclass
 class SequenceMotion:
     """Reads where the pixels of a frame come from; asked frame by frame, ascending."""
 
-    def __init__(self, shot: Shot, convention: MotionConvention) -> None:
-        self._shot = shot
-        self._convention = convention
-        self._step = number_step(shot.sequence.numbers)
-        self._previous: tuple[int, GBuffer] | None = None
+    shot: Shot
+    convention: MotionConvention
+    _previous: tuple[int, GBuffer] | None = None
 
     def into(self, number: int) -> tuple[Float32, Bool] | None:
         """Return the motion from a frame to the one before it.
@@ -295,10 +294,10 @@ class SequenceMotion:
         unknown; and bool [H, W], True where the frame before does not show the surface point. None
         where the frame of the last call is not its neighbour.
         """
-        raw = read_raw(self._shot, number, GEOMETRY)
-        current = settle_motion(raw.settle(self._convention).on(self._shot.display))
+        raw = read_raw(self.shot, number, GEOMETRY)
+        current = settle_motion(raw.settle(self.convention).on(self.shot.display))
         previous, self._previous = self._previous, (number, current)
-        if previous is None or previous[0] != number - self._step:
+        if previous is None or previous[0] != number - number_step(self.shot.sequence.numbers):
             return None
         if current.to_previous is None:
             motion = reproject(previous[1], 1.0)

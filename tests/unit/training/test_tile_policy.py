@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.accelerator.mlp import PAPER_SIZES, infer_reference, to_fixed
+from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import NODES
 from exwarp_cli.domain.tiles import TILE_FEATURES, TILE_STATE
 from exwarp_cli.errors import DamagedFileError, InputError
@@ -18,8 +19,8 @@ from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, PolicyFile, load
 from exwarp_cli.policy.state import (
     INPUTS,
     STATE_SIZE,
-    TilePolicy,
     apply_price,
+    plan_tiles,
     scale_tile_features,
     tile_inputs,
     tile_paths,
@@ -105,7 +106,9 @@ class TestPolicy:
         """Tiles with holes and motion are extrapolated, still ones are warped."""
         features = np.zeros((1, 2, 6))
         features[0, 1] = [0.3, 0.1, 40.0, 20.0, 200.0, 400.0]
-        plan = TilePolicy(shipped.network, shipped.price(0.5)).plan([features] * 3, 427)
+        plan = plan_tiles(
+            MlpKernel(apply_price(shipped.network, shipped.price(0.5))), [features] * 3, 427
+        )
         assert plan.paths == ("S6", "S3")
 
     def test_a_price_is_added_to_the_output_for_warping(self, shipped):
@@ -122,7 +125,9 @@ class TestPolicy:
         assert replace(shipped, metadata={}).price(0.5) == 0
 
     def test_a_high_price_warps_everything(self, shipped):
-        plan = TilePolicy(shipped.network, 2**29).plan([np.ones((8, 3, 6))] * 3, 64)
+        plan = plan_tiles(
+            MlpKernel(apply_price(shipped.network, 2**29)), [np.ones((8, 3, 6))] * 3, 64
+        )
         assert set(plan.paths) == {"S6"} and (plan.rows, plan.columns) == (8, 3)
 
 
