@@ -69,20 +69,24 @@ class Fingerprinter:
     ) -> dict[int, str]:
         """Digest what each slot's frame depends on: sources, settings, version and networks.
 
-        Parameters
-        ----------
-        key
-            Index of the key frame.
-        keys
-            Indices of the key frames whose colour is used.
-        instants
-            Whose G-buffers are used beside those of `keys`; in the key setting key frames all.
-        surroundings
-            What cuts, holds, windows and trials around the interval change.
-        extrapolates
-            Whether the network that extrapolates, if there is one, may make the frames.
+        `key` is the index of the key frame, `keys` are those of key frames whose colour is used.
+        The G-buffers of `instants` are used beside theirs; in the key setting key frames all.
+        `surroundings` are what cuts, holds, windows and trials around the interval change. With
+        `extrapolates` the network that extrapolates, if there is one, may make the frames.
         """
         source, timeline = self.source, self.source.timeline
+        own = [Slot(index, 0) for index in keys]
+        sources = [*own, *instants]
+        if self.reading is not None:
+            for slot in sources:
+                with self.reading(slot):
+                    self.digest(slot)
+        # In the key setting G-buffers are in the key frames' files.
+        colours = sources if source.slots is None else own
+        files = [self._digest(source.keys, timeline.numbers[slot.key])[0] for slot in colours]
+        if source.slots is not None:
+            in_slots = map(source.slot_number, sources)
+            files += [self._digest(source.slots, n)[0] for n in in_slots if n is not None]
         facts: dict[str, Any] = {
             "version": __version__,
             "method": self.method.name,
@@ -91,7 +95,7 @@ class Fingerprinter:
             "compression": self.compression,
             "fps": f"{source.fps}{'' if source.written_fps else ' assumed'}",
             "factor": str(timeline.factor),
-            "files": self._digest_sources([Slot(index, 0) for index in keys], list(instants)),
+            "files": files,
         }
         facts |= _reading_facts(source, self.method)
         if self.layers:
@@ -112,19 +116,6 @@ class Fingerprinter:
             slot.index: digest_json(facts | {"slot": slot.index, "time": str(timeline.time(slot))})
             for slot in timeline.made_of(key)
         }
-
-    def _digest_sources(self, keys: list[Slot], instants: list[Slot]) -> list[str]:
-        """Digest the files of key frames, and of the instants whose G-buffers are used."""
-        source, numbers = self.source, self.source.timeline.numbers
-        if self.reading is not None:
-            for slot in keys + instants:
-                with self.reading(slot):
-                    self.digest(slot)
-        if source.slots is None:
-            return [self._digest(source.keys, numbers[slot.key])[0] for slot in keys + instants]
-        files = [self._digest(source.keys, numbers[slot.key])[0] for slot in keys]
-        in_slots = map(source.slot_number, keys + instants)
-        return files + [self._digest(source.slots, n)[0] for n in in_slots if n is not None]
 
     def key_digests(self, keys: Iterable[int]) -> dict[int, str]:
         """Return the digests of written key frames by input number; none for a video."""

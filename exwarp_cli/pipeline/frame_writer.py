@@ -60,7 +60,6 @@ class FrameWriter(ResourceOwner):
     behind: int  # frames that may wait for a thread to write them, beyond those under way
     look: VideoLook  # of the video: colour, pixels and sound
     wants_sums: bool  # whether checksums of files are wanted
-    skips: bool  # whether the video shows a frame again in the place of skipped ones
     # Milliseconds that writing took, by the frame's number; complete at the end.
     write_ms: dict[int, float] = field(default_factory=dict)
     # Checksums of what is written, where they are wanted; complete at the end.
@@ -177,15 +176,11 @@ class FrameWriter(ResourceOwner):
         """Append a frame to the video, if there is one."""
         if self._video is not None:
             pixels = image.on(self.display).pixels
-            code = self._encode(self.display_look.apply(pixels, self.output.exposure))
-            self._video.write(code)
-            self._last_shown = code if self.skips else None
+            self._last_shown = self._encode(self.display_look.apply(pixels, self.output.exposure))
+            self._video.write(self._last_shown)
 
     def show_again(self) -> None:
-        """Append the last frame to the video again, so that sound stays in step; else a black one.
-
-        Only where frames may be skipped: the last frame is kept for that.
-        """
+        """Append the last frame to the video again, or a black one: sound stays in step so."""
         if self._video is not None:
             black = np.zeros((*self.display.shape, 3), np.float32)
             shown = self._encode(black) if self._last_shown is None else self._last_shown

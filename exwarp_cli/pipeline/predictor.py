@@ -180,23 +180,11 @@ def export(
 ) -> list[Path]:
     """Write a policy's parameters and test vectors as hex files; return the files.
 
-    Parameters
-    ----------
-    policy
-        None for the one that comes with ExWarp.
-    vectors, seed
-        How many test vectors, and of which random numbers.
-    verilog
-        Whether to write its design too, with a test bench.
+    None is the policy that comes with ExWarp. `vectors` says how many test vectors, `seed` of which
+    random numbers. With `verilog` its design comes too, with a test bench.
 
-    Raises
-    ------
-    InputError
-        When the policy cannot be used.
-    OutputExistsError, OutputError
-        When files exist, or cannot be written.
-    UsageError
-        When the design cannot be such a machine.
+    Raises InputError when the policy cannot be used; OutputExistsError or OutputError when files
+    exist or cannot be written; UsageError when the design cannot be such a machine.
     """
     source = load_policy(policy)
     network = source.network
@@ -315,23 +303,13 @@ def _require_buildable(array: MacArray, sizes: Sequence[int]) -> None:
 def design(
     array: MacArray, sizes: Sequence[int], texts: Mapping[str, str], vectors: int
 ) -> dict[str, str]:
-    """Return the files of a machine's design by name.
+    """Return the files of a machine's design by name; its pipeline has four stages.
 
-    Parameters
-    ----------
-    sizes
-        Of the network.
-    texts
-        The network's hex files, see `hex_files`.
-    vectors
-        How many test vectors there are.
+    `sizes` are the network's, and `texts` its hex files, see `hex_files`; `vectors` says how many
+    test vectors there are.
 
-    Raises
-    ------
-    UsageError
-        For a machine that the design cannot implement: more than 10 cores, more cores than MAC
-        units in each, a cache that is too small, and weights that do not fit without a port. Its
-        pipeline has four stages.
+    Raises UsageError for a machine that the design cannot implement: more than 10 cores, more cores
+    than MAC units in each, a cache that is too small, and weights that do not fit without a port.
     """
     _require_buildable(array, sizes)
     # Where all fits, the port is not used, and as wide as a word.
@@ -339,9 +317,17 @@ def design(
     cores = range(array.cores)
     weights = [texts[f"core{core}_weights.hex"].split() for core in cores]
     resident = min(resident_words(array, sizes), len(weights[0]))
+    scales = []  # of each core: shift and multiplier of its inputs, then of its hidden neurons
+    for core in cores:
+        shifts, multipliers = (
+            texts[f"input_{part}.hex"].split()[core :: array.cores]
+            + texts[f"core{core}_{part}.hex"].split()
+            for part in ("shift", "multiplier")
+        )
+        scales.append([s + m for s, m in zip(shifts, multipliers, strict=True)])
     memories = {
         "weights": [own[:resident] for own in weights],
-        "scales": [_scales(texts, array, core) for core in cores],
+        "scales": scales,
         "biases": [texts[f"core{core}_bias.hex"].split() for core in cores],
     }
     files = {name: (VERILOG / name).read_text(encoding="utf-8") for name in SOURCES}
@@ -359,7 +345,7 @@ def design(
     depths = {
         "RESIDENT": resident,
         "WEIGHT_WORDS": len(weights[0]),
-        "SCALES": len(memories["scales"][0]),
+        "SCALES": len(scales[0]),
         "BIASES": len(memories["biases"][0]),
     }
     files["exwarp_parameters.vh"] = _parameters(array, sizes, depths)
@@ -396,13 +382,3 @@ def _parameters(array: MacArray, sizes: Sequence[int], depths: Mapping[str, int]
         packed = ", ".join(f"16'd{value}" for value in reversed(values))
         lines.append(f"parameter [{16 * len(values) - 1}:0] {name} = {{{packed}}},")
     return "\n".join(lines)[:-1] + "\n"
-
-
-def _scales(texts: Mapping[str, str], array: MacArray, core: int) -> list[str]:
-    """Return shift and multiplier of a core's inputs, then of its hidden neurons."""
-    shifts, multipliers = (
-        texts[f"input_{part}.hex"].split()[core :: array.cores]
-        + texts[f"core{core}_{part}.hex"].split()
-        for part in ("shift", "multiplier")
-    )
-    return [shift + multiplier for shift, multiplier in zip(shifts, multipliers, strict=True)]

@@ -396,5 +396,4 @@ def make_writer(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> FrameW
         behind,
         video_look(job.source, job.keys, note or video_note(job.settings)),
         job.sums,
-        job.settings.source.keep_going,
     )
