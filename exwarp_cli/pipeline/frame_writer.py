@@ -99,10 +99,8 @@ class FrameWriter(ResourceOwner):
         """
         if not self.output.resumes or self.output.frames is None:
             return False
-        patterns = [self.output.frames]
-        if self.output.holes is not None and masked:
-            patterns.append(self.output.holes)
-        paths = [pattern.path(number) for pattern in patterns]
+        patterns = (self.output.frames, self.output.holes if masked else None)
+        paths = [pattern.path(number) for pattern in patterns if pattern is not None]
         return all(path.exists() and read_fingerprint(path) == recipe for path in paths)
 
     def copies(self, source: Path) -> bool:

@@ -44,7 +44,9 @@ MOST_CORES = 10  # a core's files have its number as one digit
 
 Integers = npt.NDArray[np.integer[Any]]
 
-_CLOCK = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?)\s*([kmg]?)(?:hz)?", re.IGNORECASE)
+_CLOCK = re.compile(
+    r"((?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?)\s*([kmg]?)(?:hz)?", re.IGNORECASE
+)
 _BYTES = re.compile(r"([0-9]+)\s*([kmg]?)i?b?", re.IGNORECASE)
 _HERTZ = {"": 1.0, "k": 1e3, "m": 1e6, "g": 1e9}
 _UNITS = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30}
@@ -65,11 +67,8 @@ def clock_of(text: str, option: str = "--clock") -> float:
     Raises UsageError with the name of the option, when it is no rate, or not above 0.
     """
     match = _CLOCK.fullmatch(text.strip())
-    try:
-        hertz = float(match[1]) * _HERTZ[match[2].lower()] if match else math.nan
-    except ValueError:
-        hertz = math.nan
-    if not (math.isfinite(hertz) and hertz > 0):
+    hertz = float(match[1]) * _HERTZ[match[2].lower()] if match else 0.0
+    if not 0 < hertz < math.inf:
         raise UsageError(f"{option} {text} is no clock rate; give one as 500MHz, 1.5GHz or 1e9")
     return hertz
 
