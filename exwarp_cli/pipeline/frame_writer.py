@@ -178,7 +178,7 @@ class FrameWriter(ResourceOwner):
             self._video.write(self._last_shown)
 
     def show_again(self) -> None:
-        """Append the last frame to the video again, or a black one: sound stays in step so."""
+        """Append the last frame to the video again, or a black one, to keep sound in step."""
         if self._video is not None:
             black = np.zeros((*self.display.shape, 3), np.float32)
             shown = self._encode(black) if self._last_shown is None else self._last_shown
