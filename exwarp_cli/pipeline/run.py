@@ -172,13 +172,10 @@ class Run:
         records = self._records
         if self._pulses is not None:
             records = list(self._pulses.complete(records))
-        write_ms = self.writer.write_ms
-        return tuple(
-            replace(record, timing_ms=record.timing_ms | {"write": write_ms[record.number]})
-            if record.number in write_ms
-            else record
-            for record in records
-        )
+        for record in records:
+            if record.number in self.writer.write_ms:
+                record.timing_ms["write"] = self.writer.write_ms[record.number]
+        return tuple(records)
 
     def _is_needed(self, key: int, recipes: dict[int, str]) -> bool:
         """Return True if any slot is missing or must be scored."""
@@ -262,13 +259,8 @@ class Run:
             for index, record in enumerate(self._records[first_record:], start=first_record):
                 if record.slot in complete:
                     overall, holes = complete[record.slot]
-                    elapsed = {"score": record.timing_ms["score"] + timing_ms["score"]}
-                    self._records[index] = replace(
-                        record,
-                        score=overall,
-                        hole_score=holes,
-                        timing_ms=record.timing_ms | elapsed,
-                    )
+                    record.timing_ms["score"] += timing_ms["score"]
+                    self._records[index] = replace(record, score=overall, hole_score=holes)
         self._layers.begin(inputs, None)
 
     def _skip(self, skipped: SkippedInterval) -> None:
@@ -336,11 +328,10 @@ class Run:
         truth = inputs.truth.frames.get(record.slot)
         true_pixels = None if truth is None else truth.on(truth.display_window).pixels
         if scores is not None and true_pixels is not None and image is not None:
-            timing_ms = dict(record.timing_ms)
-            with record_time(timing_ms, "score"):
+            with record_time(record.timing_ms, "score"):
                 test = image.on(self._display).pixels
                 overall, holes = scores.frame(record.slot, true_pixels, test, rendered.mask)
-            record = replace(record, score=overall, hole_score=holes, timing_ms=timing_ms)
+            record = replace(record, score=overall, hole_score=holes)
         self._records.append(record)
         listener, is_key = self._listener, record.kind is FrameKind.KEY
         if listener is not None and not listener.wants(record.number, record.score, record.risk):

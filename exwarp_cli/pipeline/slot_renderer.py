@@ -102,9 +102,9 @@ class SlotRenderer:
         as_written = None
         if shows or pulses is not None:
             as_written = replace(image, pixels=quantise_picture(image.pixels, template))
-        if as_written is not None and pulses is not None:
-            with record_time(timing, "pulse"):
-                pulses.add(slot, as_written, inputs.followed)
+            if pulses is not None:
+                with record_time(timing, "pulse"):
+                    pulses.add(slot, as_written, inputs.followed)
         predicted = replace(predicted, kind=kind)
         record = self._new_record(slot, prepared, inputs, predicted, part, mask, timing)
         if in_pool:
