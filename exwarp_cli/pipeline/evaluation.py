@@ -120,10 +120,10 @@ class Comparison:
 def evaluate(
     reference: str,
     test: str,
-    frames: str | None,
-    holes: str | None,
-    progress: Progress,
-    measuring: MeasureSettings,
+    frames: str | None = None,
+    holes: str | None = None,
+    progress: Progress | None = None,
+    measuring: MeasureSettings | None = None,
     watcher: FrameListener | None = None,
 ) -> Comparison:
     """Score every frame of `test` against the frame of `reference` of the same instant.
@@ -131,19 +131,21 @@ def evaluate(
     Sequences are each a folder, a pattern or any one frame. `holes` holds masks, numbered as `test`
     (what ``upsample --write-holes`` writes) or as `reference`; a frame without a mask has no score
     in holes. `frames` is a range in the reference's numbers, None for all. `measuring` says what is
-    measured, and how. `progress` receives every frame, and `watcher` is shown those that it wants.
+    measured, and how; None for the defaults. `progress` receives every frame, and `watcher` is
+    shown those that it wants.
 
     Raises InputError when a sequence is not found, frames cannot be paired, a file is missing or
     damaged, or sizes differ; when nothing can be measured. Raises UsageError when the frame range
     does not parse, or options contradict each other; InstallationError when the view transform is
     not installed.
     """
+    measuring = measuring or MeasureSettings()
     require_consistent(measuring, holes)
     matched_by, files, masks, notes = _pair_files(reference, test, frames, holes, measuring)
     truth, judged = files[0].reference, files[0].test
     origins = origins_of([judged.files[file.b] for file in files])
     scorer, more_notes = make_scorer(measuring, reference, truth, judged, origins)
-    compared, shape = _score(files, origins, scorer, progress, watcher)
+    compared, shape = _score(files, origins, scorer, progress or Progress(), watcher)
     rate = clip_rate(judged)
     if rate is None and not is_plain(judged):
         rate = frame_rate(read_headers(judged.files[min(judged.files)])[0])
