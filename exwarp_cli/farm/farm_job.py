@@ -20,7 +20,7 @@ from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.channel_map import parse_aovs, read_channel_map
 from exwarp_cli.io.frame_names import NamePattern
 from exwarp_cli.io.video_reader import is_clip
-from exwarp_cli.models.model_file import weight_files
+from exwarp_cli.models.model_file import embed_weights, read_file_bytes
 from exwarp_cli.models.policy_files import PAPER
 
 if TYPE_CHECKING:
@@ -152,7 +152,8 @@ def _parse(parameter: str, text: str) -> PathOption:
         if parameter == "interpolator" and (card := path.with_suffix(".json")).is_file():
             companions["Card"] = card
         if parameter in NETWORKS and path.is_file():
-            for number, file in enumerate(weight_files(path), start=1):
+            _, files = embed_weights(path, read_file_bytes(path))
+            for number, file in enumerate(files, start=1):
                 companions[f"Weights{number}"] = file
         return replace(option, is_file=True, companions=companions)
     if role.is_written:  # as `upsample` does; the folder need not exist

@@ -237,9 +237,7 @@ def load_interpolator(path: Path, threads: int | None, device: str) -> OnnxInter
     MissingExtraError if onnxruntime has no CUDA.
     """
     _, data = read_model(path, path.name, "--interpolator")
-    network = OnnxInterpolator(read_card(path), path, data, threads or cores.count(), device)
-    network.judge()
-    return network
+    return OnnxInterpolator(read_card(path), path, data, threads or cores.count(), device)
 
 
 @dataclass
@@ -255,12 +253,13 @@ class _EncodedPair:
 
 
 class OnnxInterpolator(OnnxNetwork):
-    """An interpolation network that is ready to run."""
+    """An interpolation network that is ready to run; LayoutError if it does not fit its card."""
 
     def __init__(self, card: Card, path: Path, data: bytes, threads: int, device: str) -> None:
         super().__init__(path, data, threads, device)
         self.card, self.name, self.card_checksum = card, card.name, card.checksum
         self._pair: _EncodedPair | None = None
+        self._judge()
 
     def __call__(self, before: Float32, after: Float32, time: float) -> Float32:
         """Return the frame at 0 < `time` < 1 between two frames; see `reaches`.
@@ -292,7 +291,7 @@ class OnnxInterpolator(OnnxNetwork):
         """
         return self.card.timed or MAX_FACTOR * time % 1 == 0
 
-    def judge(self) -> None:
+    def _judge(self) -> None:
         """Refuse a network that does not fit its card, by what it declares and by running it."""
         card, path, layout = self.card, self.path, self.card.input_format.layout
         if foreign := [name for name in self.inputs if name not in card.inputs]:
@@ -450,7 +449,7 @@ def begin_card(path: Path, shape: str, overwrite: bool = False) -> Path:
         "encoding": "srgb",
         **SHAPES[shape],
     }
-    OnnxInterpolator(parse_card(card, document), path, data, 1, "cpu").judge()
+    OnnxInterpolator(parse_card(card, document), path, data, 1, "cpu")  # refuses what does not fit
     atomic_write_text(card, json.dumps(document, indent=2) + "\n")
     return card
 

@@ -22,6 +22,7 @@ import os
 import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, NamedTuple
 
@@ -122,47 +123,39 @@ def shape_text(shape: Sequence[Any]) -> str:
     return f"[{', '.join('?' if size is None else str(size) for size in shape)}]"
 
 
-def embed_weights(path: Path, data: bytes) -> bytes:
-    """Return a model's bytes with the weights in them that it keeps in other files.
+def embed_weights(path: Path, data: bytes) -> tuple[bytes, tuple[Path, ...]]:
+    """Return a model's bytes with the weights in them that it keeps in other files, and these.
 
     Raises DamagedFileError if the bytes are no Protocol Buffers or a file of weights is too short,
     LayoutError if it names files outside of its folder or is too large with them, InputError if a
     file cannot be read.
     """
-    chunks = _Weights(path).embed(data)
-    return data if chunks is None else b"".join(chunks)
-
-
-def weight_files(path: Path) -> tuple[Path, ...]:
-    """Return the files in which a model keeps weights; errors are those of `embed_weights`."""
-    weights = _Weights(path)
-    weights.embed(read_file_bytes(path))
-    return tuple(path.parent / location for location in weights.files)
+    weights = _Weights(path, {})
+    try:
+        with report_reading(path, required=True):
+            chunks = weights.embed_in(memoryview(data), "ModelProto", 0)
+    except _MalformedError as error:
+        raise DamagedFileError(
+            f"{path} is no ONNX model, or a damaged one ({error}); check the path, or export it "
+            "again"
+        ) from error
+    files = tuple(path.parent / location for location in weights.files)
+    return data if chunks is None else b"".join(chunks), files
 
 
 class _MalformedError(ValueError):
     """The bytes are no Protocol Buffers."""
 
 
+@dataclass
 class _Weights:
     """Copies external weights into one model. A method returns None where nothing changes."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._size = 0
-        self.files: dict[str, memoryview] = {}
+    path: Path
+    files: dict[str, memoryview]  # those that were read, by location
+    size: int = 0  # of all that was copied, bytes
 
-    def embed(self, data: bytes) -> Chunks | None:
-        try:
-            with report_reading(self._path, required=True):
-                return self._embed_in(memoryview(data), "ModelProto", 0)
-        except _MalformedError as error:
-            raise DamagedFileError(
-                f"{self._path} is no ONNX model, or a damaged one ({error}); check the path, or "
-                "export it again"
-            ) from error
-
-    def _embed_in(self, message: memoryview, name: str, depth: int) -> Chunks | None:
+    def embed_in(self, message: memoryview, name: str, depth: int) -> Chunks | None:
         if depth > MAX_DEPTH:
             raise _MalformedError("it is nested too deeply")
         chunks: Chunks = []
@@ -174,7 +167,7 @@ class _Weights:
             if nested == "TensorProto":
                 new = self._embed_tensor(field.content)
             elif nested is not None:
-                new = self._embed_in(field.content, nested, depth + 1)
+                new = self.embed_in(field.content, nested, depth + 1)
             is_changed = is_changed or new is not None
             chunks += [field.raw] if new is None else _length_delimited(field.number, new)
         return chunks if is_changed else None
@@ -202,7 +195,7 @@ class _Weights:
                 self.files[location] = memoryview(read_file_bytes(path))
             except OSError as error:
                 raise InputError(
-                    f"{self._path} keeps weights in {path}, which cannot be read: "
+                    f"{self.path} keeps weights in {path}, which cannot be read: "
                     f"{error.strerror}; copy that file along, or save the model with its weights "
                     "inside"
                 ) from error
@@ -212,7 +205,7 @@ class _Weights:
             text = entries.get(key, "0")
             if not (text.isascii() and text.isdecimal() and len(text) < 20):
                 raise DamagedFileError(
-                    f"{self._path} keeps weights in another file at {key} {text[:40]!r}, which is "
+                    f"{self.path} keeps weights in another file at {key} {text[:40]!r}, which is "
                     "no number of bytes; export it again"
                 )
             numbers[key] = int(text)
@@ -220,13 +213,13 @@ class _Weights:
         end = begin + numbers["length"] if "length" in entries else max(begin, len(content))
         if end > len(content):
             raise DamagedFileError(
-                f"{self._path.parent / location}, where {self._path.name} keeps weights, has "
+                f"{self.path.parent / location}, where {self.path.name} keeps weights, has "
                 f"{len(content)} bytes and should have {end}; copy or export both files again"
             )
-        self._size += end - begin
-        if self._size > MAX_BYTES:
+        self.size += end - begin
+        if self.size > MAX_BYTES:
             raise LayoutError(
-                f"{self._path} has more than 2 GiB of weights, which ExWarp does not take; use a "
+                f"{self.path} has more than 2 GiB of weights, which ExWarp does not take; use a "
                 "smaller network"
             )
         return content[begin:end]
@@ -238,13 +231,13 @@ class _Weights:
         leads_out = ".." in parts or windows.drive or windows.root
         if location and not leads_out and "\0" not in location:
             # Model and weights may both be links into one folder, as download caches have them.
-            folders = {self._path.parent.resolve(), self._path.resolve().parent}
-            path = self._path.parent / location
+            folders = {self.path.parent.resolve(), self.path.resolve().parent}
+            path = self.path.parent / location
             with suppress(OSError, RuntimeError):  # links that lead to each other
                 if any(path.resolve().is_relative_to(folder) for folder in folders):
                     return path
         raise LayoutError(
-            f"{self._path} keeps weights in {location[:200]!r}, and only files in the folder of a "
+            f"{self.path} keeps weights in {location[:200]!r}, and only files in the folder of a "
             "model are read; put them there, or save the model with its weights inside"
         )
 

@@ -58,17 +58,13 @@ def load_extrapolator(path: Path | None, threads: int | None, device: str) -> On
     of `exwarp_cli.domain.network_api`; MissingExtraError if onnxruntime has no CUDA.
     """
     path, data = read_model(path, SHIPPED_EXTRAPOLATOR, "--extrapolator")
-    network = OnnxExtrapolator(path, data, threads or cores.count(), device)
-    network.judge()
-    return network
+    return OnnxExtrapolator(path, data, threads or cores.count(), device)
 
 
 def load_lookahead(path: Path | None, threads: int | None, device: str) -> OnnxLookAhead:
     """Load a look-ahead network as `load_extrapolator` does."""
     path, data = read_model(path, SHIPPED_LOOKAHEAD, "--interpolator")
-    network = OnnxLookAhead(path, data, threads or cores.count(), device)
-    network.judge()
-    return network
+    return OnnxLookAhead(path, data, threads or cores.count(), device)
 
 
 class PictureNetwork(OnnxNetwork):
@@ -87,6 +83,7 @@ class PictureNetwork(OnnxNetwork):
         # The number that the height and width of its inputs are multiples of.
         self.stride = int(stride)
         self._buffer: Float32 | None = None
+        self._judge()
 
     def answers(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
         """Yield each tile and the planes that are kept of its answer, float32 [C, h, w]."""
@@ -125,7 +122,7 @@ class PictureNetwork(OnnxNetwork):
             # The last tiles reach beyond a picture whose size is no multiple of the stride.
             yield (down, across), kept[:, : height - down.first, : width - across.first]
 
-    def judge(self) -> None:
+    def _judge(self) -> None:
         """Refuse a network that does not fit, by what it declares and by running it once."""
         interface = self._interface
         stated = self._metadata.get(INTERFACE_KEY, interface.version)

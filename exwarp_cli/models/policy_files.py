@@ -19,9 +19,7 @@ import csv
 import hashlib
 import io
 import json
-import struct
 import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count, takewhile
@@ -56,11 +54,6 @@ STATE_COLUMN = "inputs"  # column of the states: Q16.16 integers with spaces bet
 # Columns that identify the decision of a row, where a table has them.
 IDENTITY_COLUMNS = ("frame", "key", "slot", "node")
 
-# Exceptions of zipfile and numpy on bytes that are no archive of arrays.
-_UNREADABLE = (
-    *(zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, MemoryError, struct.error),
-    *(NotImplementedError, RuntimeError, KeyError, SyntaxError, OverflowError, TypeError),
-)
 _INT32 = np.iinfo(np.int32)
 
 Array = npt.NDArray[Any]
@@ -85,17 +78,23 @@ class PolicyFile:
         return self.metadata.get("state") == TILE_STATE
 
     @property
-    def efforts(self) -> tuple[tuple[float, float], ...]:
-        """Shares of the area, ascending, and the price of each; () if not stated."""
-        stated = self.metadata.get("efforts")
-        return tuple((share, price) for share, price in stated) if stated else ()
-
-    @property
     def trained_for(self) -> tuple[str, ...]:
         """SHA-256 of the networks whose frames it learned to judge; () if not stated."""
         stated = self.metadata.get("extrapolator")
         stated = [stated] if isinstance(stated, str) else stated
         return tuple(map(str, stated)) if isinstance(stated, list) else ()
+
+    def price(self, effort: float) -> int:
+        """Return the price at which a share of the area is extrapolated on the training scenes.
+
+        The metadata state it for some shares; beyond the first and the last, theirs counts. 0 if
+        they state none.
+        """
+        stated = self.metadata.get("efforts")
+        if not stated:
+            return 0
+        shares, prices = zip(*stated, strict=True)
+        return round(float(np.interp(effort, shares, prices)))
 
 
 def policy_name_without(scene: str) -> str:
@@ -231,17 +230,16 @@ def unpack_arrays(data: bytes) -> dict[str, Array]:
                 array = np.lib.format.read_array(member, allow_pickle=False)
                 arrays[entry.filename.removesuffix(".npy")] = array
         return arrays
-    except _UNREADABLE as error:
+    except Exception as error:  # zipfile and numpy raise a dozen kinds for such bytes
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise ArchiveError(reason) from error
 
 
 @dataclass(frozen=True)
 class StateRow:
-    """A row of a table with a state; `row` counts from 1 without the header, `line` with it."""
+    """A row of a table with a state; `row` counts from 1 without the header."""
 
     row: int
-    line: int
     identity: dict[str, str]  # by IDENTITY_COLUMNS
     state: npt.NDArray[np.int32]  # [n], Q16.16
 
@@ -271,7 +269,7 @@ def read_states(path: Path, size: int) -> tuple[StateRow, ...]:
                     identity = {
                         name: cells[name] or "" for name in IDENTITY_COLUMNS if name in columns
                     }
-                    rows.append(StateRow(number, table.line_num, identity, state))
+                    rows.append(StateRow(number, identity, state))
     except OSError as error:
         raise InputError(
             f"cannot read {path}: {error.strerror}; check the path and its rights"

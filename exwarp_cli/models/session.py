@@ -31,7 +31,8 @@ class OnnxNetwork:
 
     def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
         self.path, self.device = path, device
-        self._data, self._threads = embed_weights(path, data), threads
+        self._threads = threads
+        self._data, _ = embed_weights(path, data)
         # SHA-256 of the model's file with all its weights in it, hexadecimal.
         self.checksum = hashlib.sha256(self._data).hexdigest()
         self._sessions: dict[int, Any] = {}
@@ -60,21 +61,21 @@ class OnnxNetwork:
         session = self._session(max(1, min(self._threads, most)) if self.device == "cpu" else 1)
         options = None
         if last:
-            options = _runtime().RunOptions()
+            options = load_runtime().RunOptions()
             if self.device == "cpu":  # takes an eighth of the time of a run
                 options.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
-        try:
-            with report_reading(self.path, required=True):
+        with report_reading(self.path, required=True):
+            try:
                 (answer,) = session.run([output], feeds, options)
-        except _failures() as error:
-            if isinstance(error, MemoryError) or "alloc" in str(error):
-                raise OutOfMemoryError(
-                    f"{self.path} needs more memory than there is for {width}x{height} pixels; "
-                    "close other programs, use fewer threads, or another model"
+            except Exception as error:  # onnxruntime's own have no common base
+                if isinstance(error, MemoryError) or "alloc" in str(error):
+                    raise OutOfMemoryError(
+                        f"{self.path} needs more memory than there is for {width}x{height} pixels; "
+                        "close other programs, use fewer threads, or another model"
+                    ) from error
+                raise LayoutError(
+                    f"{self.path} fails on {width}x{height} pixels ({_reason(error)}); {advice}"
                 ) from error
-            raise LayoutError(
-                f"{self.path} fails on {width}x{height} pixels ({_reason(error)}); {advice}"
-            ) from error
         return answer
 
     def _session(self, threads: int) -> Any:
@@ -91,7 +92,7 @@ def open_session(path: Path, data: bytes, threads: int, device: str) -> Any:
     Raises DamagedFileError if the bytes are no model, MissingExtraError if there is no CUDA for
     the device "cuda".
     """
-    runtime = _runtime()
+    runtime = load_runtime()
     if device == "cuda" and CUDA not in runtime.get_available_providers():
         raise MissingExtraError(
             "--device cuda needs onnxruntime with CUDA, and what is installed has none; run "
@@ -109,21 +110,21 @@ def open_session(path: Path, data: bytes, threads: int, device: str) -> Any:
     # A search by time may choose other algorithms, and round otherwise, in every run.
     cuda = (CUDA, {"cudnn_conv_algo_search": "HEURISTIC", "use_tf32": "0"})
     providers = [cuda] if device == "cuda" else []
-    try:
-        with report_reading(path, required=True), silence_libraries():
+    with report_reading(path, required=True), silence_libraries():
+        try:
             session = runtime.InferenceSession(
                 data, options, providers=[*providers, "CPUExecutionProvider"], enable_fallback=False
             )
-    except _failures() as error:
-        if isinstance(error, MemoryError):
+        except MemoryError as error:
             raise OutOfMemoryError(
                 f"{path} needs more memory than there is to be opened; close other programs, or "
                 "use another model"
             ) from error
-        raise DamagedFileError(
-            f"{path} is no ONNX model that onnxruntime can run ({_reason(error)}); check the path, "
-            "or export it again"
-        ) from error
+        except Exception as error:  # onnxruntime's own have no common base
+            raise DamagedFileError(
+                f"{path} is no ONNX model that onnxruntime can run ({_reason(error)}); check the "
+                "path, or export it again"
+            ) from error
     if device == "cuda" and CUDA not in session.get_providers():
         raise MissingExtraError(
             "--device cuda was asked for, but onnxruntime cannot start CUDA here; check the "
@@ -133,17 +134,8 @@ def open_session(path: Path, data: bytes, threads: int, device: str) -> Any:
     return session
 
 
-def runtime_version() -> str:
-    """Return the version of onnxruntime; MissingExtraError without it."""
-    return str(_runtime().__version__)
-
-
-def providers() -> tuple[str, ...]:
-    """Return the execution providers of onnxruntime; MissingExtraError without it."""
-    return tuple(_runtime().get_available_providers())
-
-
-def _runtime() -> Any:
+def load_runtime() -> Any:
+    """Return the module onnxruntime; MissingExtraError without it."""
     # The import takes 0.3 s. It looks for devices, and writes to the terminal which it misses.
     try:
         with silence_libraries():
@@ -157,18 +149,6 @@ def _runtime() -> Any:
     # that imported onnxruntime before ExWarp.
     onnxruntime.disable_telemetry_events()
     return onnxruntime
-
-
-def _failures() -> tuple[type[Exception], ...]:
-    """Return the exceptions that onnxruntime raises if a model cannot be loaded or run."""
-    from onnxruntime.capi import onnxruntime_pybind11_state as state
-
-    own = [
-        kind
-        for kind in vars(state).values()
-        if isinstance(kind, type) and issubclass(kind, Exception)
-    ]
-    return (*own, RuntimeError, ValueError, MemoryError)
 
 
 def _reason(error: Exception) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.accelerator.mlp import to_fixed
+from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import (
     CHOICES,
     EXTRAPOLATE,
@@ -38,9 +39,12 @@ from exwarp_cli.pipeline.source import Source, open_source
 from exwarp_cli.policy.state import (
     OLDER_KEYS,
     FrameStatistics,
-    LearnedPolicy,
     StateHistory,
+    apply_price,
+    choose_tiles,
     compare,
+    plan_slots,
+    plan_tiles,
 )
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval, TileChooser, tile_features
@@ -73,7 +77,7 @@ PathSelector = Callable[[IntervalInputs, Interval], Choice]
 class PolicyPath:
     """Asks the paper's learned policy, which decides for whole frames."""
 
-    policy: LearnedPolicy
+    policy: MlpKernel
     observer: Observer
 
     def __call__(self, inputs: IntervalInputs, interval: Interval) -> Choice:
@@ -82,7 +86,7 @@ class PolicyPath:
         with record_time(timing_ms, "features"):
             surroundings = self.observer.of(inputs, interval)
         with record_time(timing_ms, "decide"):
-            plan = self.policy.plan(surroundings)
+            plan = plan_slots(self.policy, surroundings)
         return Choice(plan, timing_ms)
 
 
@@ -93,10 +97,8 @@ class TilePaths:
     """
 
     def __init__(self, policy: PolicyFile, effort: float) -> None:
-        from exwarp_cli.policy.state import TilePolicy, interpolate_price
-
         self._fixed_path = {0.0: "S6", 1.0: "S3"}.get(effort)
-        self._policy = TilePolicy(policy.network, interpolate_price(policy.efforts, effort))
+        self._policy = MlpKernel(apply_price(policy.network, policy.price(effort)))
 
     def __call__(self, inputs: IntervalInputs, interval: Interval) -> Choice:
         """Compute the features of an interval's tiles, and decide by them."""
@@ -108,7 +110,7 @@ class TilePaths:
         with record_time(timing_ms, "features"):
             features = [tile_features(interval, slot) for slot in range(1, FACTOR)]
         with record_time(timing_ms, "decide"):
-            plan = self._policy.plan(features, tiles.display.width)
+            plan = plan_tiles(self._policy, features, tiles.display.width)
         return Choice(plan, timing_ms)
 
 
@@ -154,9 +156,7 @@ def make_chooser(policy: PolicyFile | None, effort: float) -> TileChooser | None
     """Return what chooses the tiles between key frames that a network makes; None for all."""
     if policy is None:
         return None
-    from exwarp_cli.policy.state import LookAheadPolicy, interpolate_price
-
-    return LookAheadPolicy(policy.network, interpolate_price(policy.efforts, effort))
+    return partial(choose_tiles, MlpKernel(apply_price(policy.network, policy.price(effort))))
 
 
 def make_selector(
@@ -173,7 +173,7 @@ def make_selector(
         return OraclePath(method.judge, display)
     if policy.of_tiles:
         return TilePaths(policy, effort)
-    return PolicyPath(LearnedPolicy(policy.network), Observer(display, source.setting))
+    return PolicyPath(MlpKernel(policy.network), Observer(display, source.setting))
 
 
 def only_warps(plan: Plan | TilePlan) -> Plan | TilePlan:

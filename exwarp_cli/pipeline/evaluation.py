@@ -128,29 +128,16 @@ def evaluate(
 ) -> Comparison:
     """Score every frame of `test` against the frame of `reference` of the same instant.
 
-    Parameters
-    ----------
-    reference, test, holes
-        Sequences, each as a folder, a pattern or any one frame. `holes` holds masks, numbered as
-        `test` (what ``upsample --write-holes`` writes) or as `reference`; a frame without a mask
-        has no score in holes.
-    frames
-        Frame range in the reference's numbers; None for all.
-    measuring
-        What is measured, and how; None for the defaults.
-    progress, watcher
-        The first receives every frame, the second is shown the frames that it wants; None for
-        neither.
+    Sequences are each a folder, a pattern or any one frame. `holes` holds masks, numbered as `test`
+    (what ``upsample --write-holes`` writes) or as `reference`; a frame without a mask has no score
+    in holes. `frames` is a range in the reference's numbers, None for all. `measuring` says what is
+    measured, and how; None for the defaults. `progress` receives every frame, and `watcher` is
+    shown those that it wants.
 
-    Raises
-    ------
-    InputError
-        When a sequence is not found, frames cannot be paired, a file is missing or damaged, or
-        sizes differ; when nothing can be measured.
-    UsageError
-        When the frame range does not parse, or options contradict each other.
-    InstallationError
-        When the view transform is not installed.
+    Raises InputError when a sequence is not found, frames cannot be paired, a file is missing or
+    damaged, or sizes differ; when nothing can be measured. Raises UsageError when the frame range
+    does not parse, or options contradict each other; InstallationError when the view transform is
+    not installed.
     """
     measuring = measuring or MeasureSettings()
     require_consistent(measuring, holes)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -47,10 +46,9 @@ class Fingerprinter:
     # nothing may be unreadable.
     reading: Callable[[Slot], AbstractContextManager[None]] | None = None
     key_rate: Fraction | None = None  # frame rate that written key frames get; None: as they are
-    # Of files that were digested; views share them, which may be of the same files.
-    digests: OrderedDict[FrameFiles, str] = field(default_factory=OrderedDict, init=False)
-    # Of key frames as they are written, by the file's path; one short text each, so all are kept.
-    _rewritten: dict[Path, str] = field(default_factory=dict, init=False)
+    # Of files that were digested; views share them, which may be of the same files. The second is
+    # that of the key frame as it is written, where it is known.
+    digests: dict[FrameFiles, tuple[str, str | None]] = field(default_factory=dict, init=False)
 
     def digest(self, slot: Slot) -> None:
         """Digest all files of a slot's frame ahead; raises InputError where one cannot be read."""
@@ -71,20 +69,24 @@ class Fingerprinter:
     ) -> dict[int, str]:
         """Digest what each slot's frame depends on: sources, settings, version and networks.
 
-        Parameters
-        ----------
-        key
-            Index of the key frame.
-        keys
-            Indices of the key frames whose colour is used.
-        instants
-            Whose G-buffers are used beside those of `keys`; in the key setting key frames all.
-        surroundings
-            What cuts, holds, windows and trials around the interval change.
-        extrapolates
-            Whether the network that extrapolates, if there is one, may make the frames.
+        `key` is the index of the key frame, `keys` are those of key frames whose colour is used.
+        The G-buffers of `instants` are used beside theirs; in the key setting key frames all.
+        `surroundings` are what cuts, holds, windows and trials around the interval change. With
+        `extrapolates` the network that extrapolates, if there is one, may make the frames.
         """
         source, timeline = self.source, self.source.timeline
+        own = [Slot(index, 0) for index in keys]
+        sources = [*own, *instants]
+        if self.reading is not None:
+            for slot in sources:
+                with self.reading(slot):
+                    self.digest(slot)
+        # In the key setting G-buffers are in the key frames' files.
+        colours = sources if source.slots is None else own
+        files = [self._digest(source.keys, timeline.numbers[slot.key])[0] for slot in colours]
+        if source.slots is not None:
+            in_slots = map(source.slot_number, sources)
+            files += [self._digest(source.slots, n)[0] for n in in_slots if n is not None]
         facts: dict[str, Any] = {
             "version": __version__,
             "method": self.method.name,
@@ -93,7 +95,7 @@ class Fingerprinter:
             "compression": self.compression,
             "fps": f"{source.fps}{'' if source.written_fps else ' assumed'}",
             "factor": str(timeline.factor),
-            "files": self._digest_sources([Slot(index, 0) for index in keys], list(instants)),
+            "files": files,
         }
         facts |= _reading_facts(source, self.method)
         if self.layers:
@@ -115,59 +117,42 @@ class Fingerprinter:
             for slot in timeline.made_of(key)
         }
 
-    def _digest_sources(self, keys: list[Slot], instants: list[Slot]) -> list[str]:
-        """Digest the files of key frames, and of the instants whose G-buffers are used."""
-        source, numbers = self.source, self.source.timeline.numbers
-        if self.reading is not None:
-            for slot in keys + instants:
-                with self.reading(slot):
-                    self.digest(slot)
-        if source.slots is None:
-            return [self._digest(source.keys, numbers[slot.key]) for slot in keys + instants]
-        files = [self._digest(source.keys, numbers[slot.key]) for slot in keys]
-        in_slots = map(source.slot_number, keys + instants)
-        return files + [self._digest(source.slots, n) for n in in_slots if n is not None]
-
     def key_digests(self, keys: Iterable[int]) -> dict[int, str]:
         """Return the digests of written key frames by input number; none for a video."""
         shot, numbers = self.source.keys, self.source.timeline.numbers
         if isinstance(shot.sequence, ClipSequence):
             return {}
-        digests_read = {numbers[key]: self._digest(shot, numbers[key]) for key in keys}
-        if is_plain(shot.sequence):
-            return digests_read
         written = {}
-        for number, digest in digests_read.items():
-            path = shot.sequence.files[number]
-            if path not in self._rewritten:
-                file = plan_key_file(path, self.key_rate)
-                copied = json.loads(digest)[""]
-                self._rewritten[path] = file.digest() if file.head else copied
-            written[number] = self._rewritten[path]
+        for number in (numbers[key] for key in keys):
+            digest, rewritten = self._digest(shot, number)
+            if rewritten is None:
+                file = plan_key_file(shot.sequence.files[number], self.key_rate)
+                rewritten = file.digest() if file.head else json.loads(digest)[""]
+            written[number] = rewritten
         return written
 
-    def _digest(self, shot: Shot, number: int) -> str:
+    def _digest(self, shot: Shot, number: int) -> tuple[str, str | None]:
         """Digest all files of one frame; kept for the interval that shares it."""
         files = shot.files(number)
         frame = (number, tuple(files.items()))
         if frame in self.digests:
             return self.digests[frame]
+        rewritten: str | None = None
         if is_plain(shot.sequence):
-            digest = digest_frame(shot.sequence, number)
+            digest = rewritten = digest_frame(shot.sequence, number)
         else:
             by_aov = {}
             for aov, path in files.items():
                 # A key frame's file is digested as it is written, too.
                 is_key = not aov and shot is self.source.keys
                 rate = self.key_rate if is_key else None
-                by_aov[aov], rewritten = digests(path, rate, None if aov else shot.headers)
-                if is_key and rewritten is not None:
-                    self._rewritten[path] = rewritten
+                by_aov[aov], written = digests(path, rate, None if aov else shot.headers)
+                rewritten = written if is_key else rewritten
             digest = json.dumps(by_aov, sort_keys=True)
-        self.digests[frame] = digest
-        while len(self.digests) > DIGESTS:
-            self.digests.popitem(last=False)
-        return digest
+        self.digests[frame] = digest, rewritten
+        if len(self.digests) > DIGESTS:
+            del self.digests[next(iter(self.digests))]  # the oldest
+        return self.digests[frame]
 
 
 def key_fingerprint(keys: Shot, number: int, rate: Fraction | None = None) -> str:

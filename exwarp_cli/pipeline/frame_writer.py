@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, Image, Window
+from exwarp_cli.domain.frame import Bool, Image, Window
 from exwarp_cli.domain.results import FrameKind, FrameRecord, WrittenFile
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError, OutputError
@@ -24,7 +24,6 @@ from exwarp_cli.io.exr.writer import PREFIX, Buffer, Plane, PlaneKey
 from exwarp_cli.io.files import ResourceOwner, output_error, path_exists
 from exwarp_cli.io.generated_frames import (
     FrameTemplate,
-    read_facts,
     read_fingerprint,
     read_picture,
     write_mask,
@@ -61,7 +60,6 @@ class FrameWriter(ResourceOwner):
     behind: int  # frames that may wait for a thread to write them, beyond those under way
     look: VideoLook  # of the video: colour, pixels and sound
     wants_sums: bool  # whether checksums of files are wanted
-    skips: bool  # whether the video shows a frame again in the place of skipped ones
     # Milliseconds that writing took, by the frame's number; complete at the end.
     write_ms: dict[int, float] = field(default_factory=dict)
     # Checksums of what is written, where they are wanted; complete at the end.
@@ -72,6 +70,7 @@ class FrameWriter(ResourceOwner):
     def _open(self, stack: ExitStack) -> None:
         threads = cores.count()
         self._writer = stack.enter_context(AsyncWriter(threads, self.behind + threads))
+        self.display_look = DisplayLook(self.look.primaries, self.output.view)
         if self.output.video is not None:
             # To what the video's codec takes
             self._encode = to_display_16 if self.output.codec.is_deep else to_display
@@ -88,11 +87,10 @@ class FrameWriter(ResourceOwner):
 
     def name(self, number: int) -> str:
         """Return the name of a frame's file, or of the video without files, without its folder."""
-        frames, video = self.output.frames, self.output.video
-        if frames is None:
-            assert video is not None
-            return video.name
-        return frames.path(number).name
+        frames = self.output.frames
+        path = self.output.video if frames is None else frames.path(number)
+        assert path is not None
+        return path.name
 
     def has(self, number: int, recipe: str, masked: bool = True) -> bool:
         """Return True if an earlier run wrote a frame's files as this one would, and they are kept.
@@ -101,10 +99,8 @@ class FrameWriter(ResourceOwner):
         """
         if not self.output.resumes or self.output.frames is None:
             return False
-        patterns = [self.output.frames]
-        if self.output.holes is not None and masked:
-            patterns.append(self.output.holes)
-        paths = [pattern.path(number) for pattern in patterns]
+        patterns = (self.output.frames, self.output.holes if masked else None)
+        paths = [pattern.path(number) for pattern in patterns if pattern is not None]
         return all(path.exists() and read_fingerprint(path) == recipe for path in paths)
 
     def copies(self, source: Path) -> bool:
@@ -116,7 +112,7 @@ class FrameWriter(ResourceOwner):
         """Return True if an earlier run copied a key frame's file, and it is kept."""
         if not self.output.resumes:
             return False
-        return key_is_there(self._path(number), plan_key_file(source, self.key_rate))
+        return key_is_there(self.path(number), plan_key_file(source, self.key_rate))
 
     def is_in_the_way(self, number: int) -> bool:
         """Return True if a frame's file from before the run exists, which writing would replace."""
@@ -156,55 +152,33 @@ class FrameWriter(ResourceOwner):
         self,
         number: int,
         image: Image,
-        mask: Bool | None,
         template: FrameTemplate,
         attributes: Mapping[str, Any],
+        mask: Bool | None = None,
         layers: Mapping[PlaneKey, Plane] | None = None,
         inline: bool = False,
     ) -> None:
-        """Write a generated frame, and its hole mask if masks are written and it has one.
+        """Write a frame that is not copied, and its hole mask if masks are written and it has one.
 
         `mask` is bool [H, W] on the display window; `template`, `attributes` and `layers` are as
         for `io.generated_frames.write_picture`. With `inline` this thread writes, and does not
         return before; any thread may.
         """
-        if self.output.compression is not None:
-            attributes = {**attributes, "compression": self.output.compression}
-        tasks: list[Callable[[], None]] = []
-        if self.output.frames is not None:
-            tasks.append(partial(self._put_frame, number, image, template, attributes, layers))
-        if self.output.holes is not None and mask is not None:
-            tasks.append(partial(self._put_mask, number, mask, attributes))
-        for task in tasks:
-            if inline:
-                task()
-            else:
-                self._writer.submit(task)
-
-    def write_decoded(
-        self, number: int, image: Image, template: FrameTemplate, attributes: Mapping[str, Any]
-    ) -> None:
-        """Write a rendered frame whose file is of another format than the output's."""
-        self._writer.submit(partial(self._put_frame, number, image, template, attributes, None))
+        put = partial(self._put, number, image, template, attributes, mask, layers)
+        if inline:
+            put()
+        else:
+            self._writer.submit(put)
 
     def show(self, image: Image) -> None:
         """Append a frame to the video, if there is one."""
         if self._video is not None:
-            shown = self.displayed(image.on(self.display).pixels, self.output.exposure)
-            code = self._encode(shown)
-            self._video.write(code)
-            self._last_shown = code if self.skips else None
-
-    def displayed(self, pixels: Float32, exposure_stops: float = 0.0) -> Float32:
-        """Return the light of a display that shows scene-linear colour; see `DisplayLook`."""
-        look = DisplayLook(self.look.primaries, self.output.view)
-        return look.apply(pixels, exposure_stops)
+            pixels = image.on(self.display).pixels
+            self._last_shown = self._encode(self.display_look.apply(pixels, self.output.exposure))
+            self._video.write(self._last_shown)
 
     def show_again(self) -> None:
-        """Append the last frame to the video again, so that sound stays in step; else a black one.
-
-        Only where frames may be skipped: the last frame is kept for that.
-        """
+        """Append the last frame to the video again, or a black one, to keep sound in step."""
         if self._video is not None:
             black = np.zeros((*self.display.shape, 3), np.float32)
             shown = self._encode(black) if self._last_shown is None else self._last_shown
@@ -212,13 +186,10 @@ class FrameWriter(ResourceOwner):
 
     def read(self, number: int) -> Image:
         """Read a frame that an earlier run wrote."""
-        return read_picture(self._path(number), self.view)
+        return read_picture(self.path(number), self.view)
 
-    def written(self, number: int) -> dict[str, Any]:
-        """Return the attributes of a generated frame that an earlier run wrote."""
-        return read_facts(self._path(number))
-
-    def _path(self, number: int) -> Path:
+    def path(self, number: int) -> Path:
+        """Return where a frame's file is, where there are files."""
         assert self.output.frames is not None
         return self.output.frames.path(number)
 
@@ -228,30 +199,30 @@ class FrameWriter(ResourceOwner):
                 file = stack.enter_context(open_key_file(source, self.key_rate))
             else:
                 file = plan_marked_file(source, self.key_rate, marks)
-            file.write(self._path(number))
+            file.write(self.path(number))
             if self.wants_sums:  # of what the source gives
                 self.sums[FRAME, number] = sum_of(file.pieces())
 
-    def _put_frame(
+    def _put(
         self,
         number: int,
         image: Image,
         template: FrameTemplate,
         attributes: Mapping[str, Any],
+        mask: Bool | None,
         layers: Mapping[PlaneKey, Plane] | None,
     ) -> None:
-        with record_time(self.write_ms, number):
-            pieces = write_picture(self._path(number), image, template, attributes, layers)
-            if self.wants_sums:  # of what is in memory
-                self.sums[FRAME, number] = sum_of(pieces)
-
-    def _put_mask(self, number: int, mask: Bool, attributes: Mapping[str, Any]) -> None:
-        assert self.output.holes is not None
-        marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
-        windows = (self.display, self.display)
-        pieces = write_mask(self.output.holes.path(number), mask, windows, marks)
-        if self.wants_sums:
-            self.sums[HOLES, number] = sum_of(pieces)
+        if self.output.frames is not None:
+            with record_time(self.write_ms, number):
+                pieces = write_picture(self.path(number), image, template, attributes, layers)
+                if self.wants_sums:  # of what is in memory
+                    self.sums[FRAME, number] = sum_of(pieces)
+        if self.output.holes is not None and mask is not None:
+            marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
+            windows = (self.display, self.display)
+            pieces = write_mask(self.output.holes.path(number), mask, windows, marks)
+            if self.wants_sums:
+                self.sums[HOLES, number] = sum_of(pieces)
 
 
 def sum_of(pieces: Iterable[Buffer]) -> str:
@@ -272,61 +243,21 @@ def sum_in(path: Path) -> str:
         raise output_error(path, error) from error
 
 
-def files_of(
-    targets: OutputPlan, frames: Iterable[FrameRecord], sums: Sums
-) -> tuple[WrittenFile, ...]:
-    """List the files of a run with their checksums; those without a known one are read.
-
-    Raises OutputError when a file cannot be read.
-    """
-    return tuple(
-        WrittenFile(
-            file.kind,
-            file.number,
-            file.path.name,
-            sums.get((file.kind, file.number)) or sum_in(file.path),
-        )
-        for file in _list_files(targets, frames)
-    )
-
-
-def verify(
-    targets: OutputPlan,
-    frames: Iterable[FrameRecord],
-    files: Iterable[WrittenFile],
-    view: str,
-    shown: int,
-) -> int:
-    """Read all files of a run again, compare them with what was written, and return how many.
-
-    `files` are as `files_of` returned them; `shown` is how many frames a video has. `view` is that
-    of frames of an earlier run, which is decoded: "" for the hero, and without views. Raises
-    OutputError when some files differ; these are removed.
-    """
-    listed = list(_list_files(targets, frames))
-    _require_sound(listed, [file.sha256 for file in files], view, shown)
-    return len(listed)
-
-
-def verify_video(path: Path, shown: int) -> None:
-    """Read a video of `shown` frames again that was written with frames. Raises OutputError."""
-    _require_sound([_RunFile(VIDEO, None, path)], [sum_in(path)], "", shown)
-
-
 @dataclass(frozen=True)
-class _RunFile:
-    kind: str
-    number: int | None
+class RunFile:
+    """A file of a run, and what has to be in it."""
+
+    written: WrittenFile
     path: Path
     is_sealed: bool = False  # True for a frame of an earlier run, which has its own checksum
 
-    def is_sound(self, digest: str, view: str, shown: int) -> bool:
-        """Read the file from the disk, and compare it."""
+    def is_sound(self, view: str, shown: int) -> bool:
+        """Read the file from the disk, and compare it; see `require_sound`."""
         try:
             drop_cached(self.path)
-            if sum_in(self.path) != digest:
+            if sum_in(self.path) != self.written.sha256:
                 return False
-            if self.kind == VIDEO:
+            if self.written.kind == VIDEO:
                 return open_clip(self.path).count == shown
             if self.is_sealed:
                 read_picture(self.path, view)
@@ -334,6 +265,37 @@ class _RunFile:
         except (OSError, InputError, OutputError):
             return False
         return True
+
+
+def list_files(targets: OutputPlan, frames: Iterable[FrameRecord], sums: Sums) -> list[RunFile]:
+    """List the files of a run; those without a known checksum are read.
+
+    A video with frames is left out: it can be made from these at any time. Raises OutputError when
+    a file cannot be read.
+    """
+    files: list[tuple[str, int | None, Path, bool]] = []
+    for frame in frames:
+        is_copy = frame.kind in (FrameKind.KEY, FrameKind.RENDERED)  # maybe byte for byte
+        if targets.frames is not None:
+            is_sealed = frame.resumed and not is_copy
+            files.append((FRAME, frame.number, targets.frames.path(frame.number), is_sealed))
+        if targets.holes is not None and frame.hole_fraction is not None:
+            files.append((HOLES, frame.number, targets.holes.path(frame.number), False))
+    if targets.frames is None and targets.video is not None:
+        files.append((VIDEO, None, targets.video, False))
+    return [
+        RunFile(
+            WrittenFile(kind, number, path.name, sums.get((kind, number)) or sum_in(path)),
+            path,
+            is_sealed,
+        )
+        for kind, number, path, is_sealed in files
+    ]
+
+
+def verify_video(path: Path, shown: int) -> None:
+    """Read a video of `shown` frames again that was written with frames. Raises OutputError."""
+    require_sound([RunFile(WrittenFile(VIDEO, None, path.name, sum_in(path)), path)], "", shown)
 
 
 def drop_cached(path: Path) -> None:
@@ -347,11 +309,15 @@ def drop_cached(path: Path) -> None:
         os.close(handle)
 
 
-def _require_sound(files: list[_RunFile], digests: list[str], view: str, shown: int) -> None:
+def require_sound(files: list[RunFile], view: str, shown: int) -> None:
+    """Read files again, and compare them with what was written.
+
+    `view` is that of frames of an earlier run, which is decoded: "" for the hero, and without
+    views. `shown` is how many frames a video has. Raises OutputError when some files differ; these
+    are removed.
+    """
     with ThreadPoolExecutor(cores.count(), "exwarp-verify") as pool:
-        sound = list(
-            pool.map(lambda file, digest: file.is_sound(digest, view, shown), files, digests)
-        )
+        sound = list(pool.map(lambda file: file.is_sound(view, shown), files))
     bad = [file for file, is_sound in zip(files, sound, strict=True) if not is_sound]
     if not bad:
         return
@@ -360,25 +326,13 @@ def _require_sound(files: list[_RunFile], digests: list[str], view: str, shown: 
             file.path.unlink()
     names = []
     for kind, word in ((FRAME, "frame"), (HOLES, "hole mask")):
-        numbers = [f.number for f in bad if f.kind == kind and f.number is not None]
+        written = [file.written for file in bad if file.written.kind == kind]
+        numbers = [each.frame for each in written if each.frame is not None]
         if numbers:
             names.append(f"{word}{'s' if len(numbers) > 1 else ''} {ranges(numbers)}")
-    names += [f"the video {file.path.name}" for file in bad if file.kind == VIDEO]
+    names += [f"the video {file.path.name}" for file in bad if file.written.kind == VIDEO]
     raise OutputError(
         f"{' and '.join(names)} in {bad[0].path.parent} {'is' if len(bad) == 1 else 'are'} not on "
         "the disk as written, and removed; check the disk or the network share, and run again with "
         "--skip-existing"
     )
-
-
-def _list_files(targets: OutputPlan, frames: Iterable[FrameRecord]) -> Iterator[_RunFile]:
-    """Yield a run's files but for a video with frames, which can be made from these at any time."""
-    for frame in frames:
-        is_copy = frame.kind in (FrameKind.KEY, FrameKind.RENDERED)  # maybe byte for byte
-        if targets.frames is not None:
-            is_sealed = frame.resumed and not is_copy
-            yield _RunFile(FRAME, frame.number, targets.frames.path(frame.number), is_sealed)
-        if targets.holes is not None and frame.hole_fraction is not None:
-            yield _RunFile(HOLES, frame.number, targets.holes.path(frame.number))
-    if targets.frames is None and targets.video is not None:
-        yield _RunFile(VIDEO, None, targets.video)

@@ -121,15 +121,13 @@ def inspect(settings: SourceSettings) -> Inspection:
     read.
     """
     plain = open_plain(settings)
-    if plain is not None:
-        Timeline.of(plain.sequence.numbers)
-        require_one_size(plain, plain.sequence.numbers)
-        fps, fps_source = rate_of(plain, settings.fps)
-        pictures = describe_footage(plain.sequence)
-        return Inspection(plain, (), None, None, fps, fps_source, pictures=pictures)
-    shot, settings = open_keys(settings)
+    shot, settings = open_keys(settings) if plain is None else (plain, settings)
     Timeline.of(shot.sequence.numbers)
     require_one_size(shot, shot.sequence.numbers)
+    fps, fps_source = rate_of(shot, settings.fps)
+    if plain is not None:
+        pictures = describe_footage(plain.sequence)
+        return Inspection(plain, (), None, None, fps, fps_source, pictures=pictures)
     shot, _ = read_ids(settings.dynamic, shot, None)
     types: dict[str, str] = {}
     parts: tuple[Part, ...] = ()
@@ -144,7 +142,6 @@ def inspect(settings: SourceSettings) -> Inspection:
     except MotionError as error:
         problem = str(error)
     shot = with_depth_ordered(shot, None if finding is None else finding.convention)
-    fps, fps_source = rate_of(shot, settings.fps)
     mattes = tuple(sound_cryptomattes(shot))
     return Inspection(shot, parts, finding, problem, fps, fps_source, types, mattes)
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import abc
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +15,7 @@ from exwarp_cli.domain.results import (
     PolicySummary,
     RunSummary,
 )
-from exwarp_cli.domain.timeline import RATE_TOLERANCE, Slot, Timeline, ranges
+from exwarp_cli.domain.timeline import RATE_TOLERANCE, ranges
 from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import IncompleteError
 from exwarp_cli.io.channels import Role
@@ -262,17 +261,6 @@ def output_messages(job: Job) -> Iterator[str]:
         )
 
 
-def skipped_slots(
-    timeline: Timeline, key: int, unscored: Mapping[int, str], unusable: Mapping[int, str]
-) -> Iterator[LeftOut]:
-    """Yield the records of slots whose ground truth or rendered frame cannot be used, and why."""
-    number = timeline.numbers[key]
-    for slot, reason in sorted(unscored.items()):
-        yield LeftOut(number, (), reason, (timeline.number(Slot(key, slot)),))
-    for slot, reason in sorted(unusable.items()):
-        yield LeftOut(number, (), reason, rendered=(timeline.number(Slot(key, slot)),))
-
-
 def announce_skipped(progress: Progress, skipped: LeftOut) -> None:
     """Announce what is left out, and why."""
     numbers = skipped.frames or skipped.scores or skipped.rendered
@@ -305,9 +293,9 @@ def require_complete(run: RunSummary) -> None:
     )
 
 
-def _was(items: abc.Sequence[object]) -> str:
+def _was(items: Sequence[object]) -> str:
     return "was" if len(items) == 1 else "were"
 
 
-def _named(frames: abc.Sequence[int]) -> str:
+def _named(frames: Sequence[int]) -> str:
     return f"frame{'s' if len(frames) != 1 else ''} {ranges(frames)}"

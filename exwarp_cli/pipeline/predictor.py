@@ -36,6 +36,7 @@ FORMAT = "exwarp.policy-hex/1"
 MANIFEST = "manifest.json"
 README = "README.txt"
 README_DESIGN = "README_design.txt"  # the end of that file, where it has the design
+VERILOG = resources.files(accelerator) / "verilog"  # the folder of texts and sources
 SOURCES = ("exwarp_predictor.v", "exwarp_core.v", "exwarp_predictor_tb.v", "Makefile")
 
 CACHE = 20 * 1024  # bytes of a core that hold the shipped network; 16 KB do not
@@ -43,7 +44,9 @@ MOST_CORES = 10  # a core's files have its number as one digit
 
 Integers = npt.NDArray[np.integer[Any]]
 
-_CLOCK = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?)\s*([kmg]?)(?:hz)?", re.IGNORECASE)
+_CLOCK = re.compile(
+    r"((?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?)\s*([kmg]?)(?:hz)?", re.IGNORECASE
+)
 _BYTES = re.compile(r"([0-9]+)\s*([kmg]?)i?b?", re.IGNORECASE)
 _HERTZ = {"": 1.0, "k": 1e3, "m": 1e6, "g": 1e9}
 _UNITS = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30}
@@ -64,11 +67,8 @@ def clock_of(text: str, option: str = "--clock") -> float:
     Raises UsageError with the name of the option, when it is no rate, or not above 0.
     """
     match = _CLOCK.fullmatch(text.strip())
-    try:
-        hertz = float(match[1]) * _HERTZ[match[2].lower()] if match else math.nan
-    except ValueError:
-        hertz = math.nan
-    if not (math.isfinite(hertz) and hertz > 0):
+    hertz = float(match[1]) * _HERTZ[match[2].lower()] if match else 0.0
+    if not 0 < hertz < math.inf:
         raise UsageError(f"{option} {text} is no clock rate; give one as 500MHz, 1.5GHz or 1e9")
     return hertz
 
@@ -179,27 +179,16 @@ def export(
 ) -> list[Path]:
     """Write a policy's parameters and test vectors as hex files; return the files.
 
-    Parameters
-    ----------
-    policy
-        None for the one that comes with ExWarp.
-    vectors, seed
-        How many test vectors, and of which random numbers.
-    verilog
-        Whether to write its design too, with a test bench.
+    None is the policy that comes with ExWarp. `vectors` says how many test vectors, `seed` of which
+    random numbers. With `verilog` its design comes too, with a test bench.
 
-    Raises
-    ------
-    InputError
-        When the policy cannot be used.
-    OutputExistsError, OutputError
-        When files exist, or cannot be written.
-    UsageError
-        When the design cannot be such a machine.
+    Raises InputError when the policy cannot be used; OutputExistsError or OutputError when files
+    exist or cannot be written; UsageError when the design cannot be such a machine.
     """
     source = load_policy(policy)
     network = source.network
-    about = _read_source(README) + (_read_source(README_DESIGN) if verilog else "")
+    names = (README, README_DESIGN) if verilog else (README,)
+    about = "".join((VERILOG / name).read_text(encoding="utf-8") for name in names)
     texts = {README: about.format(cores=array.cores, macs=array.macs, inputs=network.sizes[0])}
     texts |= hex_files(array, network, sample_states(network.sizes[0], vectors, seed))
     if verilog:
@@ -290,10 +279,6 @@ def _lines(words: Iterable[str]) -> str:
     return "".join(f"{word}\n" for word in words)
 
 
-def _read_source(name: str) -> str:
-    return resources.files(accelerator).joinpath("verilog", name).read_text(encoding="utf-8")
-
-
 def _require_buildable(array: MacArray, sizes: Sequence[int]) -> None:
     """Refuse a machine that the design cannot implement; raises UsageError."""
     if array.cores > MOST_CORES or array.cores > array.macs:
@@ -301,8 +286,6 @@ def _require_buildable(array: MacArray, sizes: Sequence[int]) -> None:
             f"--cores {array.cores} --macs {array.macs}: the design has at most {MOST_CORES} "
             "cores, and no more than MAC units in each; give other numbers"
         )
-    if array.pipeline_stages != MacArray.pipeline_stages:
-        raise UsageError(f"the design's pipeline has {MacArray.pipeline_stages} stages")
     try:
         room = resident_words(array, sizes)
     except ValueError as error:
@@ -319,23 +302,13 @@ def _require_buildable(array: MacArray, sizes: Sequence[int]) -> None:
 def design(
     array: MacArray, sizes: Sequence[int], texts: Mapping[str, str], vectors: int
 ) -> dict[str, str]:
-    """Return the files of a machine's design by name.
+    """Return the files of a machine's design by name; its pipeline has four stages.
 
-    Parameters
-    ----------
-    sizes
-        Of the network.
-    texts
-        The network's hex files, see `hex_files`.
-    vectors
-        How many test vectors there are.
+    `sizes` are the network's, and `texts` its hex files, see `hex_files`; `vectors` says how many
+    test vectors there are.
 
-    Raises
-    ------
-    UsageError
-        For a machine that the design cannot implement: more than 10 cores, more cores than MAC
-        units in each, a pipeline of other than four stages, a cache that is too small, and weights
-        that do not fit without a port.
+    Raises UsageError for a machine that the design cannot implement: more than 10 cores, more cores
+    than MAC units in each, a cache that is too small, and weights that do not fit without a port.
     """
     _require_buildable(array, sizes)
     # Where all fits, the port is not used, and as wide as a word.
@@ -343,12 +316,20 @@ def design(
     cores = range(array.cores)
     weights = [texts[f"core{core}_weights.hex"].split() for core in cores]
     resident = min(resident_words(array, sizes), len(weights[0]))
+    scales = []  # of each core: shift and multiplier of its inputs, then of its hidden neurons
+    for core in cores:
+        shifts, multipliers = (
+            texts[f"input_{part}.hex"].split()[core :: array.cores]
+            + texts[f"core{core}_{part}.hex"].split()
+            for part in ("shift", "multiplier")
+        )
+        scales.append([s + m for s, m in zip(shifts, multipliers, strict=True)])
     memories = {
         "weights": [own[:resident] for own in weights],
-        "scales": [_scales(texts, array, core) for core in cores],
+        "scales": scales,
         "biases": [texts[f"core{core}_bias.hex"].split() for core in cores],
     }
-    files = {name: _read_source(name) for name in SOURCES}
+    files = {name: (VERILOG / name).read_text(encoding="utf-8") for name in SOURCES}
     for core in cores:
         for name, words in memories.items():  # all as deep as the fullest core's, the first
             filled = words[core] + ["0" * len(words[0][0])] * (len(words[0]) - len(words[core]))
@@ -363,7 +344,7 @@ def design(
     depths = {
         "RESIDENT": resident,
         "WEIGHT_WORDS": len(weights[0]),
-        "SCALES": len(memories["scales"][0]),
+        "SCALES": len(scales[0]),
         "BIASES": len(memories["biases"][0]),
     }
     files["exwarp_parameters.vh"] = _parameters(array, sizes, depths)
@@ -400,13 +381,3 @@ def _parameters(array: MacArray, sizes: Sequence[int], depths: Mapping[str, int]
         packed = ", ".join(f"16'd{value}" for value in reversed(values))
         lines.append(f"parameter [{16 * len(values) - 1}:0] {name} = {{{packed}}},")
     return "\n".join(lines)[:-1] + "\n"
-
-
-def _scales(texts: Mapping[str, str], array: MacArray, core: int) -> list[str]:
-    """Return shift and multiplier of a core's inputs, then of its hidden neurons."""
-    shifts, multipliers = (
-        texts[f"input_{part}.hex"].split()[core :: array.cores]
-        + texts[f"core{core}_{part}.hex"].split()
-        for part in ("shift", "multiplier")
-    )
-    return [shift + multiplier for shift, multiplier in zip(shifts, multipliers, strict=True)]

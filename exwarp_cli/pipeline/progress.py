@@ -29,7 +29,6 @@ from exwarp_cli.runtime.compilation import compilation
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
-    from rich.progress import TaskID
 
     from exwarp_cli.domain.frame import Bool, Float32
     from exwarp_cli.domain.results import Score
@@ -41,19 +40,38 @@ ANY = ""  # the kind of all frames where kinds are not distinguished
 Clock = Callable[[], float]
 
 
-class Estimate:
-    """Counts frames and estimates the time left from what each kind of frame took.
+def _frame_text(frame: int, note: str | None) -> str:
+    return f"frame {frame}" + (f" ({note})" if note else "")
+
+
+def kind_of(index: int) -> str:
+    """Return the kind of work of a slot by its index in the key interval, 0 for the key frame."""
+    # Methods differ by index: `s3` warps slot 1 and extrapolates slots 2 and 3.
+    return f"slot {index}" if index else "key"
+
+
+def kinds_of(slots: Iterable[Slot]) -> Counter[str]:
+    """Count slots by their kind of work."""
+    return Counter(kind_of(slot.index) for slot in slots)
+
+
+class Progress:
+    """Receives the progress of a pipeline; this one shows only messages, which may be warnings.
+
+    `start` comes once and first; `finish` comes last, after an error too. `message` may come at any
+    time. Only :func:`reporting` calls `fail`, after all others. Reporters keep any text on one
+    line.
 
     The time left is known when every kind that remains was seen, because a key frame that is passed
     through takes a small part of what an extrapolated frame takes.
     """
 
-    def __init__(self, clock: Clock = time.monotonic) -> None:
-        self._clock = clock
-        self.start(0)
+    def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
+        self._stream, self._clock = stream or sys.stderr, clock
+        self.total = self.done = 0
 
     def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
-        """Set the count and start the clock.
+        """Begin work on `total` frames.
 
         `kinds` says how many of the frames are of which kind; None where all take about as long.
         `at_once` processes work in parallel. So many first frames of a kind are left out of its
@@ -66,10 +84,17 @@ class Estimate:
         self._counts: Counter[str] = Counter()
         self._first_s: dict[str, float] = defaultdict(float)
         self._later_s: dict[str, float] = defaultdict(float)
-        self.last = self._clock()  # when the newest frame was done
+        self._last = self._clock()  # when the newest frame was done
+        self._show()
 
-    def advance(self, kind: str = ANY, made: bool = True) -> None:
-        """Count one frame; `made` is False for frames of an earlier run and for skipped ones."""
+    def advance(
+        self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
+    ) -> None:
+        """Count one more frame as done, by its output number.
+
+        `note` is a word about it, such as "skipped", `kind` one of those that `start` received.
+        `made` is False where no work was done: for frames of an earlier run and for skipped ones.
+        """
         now = self._clock()
         kind = kind if kind in self._remaining else ANY
         self.done += 1
@@ -77,8 +102,9 @@ class Estimate:
         if made:
             self._counts[kind] += 1
             seconds = self._first_s if self._counts[kind] <= self._at_once else self._later_s
-            seconds[kind] += now - self.last
-        self.last = now
+            seconds[kind] += now - self._last
+        self._last = now
+        self._show(frame, note)
 
     @property
     def tenths(self) -> float:
@@ -111,50 +137,6 @@ class Estimate:
         hours, minutes = divmod(minutes, 60)
         text = f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
         return f"{text} left"
-
-
-def _frame_text(frame: int, note: str | None) -> str:
-    return f"frame {frame}" + (f" ({note})" if note else "")
-
-
-def kind_of(index: int) -> str:
-    """Return the kind of work of a slot by its index in the key interval, 0 for the key frame."""
-    # Methods differ by index: `s3` warps slot 1 and extrapolates slots 2 and 3.
-    return f"slot {index}" if index else "key"
-
-
-def kinds_of(slots: Iterable[Slot]) -> Counter[str]:
-    """Count slots by their kind of work."""
-    return Counter(kind_of(slot.index) for slot in slots)
-
-
-class Progress:
-    """Receives the progress of a pipeline; this one shows only messages, which may be warnings.
-
-    `start` comes once and first; `finish` comes last, after an error too. `message` may come at any
-    time. Only :func:`reporting` calls `fail`, after all others. Reporters keep any text on one
-    line.
-    """
-
-    def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
-        self._stream = stream or sys.stderr
-        self._estimate = Estimate(clock)
-
-    def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
-        """Begin work on `total` frames; see `Estimate.start` for the other parameters."""
-        self._estimate.start(total, kinds, at_once)
-        self._show()
-
-    def advance(
-        self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
-    ) -> None:
-        """Count one more frame as done, by its output number.
-
-        `note` is a word about it, such as "skipped", `kind` one of those that `start` received.
-        `made` is False where no work was done.
-        """
-        self._estimate.advance(kind, made)
-        self._show(frame, note)
 
     def message(self, text: str) -> None:
         """Show the user one line."""
@@ -217,18 +199,17 @@ class PlainProgress(Progress):
     _logged_at = 0.0
 
     def _show(self, frame: int | None = None, note: str | None = None) -> None:
-        estimate = self._estimate
-        is_due = estimate.last - self._logged_at >= INTERVAL_S
+        is_due = self._last - self._logged_at >= INTERVAL_S
         if frame is None:
-            self._logged_at = estimate.last
-            self._print_status(f"{pluralise(estimate.total, 'frame')} to do")
-        elif is_due or estimate.done in (1, estimate.total):
-            self._logged_at = estimate.last
-            done = f"{estimate.done}/{estimate.total}"
-            self._print_status(f"{done}, {_frame_text(frame, note)}, {estimate.left}")
+            self._logged_at = self._last
+            self._print_status(f"{pluralise(self.total, 'frame')} to do")
+        elif is_due or self.done in (1, self.total):
+            self._logged_at = self._last
+            done = f"{self.done}/{self.total}"
+            self._print_status(f"{done}, {_frame_text(frame, note)}, {self.left}")
 
     def _print_status(self, status: str) -> None:
-        percent = f"{int(self._estimate.tenths):3d}% " if self._estimate.done else ""
+        percent = f"{int(self.tenths):3d}% " if self.done else ""
         self.message(f"{percent}{status}")
 
 
@@ -241,11 +222,6 @@ class OpenJdProgress(PlainProgress):
     status would stay until the next one.
     """
 
-    def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
-        # "How Jobs Are Run", Stdout and Stderr Messages, allows both streams; some runners read
-        # stdout alone.
-        super().__init__(stream or sys.stdout, clock)
-
     def fail(self, text: str, exit_code: int) -> None:
         """Print the reason; the runner gets the exit code from the process."""
         if exit_code == IncompleteError.exit_code:
@@ -256,10 +232,9 @@ class OpenJdProgress(PlainProgress):
         self._write_line(one_line(f"openjd_fail: {reason}"))
 
     def _print_status(self, status: str) -> None:
-        estimate = self._estimate
-        if estimate.done and estimate.done == estimate.total:
-            status = f"{pluralise(estimate.total, 'frame')} done"
-        self._write_line(f"openjd_progress: {estimate.tenths}")
+        if self.done and self.done == self.total:
+            status = f"{pluralise(self.total, 'frame')} done"
+        self._write_line(f"openjd_progress: {self.tenths}")
         self._write_line(one_line(f"openjd_status: {status}"))
 
 
@@ -275,7 +250,7 @@ class JsonProgress(Progress):
         if frame is None:
             self._write("start")
             return
-        eta = self._estimate.eta_s
+        eta = self.eta_s
         self._write("frame", frame=frame, note=note, eta_s=None if eta is None else round(eta, 3))
 
     def message(self, text: str) -> None:
@@ -291,7 +266,7 @@ class JsonProgress(Progress):
         self._write("fail", text=text, exit_code=exit_code)
 
     def _write(self, event: str, **more: object) -> None:
-        record = {"event": event, "done": self._estimate.done, "total": self._estimate.total}
+        record = {"event": event, "done": self.done, "total": self.total}
         # JSON escapes line ends itself, and a line that is cut would be no JSON.
         self._write_line(json.dumps(record | more))
 
@@ -300,14 +275,11 @@ class BarProgress(Progress):
     """A bar with the time left, for a terminal."""
 
     _bar: RichProgress | None = None
-    _task: TaskID | None = None
 
     def _show(self, frame: int | None = None, note: str | None = None) -> None:
-        left = self._estimate.left
-        if frame is not None:
-            if self._bar is not None and self._task is not None:
-                description = one_line(_frame_text(frame, note))
-                self._bar.update(self._task, advance=1, description=description, left=left)
+        if frame is not None and self._bar is not None:
+            task, description = self._bar.task_ids[0], one_line(_frame_text(frame, note))
+            self._bar.update(task, advance=1, description=description, left=self.left)
             return
         # Imported here: it takes 60 ms, which runs without a terminal need not pay.
         from rich.console import Console
@@ -327,7 +299,7 @@ class BarProgress(Progress):
             TextColumn("{task.description}", markup=False),
             console=Console(file=self._stream, emoji=False),
         )
-        self._task = self._bar.add_task("", total=self._estimate.total, left=left)
+        self._bar.add_task("", total=self.total, left=self.left)
         self._bar.start()
 
     def message(self, text: str) -> None:
@@ -344,7 +316,7 @@ class BarProgress(Progress):
             self._bar = None
 
 
-REPORTERS: dict[str, Callable[[], Progress]] = {
+REPORTERS: dict[str, type[Progress]] = {
     "bar": BarProgress,
     "plain": PlainProgress,
     "json": JsonProgress,
@@ -368,8 +340,10 @@ def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterato
         kind = "bar" if is_terminal else "plain"
     if kind not in REPORTERS:
         raise UsageError(f"--progress {kind!r} is unknown; choose one of {', '.join(KINDS)}")
-    redirects = kind == "openjd" and results_on_stdout
-    progress = OpenJdProgress(sys.stderr) if redirects else REPORTERS[kind]()
+    # "How Jobs Are Run", Stdout and Stderr Messages, allows both streams; some runners read stdout
+    # alone.
+    is_for_runner = kind == "openjd" and not results_on_stdout
+    progress = REPORTERS[kind](sys.stdout if is_for_runner else sys.stderr)
     try:
         with compilation.messages_to(progress.message):
             yield progress

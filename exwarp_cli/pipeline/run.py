@@ -19,15 +19,14 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.footage import read_sequence_picture
-from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.fingerprint import key_fingerprint
 from exwarp_cli.pipeline.frame_writer import (
     FRAMES_BEHIND,
     FrameWriter,
-    files_of,
-    verify,
+    list_files,
+    require_sound,
     verify_video,
 )
 from exwarp_cli.pipeline.interval_builder import IntervalPreparer, PreparedInterval, make_builders
@@ -39,7 +38,7 @@ from exwarp_cli.pipeline.interval_inputs import (
 )
 from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.key_frames import window_note
-from exwarp_cli.pipeline.messages import announce_skipped, skipped_slots
+from exwarp_cli.pipeline.messages import announce_skipped
 from exwarp_cli.pipeline.output_plan import is_video_kept, video_fingerprint, video_look, video_note
 from exwarp_cli.pipeline.progress import FrameListener, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.scheduling import (
@@ -63,19 +62,15 @@ MAX_BYTES_BEHIND = 80 * 10**6
 PIXEL_BYTES = 16
 
 
-def upsample(
-    settings: UpsampleSettings,
-    progress: Progress | None = None,
-    listener: FrameListener | None = None,
-) -> RunSummary:
+def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> RunSummary:
     """Write the slots of the selected key frames; return what was written and how good it is.
 
     Raises ExwarpError for anything that a user can cause; frames written until then are complete.
     """
-    return run_job(open_job(settings), progress or Progress(), listener)
+    return run_job(open_job(settings), progress or Progress(), None)
 
 
-def run_job(job: Job, progress: Progress, listener: FrameListener | None = None) -> RunSummary:
+def run_job(job: Job, progress: Progress, listener: FrameListener | None) -> RunSummary:
     """Do a job that is open; see `upsample`."""
     job.refuse()
     job.targets.make_folders()
@@ -91,9 +86,7 @@ def run_job(job: Job, progress: Progress, listener: FrameListener | None = None)
     return job.summary(outcome, perf_counter() - begin)
 
 
-def write_intervals(
-    job: Job, progress: Progress, listener: FrameListener | None = None
-) -> RunOutcome:
+def write_intervals(job: Job, progress: Progress, listener: FrameListener | None) -> RunOutcome:
     """Do the work of a job whose folders exist, in this thread.
 
     The caller starts and finishes `progress`, and has planned `listener`. The outcome has no frames
@@ -117,12 +110,13 @@ def write_intervals(
         outcome = RunOutcome(frames, leader.shots.cuts, tuple(run.left_out), nonfinite=broken)
         if not (job.sums and frames):
             return outcome
-        files, verified = files_of(targets, frames, run.writer.sums), None
+        files, verified = list_files(targets, frames, run.writer.sums), None
         if settings.verify:
-            verified = verify(targets, frames, files, job.source.keys.view, outcome.shown)
+            require_sound(files, job.source.keys.view, outcome.shown)
+            verified = len(files)
             if targets.frames is not None and targets.video is not None:
                 verify_video(targets.video, outcome.shown)
-        return replace(outcome, files=files, verified=verified)
+        return replace(outcome, files=tuple(f.written for f in files), verified=verified)
     finally:
         job.close()
 
@@ -139,7 +133,7 @@ class Run:
         reader: ViewsReader,
         note: str,
         progress: Progress,
-        listener: FrameListener | None = None,
+        listener: FrameListener | None,
     ) -> None:
         self._job, self._reader = job, reader
         self._progress, self._listener = progress, listener
@@ -153,10 +147,10 @@ class Run:
         self._preparer = IntervalPreparer(
             job, reader, builder, self.writer, progress, self._layers.any
         )
-        self._renderer = SlotRenderer(
-            job.source, job.method, self.writer, self._layers, job.measures_key_pulse
-        )
         self._pulses = KeyedPulses(job.source) if job.measures_key_pulse else None
+        self._renderer = SlotRenderer(
+            job.source, job.method, self.writer, self._layers, self._pulses, listener is not None
+        )
         most = max((len(self._timeline.made_of(key)) for key in job.keys), default=0)
         self._slots = ParallelSlots(_row_bands.threads(), most)
         self._records: list[FrameRecord] = []
@@ -178,13 +172,10 @@ class Run:
         records = self._records
         if self._pulses is not None:
             records = list(self._pulses.complete(records))
-        write_ms = self.writer.write_ms
-        return tuple(
-            replace(record, timing_ms=record.timing_ms | {"write": write_ms[record.number]})
-            if record.number in write_ms
-            else record
-            for record in records
-        )
+        for record in records:
+            if record.number in self.writer.write_ms:
+                record.timing_ms["write"] = self.writer.write_ms[record.number]
+        return tuple(records)
 
     def _is_needed(self, key: int, recipes: dict[int, str]) -> bool:
         """Return True if any slot is missing or must be scored."""
@@ -211,13 +202,20 @@ class Run:
                 raise
             self._skip(SkippedInterval(inputs.key, str(error), inputs.without_geometry()))
             return
-        for problem in skipped_slots(
-            self._timeline, inputs.key, inputs.truth.unscored, inputs.rendered.unusable
-        ):
+        key, number = self._timeline.numbers[inputs.key], self._timeline.number
+        problems = [
+            LeftOut(key, (), reason, scores=(number(Slot(inputs.key, slot)),))
+            for slot, reason in sorted(inputs.truth.unscored.items())
+        ]
+        problems += [
+            LeftOut(key, (), reason, rendered=(number(Slot(inputs.key, slot)),))
+            for slot, reason in sorted(inputs.rendered.unusable.items())
+        ]
+        for problem in problems:
             self.left_out.append(problem)
             announce_skipped(self._progress, problem)
         if self._pulses is not None:
-            self._pulses.add_key(inputs.key, self._key_image(inputs), inputs.followed)
+            self._pulses.add(Slot(inputs.key, 0), self._key_image(inputs), inputs.followed)
         if self._timeline.shows(inputs.key):
             self._write_key(inputs)
         self._render_slots(prepared, inputs)
@@ -261,13 +259,8 @@ class Run:
             for index, record in enumerate(self._records[first_record:], start=first_record):
                 if record.slot in complete:
                     overall, holes = complete[record.slot]
-                    elapsed = {"score": record.timing_ms["score"] + timing_ms["score"]}
-                    self._records[index] = replace(
-                        record,
-                        score=overall,
-                        hole_score=holes,
-                        timing_ms=record.timing_ms | elapsed,
-                    )
+                    record.timing_ms["score"] += timing_ms["score"]
+                    self._records[index] = replace(record, score=overall, hole_score=holes)
         self._layers.begin(inputs, None)
 
     def _skip(self, skipped: SkippedInterval) -> None:
@@ -310,7 +303,7 @@ class Run:
                     "recipe": recipe,
                 }
                 attributes, image = header_attributes(source, facts), self._key_image(inputs)
-                writer.write_decoded(output, image, inputs.template, attributes)
+                writer.write(output, image, inputs.template, attributes)
         record = FrameRecord(
             output, writer.name(output), number, 0, FrameKind.KEY, "key", (number,),
             resumed=resumed,
@@ -318,9 +311,7 @@ class Run:
             timing_ms={} if resumed else {"read": inputs.read_ms},
             render=inputs.template.render,
         )  # fmt: skip
-        self._records.append(record)
-        self._show(RenderedSlot(record), inputs)
-        self._progress.advance(output, "key", kind_of(0), made=not resumed)
+        self._record(RenderedSlot(record), inputs, None)
 
     def _key_image(self, inputs: IntervalInputs) -> Image:
         """Return a key frame's colour, from disk where nothing else of its interval was read."""
@@ -332,50 +323,37 @@ class Run:
     def _record(
         self, rendered: RenderedSlot, inputs: IntervalInputs, scores: IntervalScores | None
     ) -> None:
-        record, image = rendered.record, rendered.image
-        if self._pulses is not None and rendered.gradient is not None:
-            self._pulses.add(record.number, Slot(inputs.key, record.slot), rendered.gradient)
+        """Score and record a frame; show it to the video, and with its truth to the listener."""
+        record, image, writer = rendered.record, rendered.image, self.writer
         truth = inputs.truth.frames.get(record.slot)
-        if scores is not None and truth is not None and image is not None:
-            timing_ms = dict(record.timing_ms)
-            with record_time(timing_ms, "score"):
-                reference = truth.on(truth.display_window).pixels
+        true_pixels = None if truth is None else truth.on(truth.display_window).pixels
+        if scores is not None and true_pixels is not None and image is not None:
+            with record_time(record.timing_ms, "score"):
                 test = image.on(self._display).pixels
-                overall, holes = scores.frame(record.slot, reference, test, rendered.mask)
-            record = replace(record, score=overall, hole_score=holes, timing_ms=timing_ms)
+                overall, holes = scores.frame(record.slot, true_pixels, test, rendered.mask)
+            record = replace(record, score=overall, hole_score=holes)
         self._records.append(record)
-        self._show(replace(rendered, record=record), inputs)
+        listener, is_key = self._listener, record.kind is FrameKind.KEY
+        if listener is not None and not listener.wants(record.number, record.score, record.risk):
+            listener = None
+        if listener is not None or writer.output.video is not None:
+            if is_key:
+                image = self._key_image(inputs)
+            elif image is None:
+                image = writer.read(record.number)
+            if listener is not None:
+                look = writer.display_look
+                listener.frame(
+                    record.number,
+                    look.apply(image.on(self._display).pixels),
+                    None if true_pixels is None else look.apply(true_pixels),
+                    rendered.mask,
+                    is_key=is_key,
+                )
+            writer.show(image)
         self._progress.advance(
             record.number, record.method, kind_of(record.slot), made=not record.resumed
         )
-
-    def _show(self, rendered: RenderedSlot, inputs: IntervalInputs) -> None:
-        """Show a frame as its file has it: to the video, and with its truth to the listener."""
-        record, writer, listener = rendered.record, self.writer, self._listener
-        if listener is not None and not listener.wants(record.number, record.score, record.risk):
-            listener = None
-        if listener is None and writer.output.video is None:
-            return
-        is_key = record.kind is FrameKind.KEY
-        if is_key:
-            image = self._key_image(inputs)
-        elif rendered.image is None:
-            image = writer.read(record.number)
-        elif rendered.rounded:
-            image = rendered.image
-        else:
-            image, template = rendered.image, inputs.template
-            image = replace(image, pixels=quantise_picture(image.pixels, template))
-        if listener is not None:
-            truth = inputs.truth.frames.get(record.slot)
-            listener.frame(
-                record.number,
-                writer.displayed(image.on(self._display).pixels),
-                None if truth is None else writer.displayed(truth.on(truth.display_window).pixels),
-                rendered.mask,
-                is_key=is_key,
-            )
-        writer.show(image)
 
 
 def make_reader(job: Job) -> ViewsReader:
@@ -409,5 +387,4 @@ def make_writer(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> FrameW
         behind,
         video_look(job.source, job.keys, note or video_note(job.settings)),
         job.sums,
-        job.settings.source.keep_going,
     )

@@ -15,7 +15,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
-from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 import OpenImageIO as oiio
@@ -43,11 +42,7 @@ def use_threads(count: int | None) -> None:
     cores.set_count(count, processors().usable)
     oiio.attribute("threads", cores.count())
     oiio.attribute("exr_threads", cores.count())
-    _limit_kernel_threads()
-
-
-def _limit_kernel_threads() -> None:
-    """Limit the kernels that this thread calls to the cores of this process."""
+    # Each thread has to call it: the kernels of a new thread use all cores.
     _row_bands.set_threads(cores.count())
 
 
@@ -106,7 +101,7 @@ def prefetch(tasks: Iterable[Callable[[], T]], depth: int) -> Iterator[T]:
     An error of a task is raised where its result is due.
     """
     ahead: deque[Future[T]] = deque()
-    pool = ThreadPoolExecutor(1, "exwarp-read", _limit_kernel_threads)
+    pool = ThreadPoolExecutor(1, "exwarp-read", _row_bands.set_threads, (cores.count(),))
     try:
         for task in tasks:
             ahead.append(pool.submit(run_with_core, task))
@@ -128,12 +123,12 @@ class ParallelSlots(AbstractContextManager["ParallelSlots"]):
     def __init__(self, threads: int, slots: int) -> None:
         self.workers = max(1, min(threads, slots))
         self._share = max(1, threads // self.workers)
-        self._pool: ThreadPoolExecutor | None = None
+        set_share = _row_bands.set_threads, (self._share,)
+        self._pool = ThreadPoolExecutor(self.workers, "exwarp-slot", *set_share)
 
     def __exit__(self, *exc: object) -> None:
-        if self._pool is not None:
-            with release_cores():
-                self._pool.shutdown(wait=True, cancel_futures=True)
+        with release_cores():
+            self._pool.shutdown(wait=True, cancel_futures=True)
 
     def render(self, render: Callable[[S], T], slots: Iterable[S], in_pool: bool) -> Iterator[T]:
         """Yield what `render` returns for each slot, in their order.
@@ -143,10 +138,6 @@ class ParallelSlots(AbstractContextManager["ParallelSlots"]):
         if not in_pool:
             yield from map(render, slots)
             return
-        if self._pool is None:
-            # Holds for the thread that calls it.
-            set_share = partial(_row_bands.set_threads, self._share)
-            self._pool = ThreadPoolExecutor(self.workers, "exwarp-slot", set_share)
         pending = deque([self._pool.submit(self._run, render, slot) for slot in slots])
         while pending:
             yield wait_result(pending.popleft())
@@ -165,7 +156,8 @@ class AsyncWriter(AbstractContextManager["AsyncWriter"]):
     """
 
     def __init__(self, threads: int, depth: int) -> None:
-        self._pool = ThreadPoolExecutor(threads, "exwarp-write", _limit_kernel_threads)
+        limit = _row_bands.set_threads, (cores.count(),)
+        self._pool = ThreadPoolExecutor(threads, "exwarp-write", *limit)
         self._depth = depth
         self._waiting: deque[Future[None]] = deque()
 

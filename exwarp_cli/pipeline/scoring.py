@@ -245,54 +245,48 @@ class KeyedPulses:
     """Collects mean gradients of the view that is scored, and adds the pulse to records at the end.
 
     It needs no ground truth. A pulse depends only on a frame and the key frames around it, so any
-    division into chunks gives the same values.
+    division into chunks gives the same values. Several threads may add frames.
     """
 
     source: Source
-    _keys: dict[int, float] = field(default_factory=dict)
-    _frames: dict[int, tuple[Slot, float]] = field(default_factory=dict)
-    _last_of_shot: set[int] = field(default_factory=set)
+    # By slot, of key frames and new frames; whether a key frame of the same shot comes after it
+    _gradients: dict[Slot, tuple[float, bool]] = field(default_factory=dict)
 
-    def add_key(self, key: int, image: Image, followed: bool) -> None:
-        """Add a key frame by its index; `followed` if one of the same shot comes after it."""
-        self._keys[key] = mean_gradient(image.on(self.source.keys.display).pixels)
-        if not followed:
-            self._last_of_shot.add(key)
-
-    def add(self, number: int, slot: Slot, gradient: float) -> None:
-        """Add a new frame, by its output number, after its key frame."""
-        self._frames[number] = slot, gradient
+    def add(self, slot: Slot, image: Image, followed: bool) -> None:
+        """Add a frame as its file has it; `followed` if a key frame of its shot comes after it."""
+        gradient = mean_gradient(image.on(self.source.keys.display).pixels)
+        self._gradients[slot] = gradient, followed
 
     def complete(self, records: Sequence[FrameRecord]) -> Iterator[FrameRecord]:
-        """Yield the records of a run, with the pulse of the frames that were added."""
+        """Yield the records of a run, with the pulse of the new frames that were added."""
         keys, timeline = self.source.keys, self.source.timeline
+        slots = {timeline.number(slot): slot for slot in self._gradients if slot.index}
         for record in records:
-            if record.number not in self._frames:
+            if record.number not in slots:
                 yield record
                 continue
-            slot, gradient = self._frames[record.number]
-            following, is_last = slot.key + 1, slot.key in self._last_of_shot
-            if not is_last and following not in self._keys:  # of another chunk
+            slot = slots[record.number]
+            (gradient, followed), following = self._gradients[slot], Slot(slot.key + 1, 0)
+            if followed and following not in self._gradients:  # of another chunk
+                number = timeline.numbers[following.key]
                 # A causal method makes its frames without it, so a damaged one is no error.
                 with suppress(InputError):
-                    image = read_sequence_picture(
-                        keys.sequence, timeline.numbers[following], keys.view
-                    )
-                    self._keys[following] = mean_gradient(image.on(keys.display).pixels)
-            after = None if is_last else self._keys.get(following)
-            time = float(timeline.time(slot))
-            expected = interpolate_gradient(self._keys[slot.key], after, time)
+                    image = read_sequence_picture(keys.sequence, number, keys.view)
+                    self.add(following, image, followed=True)
+            (before, _), after = self._gradients[Slot(slot.key, 0)], None
+            if followed and following in self._gradients:
+                after, _ = self._gradients[following]
+            expected = interpolate_gradient(before, after, float(timeline.time(slot)))
             yield replace(record, key_pulse=pulse(gradient, expected))
 
 
+@dataclass
 class SequenceMotion:
     """Reads where the pixels of a frame come from; asked frame by frame, ascending."""
 
-    def __init__(self, shot: Shot, convention: MotionConvention) -> None:
-        self._shot = shot
-        self._convention = convention
-        self._step = number_step(shot.sequence.numbers)
-        self._previous: tuple[int, GBuffer] | None = None
+    shot: Shot
+    convention: MotionConvention
+    _previous: tuple[int, GBuffer] | None = None
 
     def into(self, number: int) -> tuple[Float32, Bool] | None:
         """Return the motion from a frame to the one before it.
@@ -301,10 +295,10 @@ class SequenceMotion:
         unknown; and bool [H, W], True where the frame before does not show the surface point. None
         where the frame of the last call is not its neighbour.
         """
-        raw = read_raw(self._shot, number, GEOMETRY)
-        current = settle_motion(raw.settle(self._convention).on(self._shot.display))
+        raw = read_raw(self.shot, number, GEOMETRY)
+        current = settle_motion(raw.settle(self.convention).on(self.shot.display))
         previous, self._previous = self._previous, (number, current)
-        if previous is None or previous[0] != number - self._step:
+        if previous is None or previous[0] != number - number_step(self.shot.sequence.numbers):
             return None
         if current.to_previous is None:
             motion = reproject(previous[1], 1.0)

@@ -21,14 +21,19 @@ from exwarp_cli.domain.tiles import Risk, TileMakers, TilePlan
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io.exr.writer import PREFIX, Template
-from exwarp_cli.io.generated_frames import KEY_FRAMES, REQUESTED_METHOD, quantise_picture
+from exwarp_cli.io.generated_frames import (
+    KEY_FRAMES,
+    REQUESTED_METHOD,
+    quantise_picture,
+    read_facts,
+)
 from exwarp_cli.io.layers import LayerKind
-from exwarp_cli.metrics.temporal import mean_gradient
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.frame_writer import FrameWriter
 from exwarp_cli.pipeline.interval_builder import PreparedInterval
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scheduling import record_time
+from exwarp_cli.pipeline.scoring import KeyedPulses
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Method, Predicted, predict_path, predict_tiles, repeat_held
@@ -46,11 +51,8 @@ class RenderedSlot:
     """A slot's frame on its way to its file, or there."""
 
     record: FrameRecord  # without scores, and without the time that writing took
-    image: Image | None = None  # None where it has to be read from its file
-    rounded: bool = True  # True if `image` is as its file has it
+    image: Image | None = None  # as its file has it; None where it has to be read from there
     mask: Bool | None = None  # [H, W]: its holes on the display window; None without motion
-    # Its mean gradient, where that is compared with those of its key frames; None elsewhere.
-    gradient: float | None = None
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,8 @@ class SlotRenderer:
     method: Method
     writer: FrameWriter
     layers: ExtraLayers
-    gradients: bool  # whether new frames without ground truth come with their mean gradient
+    pulses: KeyedPulses | None  # of new frames without ground truth; None where not measured
+    listens: bool  # whether a `FrameListener` may want frames
 
     def render(
         self, prepared: PreparedInterval, inputs: IntervalInputs, slot: Slot, in_pool: bool = False
@@ -92,25 +95,23 @@ class SlotRenderer:
         is_shown = inputs.after_hold or self.source.timeline.shows(slot.key)
         is_first = slot.index == 1 and not is_shown
         kind = FrameKind.GENERATED if is_first else predicted.kind
-        measures = self._measures_gradient(kind, slot, inputs)
-        shows = bool(inputs.truth.frames) or writer.output.video is not None
-        as_written, gradient = None, None
-        if shows or measures:
+        pulses = self._pulses_of(kind, slot, inputs)
+        # What a listener wants of a frame from the pool is read from its file.
+        listens = self.listens and not in_pool
+        shows = bool(inputs.truth.frames) or writer.output.video is not None or listens
+        as_written = None
+        if shows or pulses is not None:
             as_written = replace(image, pixels=quantise_picture(image.pixels, template))
-        if as_written is not None and measures:
-            with record_time(timing, "pulse"):
-                gradient = mean_gradient(as_written.on(self.source.keys.display).pixels)
+            if pulses is not None:
+                with record_time(timing, "pulse"):
+                    pulses.add(slot, as_written, inputs.followed)
         predicted = replace(predicted, kind=kind)
         record = self._new_record(slot, prepared, inputs, predicted, part, mask, timing)
         if in_pool:
             interval.forget(slot.index)
         attributes = self._attributes(record, inputs)
-        writer.write(record.number, image, mask, template, attributes, layers, inline=in_pool)
-        if shows:
-            return RenderedSlot(record, as_written, mask=mask, gradient=gradient)
-        if in_pool:  # what else needs it reads its file
-            return RenderedSlot(record, mask=mask, gradient=gradient)
-        return RenderedSlot(record, image, rounded=False, mask=mask, gradient=gradient)
+        writer.write(record.number, image, template, attributes, mask, layers, inline=in_pool)
+        return RenderedSlot(record, as_written if shows else None, mask)
 
     def resume(
         self, slot: Slot, interval: Interval | None, inputs: IntervalInputs, masked: bool
@@ -118,7 +119,7 @@ class SlotRenderer:
         """Return a frame that an earlier run wrote; with its holes if `masked` or scored."""
         number, writer = self.source.timeline.number(slot), self.writer
         try:
-            header = writer.written(number)
+            header = read_facts(writer.path(number))
             sources, rendered_sources = (
                 tuple(int(source) for source in str(text).split(",") if source)
                 for text in (header["sources"], header.get(RENDERED_SOURCES, ""))
@@ -149,13 +150,12 @@ class SlotRenderer:
                 "give --overwrite to replace all frames"
             ) from error
         scored = interval is not None and slot.index in inputs.truth.frames
-        measures = self._measures_gradient(record.kind, slot, inputs)
-        image = writer.read(number) if scored or measures else None
-        gradient = None
-        if image is not None and measures:
-            gradient = mean_gradient(image.on(self.source.keys.display).pixels)
+        pulses = self._pulses_of(record.kind, slot, inputs)
+        image = writer.read(number) if scored or pulses is not None else None
+        if image is not None and pulses is not None:
+            pulses.add(slot, image, inputs.followed)
         mask = None if interval is None or not (scored or masked) else self._mask(interval, slot)
-        return RenderedSlot(record, image, mask=mask, gradient=gradient)
+        return RenderedSlot(record, image, mask)
 
     def pass_rendered(self, slot: Slot, inputs: IntervalInputs) -> RenderedSlot:
         """Pass a frame through that was rendered in the place of a generated one."""
@@ -177,17 +177,17 @@ class SlotRenderer:
             writer.pass_frame(number, frame.path, marks)
         elif not resumed and writer.output.frames is not None:
             attributes = header_attributes(self.source, marks)
-            writer.write_decoded(number, frame.frame.image, inputs.template, attributes)
+            writer.write(number, frame.frame.image, inputs.template, attributes)
         record = FrameRecord(
             number, writer.name(number), key, slot.index, FrameKind.RENDERED,
             FrameKind.RENDERED.value, (number,), resumed=resumed, replaced=replaced,
         )  # fmt: skip
         return RenderedSlot(record, frame.frame.image)
 
-    def _measures_gradient(self, kind: FrameKind, slot: Slot, inputs: IntervalInputs) -> bool:
-        """Return True if a frame's gradient is compared with those of its key frames."""
-        is_new = kind is FrameKind.GENERATED
-        return self.gradients and is_new and slot.index not in inputs.truth.frames
+    def _pulses_of(self, kind: FrameKind, slot: Slot, inputs: IntervalInputs) -> KeyedPulses | None:
+        """Return what a frame's pulse is measured by; None where it is not."""
+        has_pulse = kind is FrameKind.GENERATED and slot.index not in inputs.truth.frames
+        return self.pulses if has_pulse else None
 
     def _mask(self, interval: Interval, slot: Slot) -> Bool | None:
         """Return the hole mask of a slot on the display window."""
@@ -275,7 +275,9 @@ class SlotRenderer:
             "risk": None if record.risk is None else record.risk.text,
             "vectorSpan": None if span is None else float(span),
         }
-        return header_attributes(self.source, facts)
+        attributes = header_attributes(self.source, facts)
+        compression = self.writer.output.compression
+        return attributes if compression is None else attributes | {"compression": compression}
 
 
 def header_attributes(source: Source, facts: Mapping[str, Any]) -> dict[str, Any]:
@@ -290,14 +292,15 @@ def header_attributes(source: Source, facts: Mapping[str, Any]) -> dict[str, Any
 
 def decision_text(decision: Decision) -> str:
     """Write a decision as JSON on one line."""
-    document: dict[str, Any] = {"node": decision.node, "choice": decision.choice}
-    if decision.outputs is not None:
-        document["outputs"] = decision.outputs
-    if decision.features is not None:
-        document["features"] = astuple(decision.features)
-    if decision.inputs:
-        document["inputs"] = decision.inputs
-    return json.dumps(document, separators=(",", ":"))
+    document = {
+        "node": decision.node,
+        "choice": decision.choice,
+        "outputs": decision.outputs,
+        "features": decision.features and astuple(decision.features),
+        "inputs": decision.inputs,
+    }
+    known = {name: value for name, value in document.items() if value}
+    return json.dumps(known, separators=(",", ":"))
 
 
 def parse_decision(text: str | None) -> Decision | None:

@@ -232,26 +232,18 @@ def scale_features(features: Features) -> F64:
     return np.array([SCALES[name](relative[name]) for name in FEATURES])
 
 
-class LearnedPolicy:
-    """The policy for whole frames, in integers as the accelerator runs it."""
+def plan_slots(policy: MlpKernel, history: StateHistory) -> Plan:
+    """Decide all slots of a key interval; the larger output wins, a tie goes to warping."""
+    decisions: list[Decision] = []
 
-    def __init__(self, network: QuantisedMlp) -> None:
-        self._kernel = MlpKernel(network)
+    def choose(node: str) -> str:
+        fixed = to_fixed(history.inputs(node))
+        outputs, chosen = policy.decide(fixed)
+        features = history.now[NODE_SLOTS[node] - 1]
+        decisions.append(Decision(node, CHOICES[chosen], features, tuple(fixed.tolist()), outputs))
+        return CHOICES[chosen]
 
-    def plan(self, history: StateHistory) -> Plan:
-        """Decide all slots of a key interval; the larger output wins, a tie goes to warping."""
-        decisions: list[Decision] = []
-
-        def choose(node: str) -> str:
-            fixed = to_fixed(history.inputs(node))
-            outputs, chosen = self._kernel.decide(fixed)
-            features = history.now[NODE_SLOTS[node] - 1]
-            decisions.append(
-                Decision(node, CHOICES[chosen], features, tuple(fixed.tolist()), outputs)
-            )
-            return CHOICES[chosen]
-
-        return Plan(walk_tree(choose), tuple(decisions))
+    return Plan(walk_tree(choose), tuple(decisions))
 
 
 # Nodes that decide about a tile; d1 always warps, as repeated frames are not wanted.
@@ -324,57 +316,36 @@ def tile_paths(chosen: Mapping[str, npt.NDArray[np.bool_]]) -> npt.NDArray[np.st
     return np.where(chosen["d2"], after_e, after_w)
 
 
-class TilePolicy:
-    """The policy for tiles, in integers as the accelerator runs it.
+def plan_tiles(policy: MlpKernel, features: Sequence[F64], width: int) -> TilePlan:
+    """Decide all tiles; the larger output wins, a tie goes to warping.
 
-    `price`: margin that the output for extrapolation needs over that for warping.
+    Features are those of slots 1 to 3, [rows, columns, 6], in the order of `TILE_FEATURES`; `width`
+    is that of the frame, in pixels.
     """
-
-    def __init__(self, network: QuantisedMlp, price: int = 0) -> None:
-        self._kernel = MlpKernel(apply_price(network, price))
-
-    def plan(self, features: Sequence[F64], width: int) -> TilePlan:
-        """Decide all tiles; the larger output wins, a tie goes to warping.
-
-        Features are those of slots 1 to 3, [rows, columns, 6], in the order of `TILE_FEATURES`;
-        `width` is that of the frame, in pixels.
-        """
-        rows, columns = features[0].shape[:2]
-        slots = [scale_tile_features(f, width).reshape(-1, len(TILE_FEATURES)) for f in features]
-        chosen = {}
-        for node in TILE_NODES:
-            _, choices = self._kernel.decide_many(to_fixed(tile_inputs(slots, node)))
-            chosen[node] = choices == 1
-        return TilePlan(columns, rows, tuple(map(str, tile_paths(chosen))))
+    rows, columns = features[0].shape[:2]
+    slots = [scale_tile_features(f, width).reshape(-1, len(TILE_FEATURES)) for f in features]
+    chosen = {}
+    for node in TILE_NODES:
+        _, choices = policy.decide_many(to_fixed(tile_inputs(slots, node)))
+        chosen[node] = choices == 1
+    return TilePlan(columns, rows, tuple(map(str, tile_paths(chosen))))
 
 
-class LookAheadPolicy:
-    """The policy for tiles between two key frames; see `TilePolicy`."""
+def choose_tiles(policy: MlpKernel, features: F64, time: float) -> Bool:
+    """Choose the tiles that a network makes between two key frames, bool [rows, columns].
 
-    def __init__(self, network: QuantisedMlp, price: int = 0) -> None:
-        self._kernel = MlpKernel(apply_price(network, price))
-
-    def __call__(self, features: F64, time: float) -> Bool:
-        """Choose the tiles that a network makes, bool [rows, columns]; see `look_ahead_inputs`."""
-        states = look_ahead_inputs(features.reshape(-1, len(LOOK_AHEAD_FEATURES)), time)
-        _, choices = self._kernel.decide_many(to_fixed(states))
-        return np.asarray(choices.reshape(features.shape[:2]) == 1)
-
-
-def interpolate_price(efforts: Sequence[Sequence[float]], share: float) -> int:
-    """Return the price at which a share of the area is extrapolated on the training scenes.
-
-    `efforts`: ascending shares, each with its price, from a policy's metadata; none for no price.
-    Beyond the first and the last, theirs counts.
+    See `look_ahead_inputs`.
     """
-    if not efforts:
-        return 0
-    shares, prices = zip(*efforts, strict=True)
-    return round(float(np.interp(share, shares, prices)))
+    states = look_ahead_inputs(features.reshape(-1, len(LOOK_AHEAD_FEATURES)), time)
+    _, choices = policy.decide_many(to_fixed(states))
+    return np.asarray(choices.reshape(features.shape[:2]) == 1)
 
 
 def apply_price(network: QuantisedMlp, price: int) -> QuantisedMlp:
-    """Return a network whose output for warping is larger by a price, in the units of its sums."""
+    """Return a network whose output for warping is larger by a price, in the units of its sums.
+
+    The output for extrapolation has to exceed that for warping by this margin then.
+    """
     last = network.layers[-1]
     biases = last.biases.copy()
     biases[0] += price

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from onnx import TensorProto, helper, onnx_ml_pb2
 
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
-from exwarp_cli.models.model_file import NESTED_MESSAGES, embed_weights, weight_files
+from exwarp_cli.models.model_file import NESTED_MESSAGES, embed_weights
 from exwarp_cli.models.picture_network import load_extrapolator
 from tests.unit.test_models import random_inputs
 from tests.unit.tiny_models import convolution, filled_warp, save
@@ -60,7 +60,8 @@ class TestBeside:
         parted = load_extrapolator(tmp_path / "parted.onnx", threads, "cpu")
         taken = random_inputs(37, 61)
         np.testing.assert_array_equal(parted(taken), whole(taken))
-        assert weight_files(tmp_path / "parted.onnx") == (tmp_path / "w.data",)
+        path = tmp_path / "parted.onnx"
+        assert embed_weights(path, path.read_bytes())[1] == (tmp_path / "w.data",)
 
     @pytest.mark.parametrize(
         ("location", "more"),
@@ -80,7 +81,7 @@ class TestBeside:
             with pytest.raises(LayoutError):
                 load_extrapolator(path, 1, "cpu")
             return
-        made = embed_weights(path, path.read_bytes())
+        made, _ = embed_weights(path, path.read_bytes())
         assert made == filled_warp(0.5).SerializeToString()
         assert load_extrapolator(path, 1, "cpu").checksum == hashlib.sha256(made).hexdigest()
 
@@ -95,7 +96,7 @@ class TestBeside:
 
     def test_what_needs_no_other_file_stays_as_it_is(self):
         data = convolution().SerializeToString()
-        assert embed_weights(Path("m.onnx"), data) is data
+        assert embed_weights(Path("m.onnx"), data)[0] is data
 
 
 def in_an_attribute(location: str) -> onnx.ModelProto:
@@ -171,7 +172,8 @@ class TestElsewhere:
         path = home / "model.onnx"
         with pytest.raises(LayoutError, match="only files in the folder"):
             embed_weights(path, build("../gain.bin").SerializeToString())
-        made = onnx.load_from_string(embed_weights(path, build("gain.bin").SerializeToString()))
+        data, _ = embed_weights(path, build("gain.bin").SerializeToString())
+        made = onnx.load_from_string(data)
         assert b"gain.bin" not in made.SerializeToString()
 
     def test_onnx_has_tensors_nowhere_else(self):

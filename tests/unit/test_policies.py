@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from exwarp_cli.accelerator.mlp import QuantisedMlp, infer_reference
+from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import Decision, Features, Plan
-from exwarp_cli.policy.state import PRECEDING_NODES, LearnedPolicy, StateHistory
+from exwarp_cli.policy.state import PRECEDING_NODES, StateHistory, plan_slots
 from tests.reference.decisions import PATHS
 from tests.unit.mlp_cases import network
 from tests.unit.tiny_policies import always, layer, taking
@@ -19,7 +20,7 @@ INSTANT = {"d1": 0, "d2": 1, "d3": 2, "d4": 2, "d5": 2}
 
 def plan(made: QuantisedMlp, *now: Features, before: tuple[Features, ...] = ()) -> Plan:
     first, second, third = now or (CALM, CALM, CALM)
-    return LearnedPolicy(made).plan(StateHistory((first, second, third), before))
+    return plan_slots(MlpKernel(made), StateHistory((first, second, third), before))
 
 
 @pytest.mark.parametrize("path", PATHS)
@@ -48,7 +49,7 @@ def test_decisions_keep_what_was_seen_and_weighed(seed):
     """With a random network of the paper's size."""
     made, now = network(seed), (CALM, WILD, Features(3, 0.1, 0.5, 9.0, 4.0, 640, 360, 5.0))
     surroundings = StateHistory(now, (WILD, CALM))
-    found = LearnedPolicy(made).plan(surroundings)
+    found = plan_slots(MlpKernel(made), surroundings)
     assert {d.node: d.choice for d in found.decisions} == PATHS[found.path]
     passed: list[str] = []
     for decision in found.decisions:

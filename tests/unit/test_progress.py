@@ -15,7 +15,6 @@ from exwarp_cli.pipeline.progress import (
     KINDS,
     REPORTERS,
     BarProgress,
-    Estimate,
     JsonProgress,
     OpenJdProgress,
     PlainProgress,
@@ -39,35 +38,35 @@ class FakeClock:
 class TestEstimate:
     def test_the_first_frame_counts_only_while_it_is_alone(self):
         clock = FakeClock()
-        estimate = Estimate(clock)
+        estimate = Progress(clock=clock)
         estimate.start(5)
         assert estimate.eta_s is None
         clock.now += 10  # compiling
-        estimate.advance()
+        estimate.advance(1)
         assert estimate.eta_s == 40
         clock.now += 1
-        estimate.advance()
+        estimate.advance(1)
         assert estimate.eta_s == 3
         assert estimate.tenths == 40
 
     def test_it_is_done_at_100_percent_only(self):
-        estimate = Estimate(FakeClock())
+        estimate = Progress(clock=FakeClock())
         estimate.start(1000)
         for _ in range(999):
-            estimate.advance()
+            estimate.advance(1)
         assert estimate.tenths == 99.9
-        estimate.advance()
+        estimate.advance(1)
         assert (estimate.tenths, estimate.eta_s) == (100, 0)
 
     def test_more_than_all_is_all(self):
-        estimate = Estimate(FakeClock())
+        estimate = Progress(clock=FakeClock())
         estimate.start(1)
-        estimate.advance()
-        estimate.advance()
+        estimate.advance(1)
+        estimate.advance(1)
         assert (estimate.tenths, estimate.eta_s) == (100, 0)
 
     def test_nothing_to_do_is_done(self):
-        estimate = Estimate(FakeClock())
+        estimate = Progress(clock=FakeClock())
         estimate.start(0)
         assert estimate.tenths == 100
 
@@ -79,9 +78,9 @@ class TestKindsOfWork:
     INTERVAL = sum(SECONDS.values())
 
     @staticmethod
-    def estimate(clock: FakeClock, intervals: int, at_once: int = 1) -> Estimate:
+    def estimate(clock: FakeClock, intervals: int, at_once: int = 1) -> Progress:
         slots = [Slot(key, index) for key in range(intervals) for index in range(4)]
-        estimate = Estimate(clock)
+        estimate = Progress(clock=clock)
         estimate.start(len(slots), kinds_of(slots), at_once)
         return estimate
 
@@ -91,7 +90,7 @@ class TestKindsOfWork:
         left = []
         for kind, seconds in self.SECONDS.items():
             clock.now += seconds
-            estimate.advance(kind)
+            estimate.advance(1, kind=kind)
             left.append(estimate.left)
         assert left == ["time left unknown"] * 3 + ["2:49 left"]
         assert estimate.eta_s == pytest.approx(8 * self.INTERVAL)
@@ -102,9 +101,9 @@ class TestKindsOfWork:
         for _ in range(3):
             for kind, seconds in self.SECONDS.items():
                 clock.now += seconds
-                estimate.advance(kind)
+                estimate.advance(1, kind=kind)
         clock.now += 0.1
-        estimate.advance("key")
+        estimate.advance(1, kind="key")
         assert estimate.eta_s == pytest.approx(2 * self.INTERVAL - 0.1)
 
     def test_the_first_of_each_kind_pays_for_compiling(self):
@@ -113,7 +112,7 @@ class TestKindsOfWork:
         for compiling in (20, 0):
             for kind, seconds in self.SECONDS.items():
                 clock.now += seconds + compiling
-                estimate.advance(kind)
+                estimate.advance(1, kind=kind)
         assert estimate.eta_s == pytest.approx(self.INTERVAL)
 
     def test_frames_of_an_earlier_run_say_nothing_of_those_that_are_missing(self):
@@ -122,26 +121,26 @@ class TestKindsOfWork:
         for _ in range(2):
             for kind in self.SECONDS:
                 clock.now += 0.001
-                estimate.advance(kind, made=False)
+                estimate.advance(1, kind=kind, made=False)
         assert estimate.eta_s is None
         for kind, seconds in self.SECONDS.items():
             clock.now += seconds
-            estimate.advance(kind)
+            estimate.advance(1, kind=kind)
         assert estimate.eta_s == pytest.approx(self.INTERVAL)
 
     def test_several_at_once_begin_together(self):
         clock = FakeClock()
-        estimate = Estimate(clock)
+        estimate = Progress(clock=clock)
         estimate.start(8, None, at_once=2)
         clock.now += 60  # both compile, and end at nearly the same time
-        estimate.advance()
+        estimate.advance(1)
         assert estimate.eta_s == 7 * 60 / 2
         clock.now += 1
-        estimate.advance()
+        estimate.advance(1)
         assert estimate.eta_s == 6 * 61 / 2
         for seconds in (9, 1):
             clock.now += seconds
-            estimate.advance()
+            estimate.advance(1)
         assert estimate.eta_s == 4 * 5
 
     def test_a_log_a_farm_and_a_terminal_say_that_it_is_unknown(self):

@@ -52,9 +52,6 @@ class Outcome(StrEnum):
     SKIPPED = "skipped"
 
 
-_BY_WEIGHT = (Outcome.OK, Outcome.WARNING, Outcome.FAILED)
-
-
 @dataclass(frozen=True)
 class Finding:
     """Something that is not as it should be."""
@@ -90,8 +87,8 @@ class CheckResult:
         """The worst of its remarks."""
         if self.skipped:
             return Outcome.SKIPPED
-        worst = max((_BY_WEIGHT.index(remark.outcome) for remark in self.remarks), default=0)
-        return _BY_WEIGHT[worst]
+        outcomes = {remark.outcome for remark in self.remarks}
+        return next((o for o in (Outcome.FAILED, Outcome.WARNING) if o in outcomes), Outcome.OK)
 
 
 @dataclass(frozen=True)
@@ -108,7 +105,8 @@ class DoctorReport:
     @property
     def outcome(self) -> Outcome:
         """The worst of all."""
-        return next(o for o in reversed(_BY_WEIGHT) if o is Outcome.OK or self.names(o))
+        outcomes = {check.outcome for check in self.checks.values()}
+        return next((o for o in (Outcome.FAILED, Outcome.WARNING) if o in outcomes), Outcome.OK)
 
     def as_dict(self) -> dict[str, Any]:
         """Return what `exwarp doctor --json` prints."""

@@ -235,12 +235,13 @@ def check_extras() -> CheckResult:
     )
     parts = [f"{enumerated(installed)} installed"] if installed else []
     if absent:
-        parts.append(f"{enumerated(absent)} not ({_pip_command(absent)})")
+        install = f"pip install '{DISTRIBUTION}[{','.join(absent)}]'"
+        parts.append(f"{enumerated(absent)} not ({install})")
     facts = {
         "extras": {
             name: {
                 "installed": name in installed,
-                "install": _pip_command([name]),
+                "install": f"pip install '{DISTRIBUTION}[{name}]'",
                 "packages": [asdict(package) for package in packages],
             }
             for name, packages in extras.items()
@@ -248,10 +249,6 @@ def check_extras() -> CheckResult:
     }
     lines = tuple(f"{name}: {'; '.join(p.line for p in extras[name])}" for name in names)
     return CheckResult(", ".join(parts) or "there are none", remarks, facts, lines)
-
-
-def _pip_command(extras: list[str]) -> str:
-    return f"pip install '{DISTRIBUTION}[{','.join(extras)}]'"
 
 
 def _requirements(own: Distribution, extra: str | None) -> Iterator[Requirement]:

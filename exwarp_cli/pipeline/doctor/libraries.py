@@ -181,9 +181,10 @@ def check_models() -> CheckResult:
 def check_network() -> CheckResult:
     """Load the extrapolator that comes with ExWarp on every device, and run it."""
     from exwarp_cli.models.picture_network import load_extrapolator
-    from exwarp_cli.models.session import CUDA, providers, runtime_version
+    from exwarp_cli.models.session import CUDA, load_runtime
 
-    offered = providers()
+    runtime = load_runtime()
+    offered = runtime.get_available_providers()
     remarks, works = [], {}
     for device in ("cpu", "cuda") if CUDA in offered else ("cpu",):
         try:
@@ -194,11 +195,11 @@ def check_network() -> CheckResult:
             # Without CUDA there is still the CPU.
             remarks.append(failure(str(error)) if device == "cpu" else warning(str(error)))
     good = [device.upper() for device, is_good in works.items() if is_good]
-    facts = {"onnxruntime": runtime_version(), "providers": list(offered), "devices": works}
+    facts = {"onnxruntime": runtime.__version__, "providers": offered, "devices": works}
     runs = (
         f"runs the extrapolator on {enumerated(good)}" if good else "does not run the extrapolator"
     )
-    summary = f"onnxruntime {runtime_version()} {runs}"
+    summary = f"onnxruntime {runtime.__version__} {runs}"
     names = {"CPUExecutionProvider": "CPU", CUDA: "CUDA"}
     lines = [f"offers {', '.join(names.get(name, name) for name in offered)}"]
     if CUDA not in offered:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -194,5 +193,6 @@ def _upsample(
     folder: Path, output: str, method: str, motion: str | None, frames: str | None = None
 ) -> RunSummary:
     source = SourceSettings(str(folder / "keys"), motion=motion)
-    settings = UpsampleSettings(source, str(folder / output), method=method, threads=1)
-    return upsample(replace(settings, frames=frames), Silence())
+    output = str(folder / output)
+    settings = UpsampleSettings(source, output, method=method, frames=frames, threads=1)
+    return upsample(settings, Silence())

@@ -32,6 +32,7 @@ from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scoring import Steps, flicker_of, steps_of, vmaf_of
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
 from exwarp_cli.policy.outcomes import best_psnr, best_return, path_returns
+from exwarp_cli.policy.state import plan_slots
 from exwarp_cli.research.bench.subjects import OpenedSubject, SystemFrames
 from exwarp_cli.research.bench.systems import (
     BEST_PSNR,
@@ -181,7 +182,7 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
     scores = IntervalScores(frames, truth, masks, steps, metrics)
 
     paths = {name: path for name, path in FIXED_PATHS.items() if name in opened.systems}
-    paths[POLICY] = opened.chooser.plan(surroundings).path
+    paths[POLICY] = plan_slots(opened.chooser, surroundings).path
     gains = None
     if opened.networks.own is not None:
         outcomes = scores.outcomes()
@@ -294,7 +295,7 @@ def _time_interval(
     count = len(SLOTS)
     geometry_ms, interval = _timed(lambda: opened.builder.build(inputs))
     features_ms, surroundings = _timed(lambda: opened.observer.of(inputs, interval))
-    decide_ms, decided = _timed(lambda: opened.chooser.plan(surroundings).path)
+    decide_ms, decided = _timed(lambda: plan_slots(opened.chooser, surroundings).path)
     steps = {
         "read": inputs.read_ms / (count + 1),
         "geometry": geometry_ms / count,

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import HOLD, LOOKAHEAD
 from exwarp_cli.domain.frame import Bool, Float32, Window, place_on_canvas
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
@@ -34,7 +35,6 @@ from exwarp_cli.pipeline.interval_builder import IntervalBuilder
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader
 from exwarp_cli.pipeline.job import require_state
 from exwarp_cli.pipeline.source import open_source
-from exwarp_cli.policy.state import LearnedPolicy
 from exwarp_cli.research.bench.systems import (
     CHOOSERS,
     EXTRANET,
@@ -321,7 +321,7 @@ class OpenedSubject:
         extrapolator = self.networks.own or self.networks.imported
         self.builder = IntervalBuilder(self.display, extrapolator, self.networks.look_ahead)
         self.observer = Observer(self.display, self.source.setting)
-        self.chooser = LearnedPolicy(self.policy.network)
+        self.chooser = MlpKernel(self.policy.network)
 
     def frames(self, inputs: IntervalInputs, interval: Interval) -> SystemFrames:
         """Return what systems show, as files would hold it."""

@@ -80,7 +80,7 @@ class TestModels:
         failed(examined("models"), "models", "install ExWarp again")
 
     def test_cuda_that_is_offered_and_does_not_start(self, examined, monkeypatch):
-        offered = (session.CUDA, "CPUExecutionProvider")
+        offered = [session.CUDA, "CPUExecutionProvider"]
         real = picture_network.load_extrapolator
 
         def load(path: Path | None, threads: int, device: str) -> Any:
@@ -89,7 +89,7 @@ class TestModels:
             return real(path, threads, device)
 
         monkeypatch.setattr(picture_network, "load_extrapolator", load)
-        monkeypatch.setattr(session, "providers", lambda: offered)
+        monkeypatch.setattr(session.load_runtime(), "get_available_providers", lambda: offered)
         found = examined("network")
         warned(found, "network", "--device")
         assert found[1]["checks"]["network"]["facts"]["devices"] == {"cpu": True, "cuda": False}

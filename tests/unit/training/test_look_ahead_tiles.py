@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.accelerator.mlp import PAPER_SIZES, infer_reference, to_fixed
+from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import LOOKAHEAD, NODES, SOFTSPLAT
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.network_api import LazyInputs, Tile
@@ -21,9 +22,8 @@ from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.models.policy_files import SHIPPED_LOOK_AHEAD_POLICY, PolicyFile, load_policy
 from exwarp_cli.policy.state import (
     STATE_SIZE,
-    LookAheadPolicy,
     apply_price,
-    interpolate_price,
+    choose_tiles,
     look_ahead_inputs,
 )
 from exwarp_cli.research.training.look_ahead_policy import (
@@ -175,9 +175,10 @@ class TestPolicy:
         assert shipped.metadata["state"] == LOOK_AHEAD_STATE and not shipped.of_tiles
         features = np.random.default_rng(0).random((8, 3, 6)) * [1, 300, 300, 300, 300, 4]
         states = to_fixed(look_ahead_inputs(features.reshape(-1, 6), 0.5))
-        price = interpolate_price(shipped.efforts, 0.4)
-        outputs = infer_reference(apply_price(shipped.network, price), states).accumulators[-1]
-        chosen = LookAheadPolicy(shipped.network, price)(features, 0.5)
+        price = shipped.price(0.4)
+        priced = apply_price(shipped.network, price)
+        outputs = infer_reference(priced, states).accumulators[-1]
+        chosen = choose_tiles(MlpKernel(priced), features, 0.5)
         assert chosen.ravel().tolist() == (outputs[:, 1] > outputs[:, 0]).tolist()
 
     def test_no_constant_decides_so(self, shipped):
@@ -185,15 +186,13 @@ class TestPolicy:
         features = np.zeros((1, 2, 6))
         features[0, 1] = [0, 100, 100, 200, 200, 9]
         for effort in (0.1, 0.9):
-            policy = LookAheadPolicy(shipped.network, interpolate_price(shipped.efforts, effort))
-            assert policy(features, 0.5).tolist() == [[False, True]]
+            policy = MlpKernel(apply_price(shipped.network, shipped.price(effort)))
+            assert choose_tiles(policy, features, 0.5).tolist() == [[False, True]]
 
     def test_more_effort_takes_more_tiles(self, shipped):
         features = np.exp(np.random.default_rng(1).normal(0, 1.5, (8, 14, 6)))
-        counts = [
-            LookAheadPolicy(shipped.network, interpolate_price(shipped.efforts, e))(features, 0.5)
-            for e in (0.1, 0.3, 0.5, 0.9)
-        ]
+        priced = [apply_price(shipped.network, shipped.price(e)) for e in (0.1, 0.3, 0.5, 0.9)]
+        counts = [choose_tiles(MlpKernel(network), features, 0.5) for network in priced]
         for fewer, more in itertools.pairwise(counts):
             assert (more | ~fewer).all() and more.sum() > fewer.sum()
 
@@ -234,7 +233,7 @@ class TestTraining:
         sums = json.loads((tmp_path / "checksums.json").read_text())
         data = (tmp_path / SHIPPED_LOOK_AHEAD_POLICY).read_bytes()
         assert sums == {SHIPPED_LOOK_AHEAD_POLICY: hashlib.sha256(data).hexdigest()}
-        priced = apply_price(policy.network, interpolate_price(policy.efforts, 0.25))
+        priced = apply_price(policy.network, policy.price(0.25))
         margins = choice_margins(priced, tables[0])[:, 0]
         gains = tables[0].gains[:, 0, 1]
         pays = gains > 0

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.accelerator.mlp import PAPER_SIZES, infer_reference, to_fixed
+from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import NODES
 from exwarp_cli.domain.tiles import TILE_FEATURES, TILE_STATE
 from exwarp_cli.errors import DamagedFileError, InputError
@@ -18,9 +19,8 @@ from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, PolicyFile, load
 from exwarp_cli.policy.state import (
     INPUTS,
     STATE_SIZE,
-    TilePolicy,
     apply_price,
-    interpolate_price,
+    plan_tiles,
     scale_tile_features,
     tile_inputs,
     tile_paths,
@@ -99,16 +99,15 @@ class TestPolicy:
     def test_it_is_the_paper_s_network(self, shipped):
         assert shipped.network.sizes == PAPER_SIZES and shipped.of_tiles
         assert shipped.metadata["state"] == TILE_STATE
-        shares = [share for share, _ in shipped.efforts]
-        prices = [price for _, price in shipped.efforts]
+        shares, prices = (list(each) for each in zip(*shipped.metadata["efforts"], strict=True))
         assert shares == sorted(shares) and prices == sorted(prices, reverse=True)
 
     def test_no_constant_decides_so(self, shipped):
         """Tiles with holes and motion are extrapolated, still ones are warped."""
         features = np.zeros((1, 2, 6))
         features[0, 1] = [0.3, 0.1, 40.0, 20.0, 200.0, 400.0]
-        plan = TilePolicy(shipped.network, interpolate_price(shipped.efforts, 0.5)).plan(
-            [features] * 3, 427
+        plan = plan_tiles(
+            MlpKernel(apply_price(shipped.network, shipped.price(0.5))), [features] * 3, 427
         )
         assert plan.paths == ("S6", "S3")
 
@@ -120,14 +119,15 @@ class TestPolicy:
         )
         np.testing.assert_array_equal(dear - plain, np.tile([1234, 0], (50, 1)))
 
-    def test_prices_lie_between_those_that_are_kept(self):
-        assert interpolate_price([(0.2, 90), (0.4, 10)], 0.3) == 50
-        assert (
-            interpolate_price([(0.2, 90), (0.4, 10)], 0.9) == 10 and interpolate_price([], 0.5) == 0
-        )
+    def test_prices_lie_between_those_that_are_kept(self, shipped):
+        stating = replace(shipped, metadata={"efforts": [[0.2, 90], [0.4, 10]]})
+        assert stating.price(0.3) == 50 and stating.price(0.9) == 10
+        assert replace(shipped, metadata={}).price(0.5) == 0
 
     def test_a_high_price_warps_everything(self, shipped):
-        plan = TilePolicy(shipped.network, 2**29).plan([np.ones((8, 3, 6))] * 3, 64)
+        plan = plan_tiles(
+            MlpKernel(apply_price(shipped.network, 2**29)), [np.ones((8, 3, 6))] * 3, 64
+        )
         assert set(plan.paths) == {"S6"} and (plan.rows, plan.columns) == (8, 3)
 
 
