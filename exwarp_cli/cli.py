@@ -274,7 +274,8 @@ def _fail(sentence: str, code: int) -> int:
 
 
 def _print_message(sentence: str) -> None:
-    click.echo(f"exwarp: {one_line(sentence)}", err=True)
+    with suppress(OSError, OutputError):  # a stream that fails is no reason to end the work
+        click.echo(f"exwarp: {one_line(sentence)}", err=True)
 
 
 def _with_origins(sentence: str, origins: Mapping[str, str]) -> str:
