@@ -39,8 +39,11 @@ from exwarp_cli.policy.state import (
     OLDER_KEYS,
     FrameStatistics,
     LearnedPolicy,
+    LookAheadPolicy,
     StateHistory,
+    TilePolicy,
     compare,
+    interpolate_price,
 )
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval, TileChooser, tile_features
@@ -57,123 +60,103 @@ MOVING = 1
 SAME = {("d4", WARP): ("d3", WARP), ("d5", EXTRAPOLATE): ("d4", EXTRAPOLATE)}
 
 
-@dataclass(frozen=True)
-class Choice:
-    """A plan for one key interval, and how long it took."""
-
-    plan: Plan | TilePlan  # a path, or one for each tile
-    timing_ms: Mapping[str, float] = field(default_factory=dict)  # by step of the work
+# Decides the path of key intervals, one after the other: a path, or one for each tile. It adds the
+# milliseconds of its steps to the last argument, and raises nothing that a user can cause.
+PathSelector = Callable[[IntervalInputs, Interval, dict[str, float]], Plan | TilePlan]
 
 
-# Decides the path of key intervals, one after the other; raises nothing that a user can cause.
-PathSelector = Callable[[IntervalInputs, Interval], Choice]
+def ask_policy(
+    policy: LearnedPolicy,
+    observer: Observer,
+    inputs: IntervalInputs,
+    interval: Interval,
+    timing_ms: dict[str, float],
+) -> Plan:
+    """Ask the paper's learned policy, which decides for whole frames, by an interval's features."""
+    with record_time(timing_ms, "features"):
+        surroundings = observer.of(inputs, interval)
+    with record_time(timing_ms, "decide"):
+        return policy.plan(surroundings)
 
 
-@dataclass(frozen=True)
-class PolicyPath:
-    """Asks the paper's learned policy, which decides for whole frames."""
-
-    policy: LearnedPolicy
-    observer: Observer
-
-    def __call__(self, inputs: IntervalInputs, interval: Interval) -> Choice:
-        """Compute the features of an interval, and decide by them."""
-        timing_ms: dict[str, float] = {}
-        with record_time(timing_ms, "features"):
-            surroundings = self.observer.of(inputs, interval)
-        with record_time(timing_ms, "decide"):
-            plan = self.policy.plan(surroundings)
-        return Choice(plan, timing_ms)
-
-
-class TilePaths:
-    """Asks a policy of tiles, or at an effort of 0 or 1 none.
-
-    `effort` is the share of the area that is extrapolated on the scenes that it learned from.
-    """
-
-    def __init__(self, policy: PolicyFile, effort: float) -> None:
-        from exwarp_cli.policy.state import TilePolicy, interpolate_price
-
-        self._fixed_path = {0.0: "S6", 1.0: "S3"}.get(effort)
-        self._policy = TilePolicy(policy.network, interpolate_price(policy.efforts, effort))
-
-    def __call__(self, inputs: IntervalInputs, interval: Interval) -> Choice:
-        """Compute the features of an interval's tiles, and decide by them."""
-        tiles = interval.tiles
-        if self._fixed_path is not None or not interval.has_motion:
-            path = self._fixed_path or ONLY_WARPS
-            return Choice(TilePlan.fixed(tiles.columns, TILE_ROWS, path))
-        timing_ms: dict[str, float] = {}
-        with record_time(timing_ms, "features"):
-            features = [tile_features(interval, slot) for slot in range(1, FACTOR)]
-        with record_time(timing_ms, "decide"):
-            plan = self._policy.plan(features, tiles.display.width)
-        return Choice(plan, timing_ms)
+def ask_tile_policy(
+    policy: TilePolicy,
+    fixed_path: str | None,  # at an effort of 0 or 1, where no policy is asked
+    _inputs: IntervalInputs,
+    interval: Interval,
+    timing_ms: dict[str, float],
+) -> TilePlan:
+    """Ask a policy of tiles, by the features of an interval's tiles."""
+    tiles = interval.tiles
+    if fixed_path is not None or not interval.has_motion:
+        return TilePlan.fixed(tiles.columns, TILE_ROWS, fixed_path or ONLY_WARPS)
+    with record_time(timing_ms, "features"):
+        features = [tile_features(interval, slot) for slot in range(1, FACTOR)]
+    with record_time(timing_ms, "decide"):
+        return policy.plan(features, tiles.display.width)
 
 
-@dataclass(frozen=True)
-class OraclePath:
-    """Looks at the ground truth: exact over the six paths of each interval.
+def ask_truth(
+    judge: DecisionSource,  # by the mean PSNR, or by the sum of rewards
+    display: Window,
+    inputs: IntervalInputs,
+    interval: Interval,
+    timing_ms: dict[str, float],
+) -> Plan:
+    """Make the frames of all six paths of an interval, and take the best path.
 
     Where a slot has no ground truth no path can be judged, and the interval is warped.
     """
+    from exwarp_cli.policy import outcomes
 
-    judge: DecisionSource  # by the mean PSNR, or by the sum of rewards
-    display: Window
-
-    def __call__(self, inputs: IntervalInputs, interval: Interval) -> Choice:
-        """Make the frames of all paths of an interval, and take the best path."""
-        from exwarp_cli.policy import outcomes
-
-        if set(inputs.truth.frames) != set(range(1, FACTOR)):
-            return Choice(Plan.fixed("S6"))
-
-        by_psnr = self.judge is DecisionSource.PSNR
-        timing_ms: dict[str, float] = {}
-        with record_time(timing_ms, "decide"):
-            truth = {
-                slot: image.on(self.display).pixels for slot, image in inputs.truth.frames.items()
-            }
-            as_written = partial(quantise_picture, template=inputs.template)
-            scores = outcomes_of(interval, truth, self.display, as_written)
-            best = outcomes.best_psnr(scores) if by_psnr else outcomes.best_return(scores)
-            path = tuple(PATHS)[int(best)]
-            values = scores[..., 0] if by_psnr else outcomes.choice_rewards(scores)
-            decisions = []
-            for node, choice in PATHS[path].choices.items():
-                warp, extrapolate = (
-                    float(values[NODES.index(node), CHOICES.index(each)])
-                    for each in (WARP, EXTRAPOLATE)
-                )
-                decisions.append(Decision(node, choice, outputs=(warp, extrapolate)))
-        return Choice(Plan(path, tuple(decisions)), timing_ms)
+    if set(inputs.truth.frames) != set(range(1, FACTOR)):
+        return Plan.fixed("S6")
+    by_psnr = judge is DecisionSource.PSNR
+    with record_time(timing_ms, "decide"):
+        truth = {slot: image.on(display).pixels for slot, image in inputs.truth.frames.items()}
+        as_written = partial(quantise_picture, template=inputs.template)
+        scores = outcomes_of(interval, truth, display, as_written)
+        best = outcomes.best_psnr(scores) if by_psnr else outcomes.best_return(scores)
+        path = tuple(PATHS)[int(best)]
+        values = scores[..., 0] if by_psnr else outcomes.choice_rewards(scores)
+        decisions = []
+        for node, choice in PATHS[path].choices.items():
+            warp, extrapolate = (
+                float(values[NODES.index(node), CHOICES.index(each)])
+                for each in (WARP, EXTRAPOLATE)
+            )
+            decisions.append(Decision(node, choice, outputs=(warp, extrapolate)))
+    return Plan(path, tuple(decisions))
 
 
 def make_chooser(policy: PolicyFile | None, effort: float) -> TileChooser | None:
     """Return what chooses the tiles between key frames that a network makes; None for all."""
     if policy is None:
         return None
-    from exwarp_cli.policy.state import LookAheadPolicy, interpolate_price
-
     return LookAheadPolicy(policy.network, interpolate_price(policy.efforts, effort))
 
 
 def make_selector(
     method: Method, source: Source, policy: PolicyFile | None, effort: float
 ) -> PathSelector | None:
-    """Return what decides the path of each key interval; None outside the decision tree."""
+    """Return what decides the path of each key interval; None outside the decision tree.
+
+    `effort` is the share of the area that is extrapolated on the scenes that a policy of tiles
+    learned from.
+    """
     display = source.keys.display
     if method.path is not None:
-        choice = Choice(Plan.fixed(method.path))
-        return (lambda inputs, interval: choice) if source.allows_decisions else None
+        plan = Plan.fixed(method.path)
+        return (lambda *_: plan) if source.allows_decisions else None
     if method.judge is None:
         return None
     if policy is None:
-        return OraclePath(method.judge, display)
+        return partial(ask_truth, method.judge, display)
     if policy.of_tiles:
-        return TilePaths(policy, effort)
-    return PolicyPath(LearnedPolicy(policy.network), Observer(display, source.setting))
+        tile_policy = TilePolicy(policy.network, interpolate_price(policy.efforts, effort))
+        return partial(ask_tile_policy, tile_policy, {0.0: "S6", 1.0: "S3"}.get(effort))
+    observer = Observer(display, source.setting)
+    return partial(ask_policy, LearnedPolicy(policy.network), observer)
 
 
 def only_warps(plan: Plan | TilePlan) -> Plan | TilePlan:

@@ -330,10 +330,11 @@ class IntervalPreparer:
         # A policy looks at every interval: the states of later ones hold what it saw.
         looks = has_new or judge.method.judge is DecisionSource.POLICY
         if judge.selector is not None and slots and looks:
-            choice = judge.selector(inputs, interval)
+            decided_ms: dict[str, float] = {}
+            decided = judge.selector(inputs, interval, decided_ms)
             if not interval.held:
-                plan = choice.plan
-                timing_ms |= {step: ms / len(slots) for step, ms in choice.timing_ms.items()}
+                plan = decided
+                timing_ms |= {step: ms / len(slots) for step, ms in decided_ms.items()}
         if trial is not None and not trial.pays:
             interval = replace(interval, interpolator=None)
             plan = None if plan is None else only_warps(plan)
