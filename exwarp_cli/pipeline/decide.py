@@ -37,13 +37,12 @@ from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.source import Source, open_source
 from exwarp_cli.policy.state import (
     OLDER_KEYS,
-    FrameStatistics,
     LearnedPolicy,
     LookAheadPolicy,
     StateHistory,
     TilePolicy,
-    compare,
     interpolate_price,
+    observe,
 )
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval, TileChooser, tile_features
@@ -209,7 +208,6 @@ class Observer:
     setting: str  # "key" or "slot"
     _at_keys: dict[int, Features] = field(default_factory=dict)
     _shot_begin: int = 0
-    _last: FrameStatistics | None = None
 
     def of(self, inputs: IntervalInputs, interval: Interval) -> StateHistory:
         """Return what the states of an interval are made of that was read and built."""
@@ -254,7 +252,7 @@ class Observer:
                 now = settle_motion(raw)
             now = with_ids(now, before, raw)
             span = FACTOR if self.setting == "key" else 1
-            self._at_keys[instant.key] = self._features(now, before, span)
+            self._at_keys[instant.key] = observe(now, before, span)
         at_key = self._at_keys[key]
         now_on = (at_key, at_key, at_key)
         if slots:
@@ -264,25 +262,11 @@ class Observer:
                 with_ids(instants[i + 1], instants[i], raw_slots[i] if raw_slots else None)
                 for i in (0, 1)
             )
-            now_on = (
-                at_key, self._features(first, instants[0], 1), self._features(second, first, 1)
-            )  # fmt: skip
-            self._last = None  # the next key frame is compared with slot 3
+            now_on = at_key, observe(first, instants[0], 1), observe(second, first, 1)
         older = range(key - 1, max(key - OLDER_KEYS, self._shot_begin) - 1, -1)
         before_it = tuple(self._at_keys[i] for i in older)
         self._at_keys = {i: at for i, at in self._at_keys.items() if i > key - OLDER_KEYS}
         return StateHistory(now_on, before_it)
-
-    def _features(self, now: GBuffer, before: GBuffer | None, span: int) -> Features:
-        """Return the features of an instant; statistics of the one before are mostly known."""
-        shapes_before = None
-        if before is not None:
-            last = self._last
-            shapes_before = (
-                last if last is not None and last.are_of(before) else FrameStatistics(before)
-            )
-        self._last = FrameStatistics(now)
-        return compare(now, self._last, shapes_before, span)
 
 
 def with_ids(
