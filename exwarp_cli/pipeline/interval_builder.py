@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -260,15 +259,9 @@ class IntervalJudge:
     """What decides how intervals of a method are made: its gate, and what selects their path."""
 
     def __init__(self, job: Job, method: Method) -> None:
-        source, self.method = job.source, method
-        self.selector = make_selector(method, source, job.policy, job.settings.spent)
-        self.gate: Gate | None = None
-        if job.method.gated and job.settings.gate:
-            make_builder = partial(
-                IntervalBuilder, source.keys.display, job.network, job.interpolator,
-                source.estimated, scratch=source.scratch,
-            )  # fmt: skip
-            self.gate = Gate(method, make_builder, source.keys.display)
+        self.method = method
+        self.selector = make_selector(method, job.source, job.policy, job.settings.spent)
+        self.gate = Gate(job, method) if job.method.gated and job.settings.gate else None
 
 
 class IntervalPreparer:

@@ -81,7 +81,6 @@ class KeyFrameStore:
         self._complete: dict[int, KeyFrame] = {}
         self._slots: dict[Slot, GBuffer] = {}
         self._shapes: dict[Slot, GBuffer] = {}
-        self._windows: dict[int, Window | None] = {}
         numbers, lossy = source.timeline.numbers, isinstance(source.keys.sequence, ClipSequence)
         shots = None if leader is None else leader.shots
         self.shots: Shots = Shots(source.cuts, numbers, self.get, unreadable, lossy, shots)
@@ -232,14 +231,11 @@ class KeyFrameStore:
         numbers, keys = self.source.timeline.numbers, self.source.keys
         if is_plain(keys.sequence) or not 0 <= key < len(numbers):
             return None
-        if key not in self._windows:
-            self._windows[key] = None
-            if key in self._frames:
-                self._windows[key] = self._frames[key].image.data_window
-            else:
-                with suppress(InputError):
-                    self._windows[key] = colour_window(keys, numbers[key])
-        return self._windows[key]
+        if key in self._frames:
+            return self._frames[key].image.data_window
+        with suppress(InputError):
+            return colour_window(keys, numbers[key])
+        return None
 
     def is_followed(self, key: int) -> bool:
         """Return True if a key frame of the same shot comes after one."""
