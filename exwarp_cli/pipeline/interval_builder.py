@@ -71,42 +71,6 @@ class PreparedInterval:
 
 
 @dataclass
-class MovingObjects:
-    """Decides which objects of a Cryptomatte move in an interval, where no option names them.
-
-    Decided once per interval: an object that counted as moving in one instant and as standing still
-    in the next would be a hole to itself. It is decided by what the interval reads anyway, so that
-    any part of a sequence comes to the same. What two intervals compare is compared once.
-    """
-
-    # By one or two instants with their windows (a key frame's data may fill less than its
-    # G-buffer), and the canvas.
-    _compared: dict[tuple[tuple[tuple[Slot, Window], ...], Window], Ids] = field(
-        default_factory=dict
-    )
-
-    def find(self, inputs: IntervalInputs, canvas: Window) -> Ids | None:
-        """Return the ids of what moves between any two instants of an interval.
-
-        None where there are no ids of what is shown. `canvas` is what the interval is built on.
-        """
-        instants = list(_instants(inputs))
-        if all(gbuffer.objects is None for _, gbuffer in instants):
-            return None
-        # Each instant with the one before it; one that is alone with none.
-        pairs: list[tuple[tuple[Slot, GBuffer], ...]] = [(instants[0],)]
-        if len(instants) > 1:
-            pairs = list(zip(instants[1:], instants, strict=False))
-        compared = {}
-        for pair in pairs:
-            place = tuple((slot, gbuffer.window) for slot, gbuffer in pair), canvas
-            ids = self._compared.get(place)
-            compared[place] = _moving_ids(canvas, *(g for _, g in pair)) if ids is None else ids
-        self._compared = compared
-        return frozenset().union(*compared.values())
-
-
-@dataclass
 class IntervalBuilder:
     """Builds intervals in order; what several of them share is settled once.
 
@@ -122,7 +86,9 @@ class IntervalBuilder:
     scratch: ScratchFrames = IN_MEMORY  # for large settled frames if a network extrapolates
     linear: bool = False  # colour is moved in linear light, as layers add up to it
     back: int = 0  # how many older key frames a later interval goes by, without a network
-    _moving: MovingObjects = field(default_factory=MovingObjects)
+    # Ids of what moves, by one or two instants with their windows (a key frame's data may fill less
+    # than its G-buffer), and the canvas.
+    _moving: dict[tuple[tuple[tuple[Slot, Window], ...], Window], Ids] = field(default_factory=dict)
     _frames: dict[FrameKey, KeyFrame] = field(default_factory=dict)
     _instants: dict[tuple[Slot, Basis], GBuffer] = field(default_factory=dict)
     _past: dict[FrameKey, OlderKeyFrame] = field(default_factory=dict)
@@ -142,7 +108,7 @@ class IntervalBuilder:
                     window = window.union(frame.image.data_window)
             window = window.union(self.display)
         require_canvas(f"frame {inputs.frame.number} and the next one", window)
-        ids = self._moving.find(inputs, window)
+        ids = self.find_moving_objects(inputs, window)
         inputs, basis = with_stencils(inputs, ids), (window, ids)
         assert inputs.frame is not None
         following = None
@@ -179,6 +145,29 @@ class IntervalBuilder:
             display=self.display,
             rendered=rendered,
         )
+
+    def find_moving_objects(self, inputs: IntervalInputs, canvas: Window) -> Ids | None:
+        """Return the ids of what moves between any two instants of an interval.
+
+        None where there are no ids of what is shown. `canvas` is what the interval is built on.
+        Decided once per interval: an object that counted as moving in one instant and as standing
+        still in the next would be a hole to itself. It is decided by what the interval reads
+        anyway, so that any part of a sequence comes to the same.
+        """
+        instants = list(_instants(inputs))
+        if all(gbuffer.objects is None for _, gbuffer in instants):
+            return None
+        # Each instant with the one before it; one that is alone with none.
+        pairs: list[tuple[tuple[Slot, GBuffer], ...]] = [(instants[0],)]
+        if len(instants) > 1:
+            pairs = list(zip(instants[1:], instants, strict=False))
+        compared = {}
+        for pair in pairs:
+            place = tuple((slot, gbuffer.window) for slot, gbuffer in pair), canvas
+            ids = self._moving.get(place)
+            compared[place] = _moving_ids(canvas, *(g for _, g in pair)) if ids is None else ids
+        self._moving = compared
+        return frozenset().union(*compared.values())
 
     def _settle_frame(self, frame: KeyFrame, window: Window) -> KeyFrame:
         placed = frame.extended(window)
@@ -403,7 +392,7 @@ def count_broken(inputs: IntervalInputs, counted: Mapping[int, int]) -> dict[int
 def with_stencils(inputs: IntervalInputs, ids: Ids | None) -> IntervalInputs:
     """Return an interval whose G-buffers have the objects of some ids as their stencil.
 
-    With None, as `MovingObjects.find` returns it, the interval stays as it is.
+    With None, as `IntervalBuilder.find_moving_objects` returns it, the interval stays as it is.
     """
     if ids is None:
         return inputs

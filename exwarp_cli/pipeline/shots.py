@@ -254,24 +254,16 @@ def measure_leap(glance: Thumbnail) -> tuple[float, float, float] | None:
     return (apart, to_next, to_previous) if apart > LEAP * max(glance.light.shape) else None
 
 
-def pair_beside_hold(
-    first: int, count: int, is_cut: Callable[[int], bool], is_hold: Callable[[int], bool]
-) -> int:
-    """Return the first frame of a pair nearby that does not show one picture twice.
+def pairs_around(first: int, count: int, is_cut: Callable[[int], bool]) -> Iterator[int]:
+    """Yield a pair of neighbouring frames, and those that may stand for it if it is a hold.
 
-    A picture that is repeated tells nothing of its vectors, which are those of the first one.
-    `first` is the pair that is wanted: it and the frame after it; returned if none nearby is
-    better. `count` is of all frames. `is_cut` returns True if a frame, by its index, does not
-    belong to the frame before it, `is_hold` if both frames of a pair show the same picture.
+    A picture that is repeated tells nothing of its vectors, which are those of the first one. A
+    pair is named by its first frame. `count` is of all frames; `is_cut` returns True if a frame, by
+    its index, does not belong to the frame before it.
     """
-    if not is_hold(first):
-        return first
-    for distance in AROUND_HOLD:
-        candidate = first + distance
-        inside = 0 <= candidate < count - 1
-        if inside and not is_cut(candidate + 1) and not is_hold(candidate):
-            return candidate
-    return first
+    yield first
+    candidates = (first + distance for distance in AROUND_HOLD)
+    yield from (i for i in candidates if 0 <= i < count - 1 and not is_cut(i + 1))
 
 
 def pairs_within(count: int, is_cut: Callable[[int], bool]) -> list[int]:

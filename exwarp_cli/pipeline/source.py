@@ -44,7 +44,6 @@ from exwarp_cli.pipeline.depth_and_ids import (
     with_world_positions,
 )
 from exwarp_cli.pipeline.motion_convention import (
-    KeyColours,
     find_motion,
     motion_names,
     parse_motion,
@@ -196,7 +195,7 @@ def _with_motion(
     if slots is not None and not comparable and keys.display.shape == slots.display.shape:
         # Key frames to measure slots' vectors by, as these have no colour.
         instants = (Slot(key, 0) for key in range(len(source.timeline.numbers)))
-        colours = KeyColours(keys, tuple(map(slot_number, instants)))
+        colours = keys, tuple(map(slot_number, instants))
     names_vectors = settings.gbuffers is not None or settings.motion is not None
     may_estimate = pictures and settings.estimate_motion and not names_vectors
     try:
