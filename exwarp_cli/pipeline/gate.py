@@ -41,7 +41,6 @@ class TrialInputs:
     """A key frame to predict, and what it is predicted from; the gate takes that out."""
 
     key: int | None = None  # None where no key frame can be predicted
-    number: int = 0  # its input number
     # The key frames around it, or before it, as one interval, of whose last or middle slot it is
     # the truth; None where an earlier interval brought these along.
     around: IntervalInputs | None = None
@@ -151,7 +150,7 @@ class TrialReader:
             after_hold=False,
         )  # fmt: skip
         self.last_read = index
-        return TrialInputs(index, self.store.source.timeline.numbers[index], around)
+        return TrialInputs(index, around)
 
 
 def _vectors_over(frame: KeyFrame, intervals: int) -> KeyFrame:
@@ -174,7 +173,7 @@ class Gate:
 
     job: Job
     method: Method
-    _received: TrialInputs = field(default_factory=TrialInputs)
+    _received: IntervalInputs | None = None
     _last_key: int | None = None
     _last_trial: Trial = field(default_factory=Trial)
 
@@ -182,8 +181,7 @@ class Gate:
         """Keep what an interval brings along until its trial is asked for."""
         if inputs.around is not None:
             # The interval lives on while it is rendered, and these frames are as large as it is.
-            self._received = replace(inputs)
-            inputs.around = None
+            self._received, inputs.around = inputs.around, None
 
     def decide(self, inputs: TrialInputs) -> Trial:
         """Return the trial of an interval, of which it or one before brought the material along."""
@@ -195,8 +193,8 @@ class Gate:
             return Trial()
         if inputs.key == self._last_key:
             return self._last_trial
-        around, lookahead = self._received.around, self.method.lookahead
-        assert self._received.key == inputs.key and around is not None
+        around, lookahead = self._received, self.method.lookahead
+        assert around is not None and around.key == inputs.key - 1
         job, source, display = self.job, self.job.source, self.job.source.keys.display
         interval = IntervalBuilder(
             display, job.network, job.interpolator, source.estimated, scratch=source.scratch
@@ -214,8 +212,8 @@ class Gate:
             # What extrapolation gains lies in holes: by the mean of tiles it was refused on the
             # scene town, where it gains 0.8 dB.
             values = warped.overall(), by_network.overall()
-        self._last_trial = Trial.measured(self._received.number, *values)
-        self._last_key, self._received = inputs.key, TrialInputs()
+        self._last_trial = Trial.measured(source.timeline.numbers[inputs.key], *values)
+        self._last_key, self._received = inputs.key, None
         return self._last_trial
 
 
