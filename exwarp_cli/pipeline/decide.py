@@ -38,11 +38,10 @@ from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.source import Source, open_source
 from exwarp_cli.policy.state import (
     OLDER_KEYS,
-    FrameStatistics,
     StateHistory,
     apply_price,
     choose_tiles,
-    compare,
+    observe,
     plan_slots,
     plan_tiles,
 )
@@ -61,95 +60,73 @@ MOVING = 1
 SAME = {("d4", WARP): ("d3", WARP), ("d5", EXTRAPOLATE): ("d4", EXTRAPOLATE)}
 
 
-@dataclass(frozen=True)
-class Choice:
-    """A plan for one key interval, and how long it took."""
-
-    plan: Plan | TilePlan  # a path, or one for each tile
-    timing_ms: Mapping[str, float] = field(default_factory=dict)  # by step of the work
+# Decides the path of key intervals, one after the other: a path, or one for each tile. It adds the
+# milliseconds of its steps to the last argument, and raises nothing that a user can cause.
+PathSelector = Callable[[IntervalInputs, Interval, dict[str, float]], Plan | TilePlan]
 
 
-# Decides the path of key intervals, one after the other; raises nothing that a user can cause.
-PathSelector = Callable[[IntervalInputs, Interval], Choice]
+def ask_policy(
+    policy: MlpKernel,
+    observer: Observer,
+    inputs: IntervalInputs,
+    interval: Interval,
+    timing_ms: dict[str, float],
+) -> Plan:
+    """Ask the paper's learned policy, which decides for whole frames, by an interval's features."""
+    with record_time(timing_ms, "features"):
+        surroundings = observer.of(inputs, interval)
+    with record_time(timing_ms, "decide"):
+        return plan_slots(policy, surroundings)
 
 
-@dataclass(frozen=True)
-class PolicyPath:
-    """Asks the paper's learned policy, which decides for whole frames."""
-
-    policy: MlpKernel
-    observer: Observer
-
-    def __call__(self, inputs: IntervalInputs, interval: Interval) -> Choice:
-        """Compute the features of an interval, and decide by them."""
-        timing_ms: dict[str, float] = {}
-        with record_time(timing_ms, "features"):
-            surroundings = self.observer.of(inputs, interval)
-        with record_time(timing_ms, "decide"):
-            plan = plan_slots(self.policy, surroundings)
-        return Choice(plan, timing_ms)
-
-
-class TilePaths:
-    """Asks a policy of tiles, or at an effort of 0 or 1 none.
-
-    `effort` is the share of the area that is extrapolated on the scenes that it learned from.
-    """
-
-    def __init__(self, policy: PolicyFile, effort: float) -> None:
-        self._fixed_path = {0.0: "S6", 1.0: "S3"}.get(effort)
-        self._policy = MlpKernel(apply_price(policy.network, policy.price(effort)))
-
-    def __call__(self, inputs: IntervalInputs, interval: Interval) -> Choice:
-        """Compute the features of an interval's tiles, and decide by them."""
-        tiles = interval.tiles
-        if self._fixed_path is not None or not interval.has_motion:
-            path = self._fixed_path or ONLY_WARPS
-            return Choice(TilePlan.fixed(tiles.columns, TILE_ROWS, path))
-        timing_ms: dict[str, float] = {}
-        with record_time(timing_ms, "features"):
-            features = [tile_features(interval, slot) for slot in range(1, FACTOR)]
-        with record_time(timing_ms, "decide"):
-            plan = plan_tiles(self._policy, features, tiles.display.width)
-        return Choice(plan, timing_ms)
+def ask_tile_policy(
+    policy: MlpKernel,
+    fixed_path: str | None,  # at an effort of 0 or 1, where no policy is asked
+    _inputs: IntervalInputs,
+    interval: Interval,
+    timing_ms: dict[str, float],
+) -> TilePlan:
+    """Ask a policy of tiles, by the features of an interval's tiles."""
+    tiles = interval.tiles
+    if fixed_path is not None or not interval.has_motion:
+        return TilePlan.fixed(tiles.columns, TILE_ROWS, fixed_path or ONLY_WARPS)
+    with record_time(timing_ms, "features"):
+        features = [tile_features(interval, slot) for slot in range(1, FACTOR)]
+    with record_time(timing_ms, "decide"):
+        return plan_tiles(policy, features, tiles.display.width)
 
 
-@dataclass(frozen=True)
-class OraclePath:
-    """Looks at the ground truth: exact over the six paths of each interval.
+def ask_truth(
+    judge: DecisionSource,  # by the mean PSNR, or by the sum of rewards
+    display: Window,
+    inputs: IntervalInputs,
+    interval: Interval,
+    timing_ms: dict[str, float],
+) -> Plan:
+    """Make the frames of all six paths of an interval, and take the best path.
 
     Where a slot has no ground truth no path can be judged, and the interval is warped.
     """
+    from exwarp_cli.policy import outcomes
 
-    judge: DecisionSource  # by the mean PSNR, or by the sum of rewards
-    display: Window
-
-    def __call__(self, inputs: IntervalInputs, interval: Interval) -> Choice:
-        """Make the frames of all paths of an interval, and take the best path."""
-        from exwarp_cli.policy import outcomes
-
-        if set(inputs.truth.frames) != set(range(1, FACTOR)):
-            return Choice(Plan.fixed("S6"))
-
-        by_psnr = self.judge is DecisionSource.PSNR
-        timing_ms: dict[str, float] = {}
-        with record_time(timing_ms, "decide"):
-            truth = {
-                slot: image.on(self.display).pixels for slot, image in inputs.truth.frames.items()
-            }
-            as_written = partial(quantise_picture, template=inputs.template)
-            scores = outcomes_of(interval, truth, self.display, as_written)
-            best = outcomes.best_psnr(scores) if by_psnr else outcomes.best_return(scores)
-            path = tuple(PATHS)[int(best)]
-            values = scores[..., 0] if by_psnr else outcomes.choice_rewards(scores)
-            decisions = []
-            for node, choice in PATHS[path].choices.items():
-                warp, extrapolate = (
-                    float(values[NODES.index(node), CHOICES.index(each)])
-                    for each in (WARP, EXTRAPOLATE)
-                )
-                decisions.append(Decision(node, choice, outputs=(warp, extrapolate)))
-        return Choice(Plan(path, tuple(decisions)), timing_ms)
+    if set(inputs.truth.frames) != set(range(1, FACTOR)):
+        return Plan.fixed("S6")
+    by_psnr = judge is DecisionSource.PSNR
+    with record_time(timing_ms, "decide"):
+        truth = {slot: image.on(display).pixels for slot, image in inputs.truth.frames.items()}
+        as_written = partial(quantise_picture, template=inputs.template)
+        scores = outcomes_of(interval, truth, display, as_written)
+        best = outcomes.best_psnr(scores) if by_psnr else outcomes.best_return(scores)
+        path = tuple(PATHS)[int(best)]
+        values = scores[..., 0] if by_psnr else outcomes.choice_rewards(scores)
+        decisions = []
+        for node, choice in PATHS[path].choices.items():
+            warp, extrapolate = (
+                float(values[NODES.index(node), CHOICES.index(each)])
+                for each in (WARP, EXTRAPOLATE)
+            )
+            decisions.append(Decision(node, choice, outputs=(warp, extrapolate)))
+    return Plan(path, tuple(decisions))
 
 
 def make_chooser(policy: PolicyFile | None, effort: float) -> TileChooser | None:
@@ -162,18 +139,24 @@ def make_chooser(policy: PolicyFile | None, effort: float) -> TileChooser | None
 def make_selector(
     method: Method, source: Source, policy: PolicyFile | None, effort: float
 ) -> PathSelector | None:
-    """Return what decides the path of each key interval; None outside the decision tree."""
+    """Return what decides the path of each key interval; None outside the decision tree.
+
+    `effort` is the share of the area that is extrapolated on the scenes that a policy of tiles
+    learned from.
+    """
     display = source.keys.display
     if method.path is not None:
-        choice = Choice(Plan.fixed(method.path))
-        return (lambda inputs, interval: choice) if source.allows_decisions else None
+        plan = Plan.fixed(method.path)
+        return (lambda *_: plan) if source.allows_decisions else None
     if method.judge is None:
         return None
     if policy is None:
-        return OraclePath(method.judge, display)
+        return partial(ask_truth, method.judge, display)
     if policy.of_tiles:
-        return TilePaths(policy, effort)
-    return PolicyPath(MlpKernel(policy.network), Observer(display, source.setting))
+        tile_policy = MlpKernel(apply_price(policy.network, policy.price(effort)))
+        return partial(ask_tile_policy, tile_policy, {0.0: "S6", 1.0: "S3"}.get(effort))
+    observer = Observer(display, source.setting)
+    return partial(ask_policy, MlpKernel(policy.network), observer)
 
 
 def only_warps(plan: Plan | TilePlan) -> Plan | TilePlan:
@@ -226,7 +209,6 @@ class Observer:
     setting: str  # "key" or "slot"
     _at_keys: dict[int, Features] = field(default_factory=dict)
     _shot_begin: int = 0
-    _last: FrameStatistics | None = None
 
     def of(self, inputs: IntervalInputs, interval: Interval) -> StateHistory:
         """Return what the states of an interval are made of that was read and built."""
@@ -271,7 +253,7 @@ class Observer:
                 now = settle_motion(raw)
             now = with_ids(now, before, raw)
             span = FACTOR if self.setting == "key" else 1
-            self._at_keys[instant.key] = self._features(now, before, span)
+            self._at_keys[instant.key] = observe(now, before, span)
         at_key = self._at_keys[key]
         now_on = (at_key, at_key, at_key)
         if slots:
@@ -281,25 +263,11 @@ class Observer:
                 with_ids(instants[i + 1], instants[i], raw_slots[i] if raw_slots else None)
                 for i in (0, 1)
             )
-            now_on = (
-                at_key, self._features(first, instants[0], 1), self._features(second, first, 1)
-            )  # fmt: skip
-            self._last = None  # the next key frame is compared with slot 3
+            now_on = at_key, observe(first, instants[0], 1), observe(second, first, 1)
         older = range(key - 1, max(key - OLDER_KEYS, self._shot_begin) - 1, -1)
         before_it = tuple(self._at_keys[i] for i in older)
         self._at_keys = {i: at for i, at in self._at_keys.items() if i > key - OLDER_KEYS}
         return StateHistory(now_on, before_it)
-
-    def _features(self, now: GBuffer, before: GBuffer | None, span: int) -> Features:
-        """Return the features of an instant; statistics of the one before are mostly known."""
-        shapes_before = None
-        if before is not None:
-            last = self._last
-            shapes_before = (
-                last if last is not None and last.are_of(before) else FrameStatistics(before)
-            )
-        self._last = FrameStatistics(now)
-        return compare(now, self._last, shapes_before, span)
 
 
 def with_ids(

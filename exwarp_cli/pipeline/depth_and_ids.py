@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
-from functools import lru_cache
+from itertools import chain, filterfalse
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from exwarp_cli.io.depth import (
 )
 from exwarp_cli.io.frames import read_planes, read_raw
 from exwarp_cli.io.shot import Shot, first_usable
-from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
+from exwarp_cli.pipeline.shots import pairs_around, pairs_within
 from exwarp_cli.synthesis.gbuffer_values import OrderVotes, camera_end, occlusion_votes
 
 # Places where one surface covers another by which the first pair of frames tells alone that depth
@@ -97,7 +97,6 @@ def with_depth_ordered(
 
     cuts = {index for index, number in enumerate(numbers) if number in starts}
 
-    @lru_cache(maxsize=1)  # a pair is looked at twice in a row
     def both_directions(first: int) -> list[tuple[Float32, Float32, Float32]]:
         """Return depth of a frame and of its neighbour, and the motion between, both ways."""
         try:
@@ -116,16 +115,17 @@ def with_depth_ordered(
             if motion is not None and frame.depth is not None and neighbour.depth is not None
         ]
 
-    def is_hold(first: int) -> bool:
+    def is_hold(directions: list[tuple[Float32, Float32, Float32]]) -> bool:
         return any(
             np.any(motion) and np.array_equal(depth, neighbour, equal_nan=True)
-            for depth, neighbour, motion in both_directions(first)
+            for depth, neighbour, motion in directions
         )
 
     total, by_pair, ends = OrderVotes(), [], []
     for first in pairs_within(len(numbers), cuts.__contains__):
-        pair = pair_beside_hold(first, len(numbers), cuts.__contains__, is_hold)
-        for depth, neighbour, motion in both_directions(pair):
+        pairs = map(both_directions, pairs_around(first, len(numbers), cuts.__contains__))
+        wanted = next(pairs)
+        for depth, neighbour, motion in next(filterfalse(is_hold, chain((wanted,), pairs)), wanted):
             votes = occlusion_votes(depth, neighbour, motion)
             by_pair.append(votes)
             total += votes

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.decision import TRIAL_BLOCK, Trial
-from exwarp_cli.domain.frame import KeyFrame, Window, place_on_canvas
+from exwarp_cli.domain.frame import KeyFrame, place_on_canvas
 from exwarp_cli.domain.network_api import HISTORY_FRAMES
 from exwarp_cli.domain.tiles import TILE_ROWS, count_columns, tile_edges
 from exwarp_cli.domain.timeline import FACTOR, Slot
@@ -29,8 +29,8 @@ from exwarp_cli.pipeline.key_frames import (
 from exwarp_cli.synthesis.methods import Method, predict_both_ways
 
 if TYPE_CHECKING:
-    from exwarp_cli.pipeline.interval_builder import IntervalBuilder
     from exwarp_cli.pipeline.interval_inputs import IntervalInputs
+    from exwarp_cli.pipeline.job import Job
 
 # Mean squared error of a tile, on the scale of 255, that is added to all: less is not visible.
 NEGLIGIBLE = 1.0
@@ -41,7 +41,6 @@ class TrialInputs:
     """A key frame to predict, and what it is predicted from; the gate takes that out."""
 
     key: int | None = None  # None where no key frame can be predicted
-    number: int = 0  # its input number
     # The key frames around it, or before it, as one interval, of whose last or middle slot it is
     # the truth; None where an earlier interval brought these along.
     around: IntervalInputs | None = None
@@ -151,7 +150,7 @@ class TrialReader:
             after_hold=False,
         )  # fmt: skip
         self.last_read = index
-        return TrialInputs(index, self.store.source.timeline.numbers[index], around)
+        return TrialInputs(index, around)
 
 
 def _vectors_over(frame: KeyFrame, intervals: int) -> KeyFrame:
@@ -172,10 +171,9 @@ def _vectors_over(frame: KeyFrame, intervals: int) -> KeyFrame:
 class Gate:
     """Decides for each interval whether the network may make its frames."""
 
+    job: Job
     method: Method
-    make_builder: Callable[[], IntervalBuilder]  # of one that builds the interval of a trial
-    display: Window  # on which predictions are compared
-    _received: TrialInputs = field(default_factory=TrialInputs)
+    _received: IntervalInputs | None = None
     _last_key: int | None = None
     _last_trial: Trial = field(default_factory=Trial)
 
@@ -183,26 +181,29 @@ class Gate:
         """Keep what an interval brings along until its trial is asked for."""
         if inputs.around is not None:
             # The interval lives on while it is rendered, and these frames are as large as it is.
-            self._received = replace(inputs)
-            inputs.around = None
+            self._received, inputs.around = inputs.around, None
 
     def decide(self, inputs: TrialInputs) -> Trial:
         """Return the trial of an interval, of which it or one before brought the material along."""
         from exwarp_cli.domain.colour import encode_display
         from exwarp_cli.metrics.registry import measure_psnr
+        from exwarp_cli.pipeline.interval_builder import IntervalBuilder
 
         if inputs.key is None:
             return Trial()
         if inputs.key == self._last_key:
             return self._last_trial
-        around, lookahead = self._received.around, self.method.lookahead
-        assert self._received.key == inputs.key and around is not None
-        interval = self.make_builder().build(around)
+        around, lookahead = self._received, self.method.lookahead
+        assert around is not None and around.key == inputs.key - 1
+        job, source, display = self.job, self.job.source, self.job.source.keys.display
+        interval = IntervalBuilder(
+            display, job.network, job.interpolator, source.estimated, scratch=source.scratch
+        ).build(around)
         ((slot, image),) = around.truth.frames.items()
         canvas = interval.key.image.data_window
-        truth = encode_display(image.on(self.display).pixels)
+        truth = encode_display(image.on(display).pixels)
         warped, by_network = (
-            measure_psnr(truth, encode_display(place_on_canvas(pixels, canvas, self.display)))
+            measure_psnr(truth, encode_display(place_on_canvas(pixels, canvas, display)))
             for pixels in predict_both_ways(interval, slot, lookahead)
         )
         if lookahead:
@@ -211,8 +212,8 @@ class Gate:
             # What extrapolation gains lies in holes: by the mean of tiles it was refused on the
             # scene town, where it gains 0.8 dB.
             values = warped.overall(), by_network.overall()
-        self._last_trial = Trial.measured(self._received.number, *values)
-        self._last_key, self._received = inputs.key, TrialInputs()
+        self._last_trial = Trial.measured(source.timeline.numbers[inputs.key], *values)
+        self._last_key, self._received = inputs.key, None
         return self._last_trial
 
 

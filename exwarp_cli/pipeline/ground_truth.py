@@ -20,7 +20,7 @@ from exwarp_cli.io.footage import find_frames, read_display_window, read_sequenc
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot import NonFinite, count_nonfinite, first_usable
 from exwarp_cli.io.views import expand_view
-from exwarp_cli.pipeline.source import FrameOf, Source, align, read_display_windows
+from exwarp_cli.pipeline.source import FrameOf, Source, align, find_other_windows
 
 # What the report calls the channels of ground truth.
 CHANNELS = "ground truth"
@@ -176,10 +176,9 @@ def require_truth_size(
     sequence, frame_of = truth
     timeline, display = source.timeline, source.keys.display
     slots = [slot for key in keys for slot in timeline.made_of(key)]
-    wanted = {slot: n for slot in slots if (n := frame_of(slot)) is not None}
-    windows = read_display_windows((sequence, number) for number in wanted.values())
-    for slot, window in zip(wanted, windows, strict=True):
-        if window is not None and window.shape != display.shape:
+    wanted = {slot: (sequence, n) for slot in slots if (n := frame_of(slot)) is not None}
+    for slot, window in find_other_windows(wanted, display).items():
+        if window.shape != display.shape:
             raise truth_of_another_size(timeline.number(slot), window, display)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -72,42 +71,6 @@ class PreparedInterval:
 
 
 @dataclass
-class MovingObjects:
-    """Decides which objects of a Cryptomatte move in an interval, where no option names them.
-
-    Decided once per interval: an object that counted as moving in one instant and as standing still
-    in the next would be a hole to itself. It is decided by what the interval reads anyway, so that
-    any part of a sequence comes to the same. What two intervals compare is compared once.
-    """
-
-    # By one or two instants with their windows (a key frame's data may fill less than its
-    # G-buffer), and the canvas.
-    _compared: dict[tuple[tuple[tuple[Slot, Window], ...], Window], Ids] = field(
-        default_factory=dict
-    )
-
-    def find(self, inputs: IntervalInputs, canvas: Window) -> Ids | None:
-        """Return the ids of what moves between any two instants of an interval.
-
-        None where there are no ids of what is shown. `canvas` is what the interval is built on.
-        """
-        instants = list(_instants(inputs))
-        if all(gbuffer.objects is None for _, gbuffer in instants):
-            return None
-        # Each instant with the one before it; one that is alone with none.
-        pairs: list[tuple[tuple[Slot, GBuffer], ...]] = [(instants[0],)]
-        if len(instants) > 1:
-            pairs = list(zip(instants[1:], instants, strict=False))
-        compared = {}
-        for pair in pairs:
-            place = tuple((slot, gbuffer.window) for slot, gbuffer in pair), canvas
-            ids = self._compared.get(place)
-            compared[place] = _moving_ids(canvas, *(g for _, g in pair)) if ids is None else ids
-        self._compared = compared
-        return frozenset().union(*compared.values())
-
-
-@dataclass
 class IntervalBuilder:
     """Builds intervals in order; what several of them share is settled once.
 
@@ -123,7 +86,9 @@ class IntervalBuilder:
     scratch: ScratchFrames = IN_MEMORY  # for large settled frames if a network extrapolates
     linear: bool = False  # colour is moved in linear light, as layers add up to it
     back: int = 0  # how many older key frames a later interval goes by, without a network
-    _moving: MovingObjects = field(default_factory=MovingObjects)
+    # Ids of what moves, by one or two instants with their windows (a key frame's data may fill less
+    # than its G-buffer), and the canvas.
+    _moving: dict[tuple[tuple[tuple[Slot, Window], ...], Window], Ids] = field(default_factory=dict)
     _frames: dict[FrameKey, KeyFrame] = field(default_factory=dict)
     _instants: dict[tuple[Slot, Basis], GBuffer] = field(default_factory=dict)
     _past: dict[FrameKey, OlderKeyFrame] = field(default_factory=dict)
@@ -143,7 +108,7 @@ class IntervalBuilder:
                     window = window.union(frame.image.data_window)
             window = window.union(self.display)
         require_canvas(f"frame {inputs.frame.number} and the next one", window)
-        ids = self._moving.find(inputs, window)
+        ids = self.find_moving_objects(inputs, window)
         inputs, basis = with_stencils(inputs, ids), (window, ids)
         assert inputs.frame is not None
         following = None
@@ -180,6 +145,29 @@ class IntervalBuilder:
             display=self.display,
             rendered=rendered,
         )
+
+    def find_moving_objects(self, inputs: IntervalInputs, canvas: Window) -> Ids | None:
+        """Return the ids of what moves between any two instants of an interval.
+
+        None where there are no ids of what is shown. `canvas` is what the interval is built on.
+        Decided once per interval: an object that counted as moving in one instant and as standing
+        still in the next would be a hole to itself. It is decided by what the interval reads
+        anyway, so that any part of a sequence comes to the same.
+        """
+        instants = list(_instants(inputs))
+        if all(gbuffer.objects is None for _, gbuffer in instants):
+            return None
+        # Each instant with the one before it; one that is alone with none.
+        pairs: list[tuple[tuple[Slot, GBuffer], ...]] = [(instants[0],)]
+        if len(instants) > 1:
+            pairs = list(zip(instants[1:], instants, strict=False))
+        compared = {}
+        for pair in pairs:
+            place = tuple((slot, gbuffer.window) for slot, gbuffer in pair), canvas
+            ids = self._moving.get(place)
+            compared[place] = _moving_ids(canvas, *(g for _, g in pair)) if ids is None else ids
+        self._moving = compared
+        return frozenset().union(*compared.values())
 
     def _settle_frame(self, frame: KeyFrame, window: Window) -> KeyFrame:
         placed = frame.extended(window)
@@ -260,15 +248,9 @@ class IntervalJudge:
     """What decides how intervals of a method are made: its gate, and what selects their path."""
 
     def __init__(self, job: Job, method: Method) -> None:
-        source, self.method = job.source, method
-        self.selector = make_selector(method, source, job.policy, job.settings.spent)
-        self.gate: Gate | None = None
-        if job.method.gated and job.settings.gate:
-            make_builder = partial(
-                IntervalBuilder, source.keys.display, job.network, job.interpolator,
-                source.estimated, scratch=source.scratch,
-            )  # fmt: skip
-            self.gate = Gate(method, make_builder, source.keys.display)
+        self.method = method
+        self.selector = make_selector(method, job.source, job.policy, job.settings.spent)
+        self.gate = Gate(job, method) if job.method.gated and job.settings.gate else None
 
 
 class IntervalPreparer:
@@ -330,10 +312,11 @@ class IntervalPreparer:
         # A policy looks at every interval: the states of later ones hold what it saw.
         looks = has_new or judge.method.judge is DecisionSource.POLICY
         if judge.selector is not None and slots and looks:
-            choice = judge.selector(inputs, interval)
+            decided_ms: dict[str, float] = {}
+            decided = judge.selector(inputs, interval, decided_ms)
             if not interval.held:
-                plan = choice.plan
-                timing_ms |= {step: ms / len(slots) for step, ms in choice.timing_ms.items()}
+                plan = decided
+                timing_ms |= {step: ms / len(slots) for step, ms in decided_ms.items()}
         if trial is not None and not trial.pays:
             interval = replace(interval, interpolator=None)
             plan = None if plan is None else only_warps(plan)
@@ -409,7 +392,7 @@ def count_broken(inputs: IntervalInputs, counted: Mapping[int, int]) -> dict[int
 def with_stencils(inputs: IntervalInputs, ids: Ids | None) -> IntervalInputs:
     """Return an interval whose G-buffers have the objects of some ids as their stencil.
 
-    With None, as `MovingObjects.find` returns it, the interval stays as it is.
+    With None, as `IntervalBuilder.find_moving_objects` returns it, the interval stays as it is.
     """
     if ids is None:
         return inputs

@@ -296,7 +296,7 @@ class IntervalReader:
         if self._layers is not None:
             self._layers.release_before(key)
             oldest = min(oldest, key) if self._contents[0].looks_back else oldest
-        self.store.release_before(oldest, key, self._reads_late and key in self.observed_keys)
+        self.store.release_before(oldest, key)
 
     def fingerprints(self, key: int) -> dict[int, str]:
         """Digest what the frame of each slot depends on, but for those that were rendered."""

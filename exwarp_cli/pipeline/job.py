@@ -26,7 +26,7 @@ from exwarp_cli.pipeline.messages import (
     output_messages,
 )
 from exwarp_cli.pipeline.output_plan import OutputPlan, require_own
-from exwarp_cli.pipeline.rendered_frames import find_rendered, require_rendered_size
+from exwarp_cli.pipeline.rendered_frames import find_rendered
 from exwarp_cli.pipeline.scheduling import use_threads
 from exwarp_cli.pipeline.scoring import require_measurable
 from exwarp_cli.pipeline.source import open_sources, require_one_size
@@ -135,8 +135,7 @@ class Job:
         ):
             require_truth_size(self.truth, self.source, self.keys)
         if self.rendered is not None:
-            self.rendered.require_apart(self.targets.frames)
-            require_rendered_size(self.rendered.sequence, self.source, self.keys)
+            self.rendered.require_usable(self.targets.frames, self.source, self.keys)
         self.targets.check_conflicts(self.source.timeline, self.slots)
         if self.settings.skip_existing and not self.settings.replaces_foreign:
             rendered = None if self.rendered is None else self.rendered.sequence

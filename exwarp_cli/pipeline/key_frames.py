@@ -81,7 +81,6 @@ class KeyFrameStore:
         self._complete: dict[int, KeyFrame] = {}
         self._slots: dict[Slot, GBuffer] = {}
         self._shapes: dict[Slot, GBuffer] = {}
-        self._windows: dict[int, Window | None] = {}
         numbers, lossy = source.timeline.numbers, isinstance(source.keys.sequence, ClipSequence)
         shots = None if leader is None else leader.shots
         self.shots: Shots = Shots(source.cuts, numbers, self.get, unreadable, lossy, shots)
@@ -99,13 +98,12 @@ class KeyFrameStore:
         )
         # Warps use them for Unreal's background alone, in sets of one file per AOV.
         self._needs_normals = method.extrapolates or bool(keys.aovs)
-        # What is read of key frames without slots' G-buffers. Methods without motion report holes
-        # by the geometry. Networks need the surface, too.
-        self._roles: tuple[Role, ...] = (Role.COLOUR,)
-        if source.finding is not None:
-            reads_normals = self._needs_normals or self._normals_tell
-            self._roles += GEOMETRY if reads_normals else GEOMETRY_WITHOUT_NORMAL
-            self._roles += SURFACE if method.extrapolates and not reads_late else ()
+        # What is read of key frames with vectors and without slots' G-buffers. Methods without
+        # motion report holes by the geometry. Networks need the surface, too.
+        reads_normals = self._needs_normals or self._normals_tell
+        geometry = GEOMETRY if reads_normals else GEOMETRY_WITHOUT_NORMAL
+        surface = SURFACE if method.extrapolates and not reads_late else ()
+        self._roles: tuple[Role, ...] = (Role.COLOUR, *geometry, *surface)
 
     def get(self, key: int) -> KeyFrame:
         """Return a key frame as it was read; it is shown to the search for cuts.
@@ -232,14 +230,11 @@ class KeyFrameStore:
         numbers, keys = self.source.timeline.numbers, self.source.keys
         if is_plain(keys.sequence) or not 0 <= key < len(numbers):
             return None
-        if key not in self._windows:
-            self._windows[key] = None
-            if key in self._frames:
-                self._windows[key] = self._frames[key].image.data_window
-            else:
-                with suppress(InputError):
-                    self._windows[key] = colour_window(keys, numbers[key])
-        return self._windows[key]
+        if key in self._frames:
+            return self._frames[key].image.data_window
+        with suppress(InputError):
+            return colour_window(keys, numbers[key])
+        return None
 
     def is_followed(self, key: int) -> bool:
         """Return True if a key frame of the same shot comes after one."""
@@ -251,16 +246,12 @@ class KeyFrameStore:
         slots = self.source.timeline.between(key)
         return slots if all(self.source.slot_number(slot) is not None for slot in slots) else ()
 
-    def release_before(self, oldest: int, key: int, keeps_shape: bool) -> None:
+    def release_before(self, oldest: int, key: int) -> None:
         """Drop what no interval after one needs, or not yet, as it was read to find cuts.
 
         `oldest` is the first key frame that the next interval needs, `key` the interval that was
-        read last. With `keeps_shape`, what the features of the next one are found by stays.
+        read last.
         """
-        frame = self._frames.get(key)
-        if keeps_shape and frame is not None and frame.gbuffer is not None:
-            g = frame.gbuffer
-            self._shapes[Slot(key, 0)] = GBuffer(g.window, g.depth, g.normal, g.position)
         self._frames = {i: f for i, f in self._frames.items() if oldest <= i <= key + 1}
         self._slots = {slot: g for slot, g in self._slots.items() if slot.key >= oldest}
         self._shapes = {slot: shape for slot, shape in self._shapes.items() if slot.key >= key}
@@ -287,7 +278,7 @@ class KeyFrameStore:
             if source.cuts.detect:
                 self.shots.see(key, self._estimates.flowing(key))
             return self._estimates.frame(key)
-        if is_plain(source.keys.sequence):
+        if source.finding is None:
             frame = self._read_colour(key)
             self.shots.see(key, frame)
             return frame

@@ -6,7 +6,6 @@ import re
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from exwarp_cli.errors import InputError, MotionError, UsageError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import is_visible, read_raw
 from exwarp_cli.io.shot import Shot
-from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
+from exwarp_cli.pipeline.shots import pairs_around, pairs_within
 from exwarp_cli.synthesis.calibration import calibrate, preset_hint
 from exwarp_cli.synthesis.calibration_samples import (
     MIN_SAMPLES,
@@ -157,12 +156,9 @@ def _parse_term(text: str, names: tuple[str, ...], size: tuple[int, int]) -> _Te
     return _Term(names.index(match["name"]), scale, (still, length, alpha))
 
 
-@dataclass(frozen=True)
-class KeyColours:
-    """Key frames whose colour tells what the vectors of frames between them mean."""
-
-    keys: Shot
-    numbers: tuple[int | None, ...]  # of the frame at each key frame's instant; None without
+# Key frames whose colour tells what the vectors of frames between them mean, and the number of the
+# frame at each one's instant; None without one.
+KeyColours = tuple[Shot, tuple[int | None, ...]]
 
 
 def find_motion(
@@ -313,13 +309,12 @@ class _Measurement:
 
     def _beside_holds(self, firsts: list[int], by_colour: bool) -> list[int]:
         """Return the pairs, in place of those that show one picture twice others nearby."""
-        count = len(self.shot.sequence.numbers)
-        return sorted(
-            {
-                pair_beside_hold(i, count, self._is_parted, partial(self._is_hold, i, by_colour))
-                for i in firsts
-            }
-        )
+        chosen, count = set(), len(self.shot.sequence.numbers)
+        for first in firsts:
+            pairs = pairs_around(first, count, self._is_parted)
+            moving = (pair for pair in pairs if not self._is_hold(first, by_colour, pair))
+            chosen.add(next(moving, first))
+        return sorted(chosen)
 
     def _is_hold(self, wanted: int, by_colour: bool, first: int) -> bool:
         """Return True if both frames of a pair are the same, though their vectors are not at rest.
@@ -402,7 +397,7 @@ class _Measurement:
         """
         if self.colours is None:
             return []
-        keys, instants = self.colours.keys, self.colours.numbers
+        keys, instants = self.colours
         firsts = pairs_within(
             len(instants), lambda i: instants[i] in self.starts or None in instants[i - 1 : i + 1]
         )

@@ -25,7 +25,7 @@ from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.extra_layers import Content, LayerStore
 from exwarp_cli.pipeline.key_frames import GEOMETRY_WITHOUT_NORMAL
-from exwarp_cli.pipeline.source import Source, read_display_windows
+from exwarp_cli.pipeline.source import Source, find_other_windows
 from exwarp_cli.synthesis.methods import Method
 
 # Kinds of frames that no renderer made.
@@ -39,14 +39,31 @@ class RenderedFrames:
     sequence: Sequence  # their files by output number; no others
     note: str  # says which frames are used, and which are not
 
-    def require_apart(self, frames: FramePattern | None) -> None:
-        """Refuse to write over the rendered frames themselves; raises OutputError."""
-        for number, path in self.sequence.files.items():
+    def require_usable(
+        self, frames: FramePattern | None, source: Source, keys: tuple[int, ...]
+    ) -> None:
+        """Refuse to write over the rendered frames, or to take some of another size.
+
+        `frames` are those that are written, `keys` indices of key frames. Raises OutputError;
+        LayoutError, unless frames of another size are skipped.
+        """
+        sequence = self.sequence
+        for number, path in sequence.files.items():
             if frames is not None and frames.path(number).resolve() == path.resolve():
                 raise OutputError(
                     f"--rendered {path} is where this run would write; name another folder in -o, "
                     "or move the rendered frames"
                 )
+        if source.keys.keep_going:
+            return
+        timeline, display = source.timeline, source.keys.display
+        numbers = [timeline.number(slot) for key in keys for slot in timeline.made_of(key)]
+        members = {number: (sequence, number) for number in numbers if number in sequence.files}
+        for number, window in find_other_windows(members, display).items():
+            raise LayoutError(
+                f"frame {number} of --rendered is {window} and the input is {display}; render it "
+                "at the resolution and with the windows of the key frames"
+            )
 
 
 def find_rendered(spec: str, source: Source, scan: str = SourceSettings.scan) -> RenderedFrames:
@@ -76,25 +93,6 @@ def find_rendered(spec: str, source: Source, scan: str = SourceSettings.scan) ->
             f"output, {output}"
         )
     return RenderedFrames(sequence.over(used), note)
-
-
-def require_rendered_size(sequence: Sequence, source: Source, keys: tuple[int, ...]) -> None:
-    """Refuse rendered frames, by output number, of another size than the key frames.
-
-    `keys` are indices of key frames; raises LayoutError, unless such frames are skipped.
-    """
-    if source.keys.keep_going:
-        return
-    timeline, display = source.timeline, source.keys.display
-    slot_numbers = (timeline.number(slot) for key in keys for slot in timeline.made_of(key))
-    numbers = [number for number in slot_numbers if number in sequence.files]
-    windows = read_display_windows((sequence, number) for number in numbers)
-    for number, window in zip(numbers, windows, strict=True):
-        if window is not None and window != display:
-            raise LayoutError(
-                f"frame {number} of --rendered is {window} and the input is {display}; render it "
-                "at the resolution and with the windows of the key frames"
-            )
 
 
 @dataclass(frozen=True)

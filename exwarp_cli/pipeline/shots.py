@@ -23,8 +23,8 @@ LEAP = 0.01
 AROUND_HOLD = (1, -1, 2, -2, 3, -3, 5, -5, 8, -8, 16, -16, 32, -32)
 
 
-class _RecordedError(Exception):
-    """The cause of an error of a frame that is recorded as unreadable."""
+class _RecordedError(InputError):
+    """The error of a frame that is recorded as unreadable."""
 
 
 @dataclass
@@ -53,14 +53,14 @@ class UnreadableFrames:
             yield
             return
         if slot in self._reasons:
-            raise InputError(self._reasons[slot]) from _RecordedError()
+            raise _RecordedError(self._reasons[slot])
         try:
             yield
+        except _RecordedError:  # another frame, read for this one
+            raise
         except InputError as error:
-            if isinstance(error.__cause__, _RecordedError):  # another frame, read for this one
-                raise
             self._reasons[slot] = str(error)  # without what its traceback holds
-            raise InputError(self._reasons[slot]) from _RecordedError()
+            raise _RecordedError(self._reasons[slot]) from error
 
     def has(self, *slots: Slot) -> bool:
         """Return True if the frame of any of these slots is recorded."""
@@ -98,7 +98,7 @@ class Shots:
         self._starts: dict[int, bool] = {}
         self._repeats: dict[int, bool] = {}
         self._changes: dict[int, PictureChange] = {}
-        self._leaps: dict[int, _Leap | None] = {}
+        self._leaps: dict[int, tuple[float, float, float] | None] = {}
         self._leader = leader
         self._followers: list[Shots] = []
         if leader is not None:
@@ -215,69 +215,55 @@ class Shots:
         if not self._wish.detect and key not in self._beside_given:
             return ""
         if key not in self._leaps:
-            self._leaps[key] = _Leap.from_glance(self._glance(key))
+            self._leaps[key] = measure_leap(self._glance(key))
         leap = self._leaps[key]
-        return leap.crossing(self.starts_at(key), self.starts_at(key + 1)) if leap else ""
-
-
-@dataclass(frozen=True)
-class _Leap:
-    """Vectors of one frame to both sides that do not continue each other, in cells of a glance."""
-
-    apart: float  # median length of n + p, with n to the next frame and p to the previous one
-    to_next: float  # median lengths of the two
-    to_previous: float
-
-    @classmethod
-    def from_glance(cls, glance: Thumbnail) -> _Leap | None:
-        """Compare the vectors of surfaces as rendered; None where they continue each other."""
-        after, before = glance.to_next, glance.to_previous
-        if after is None or before is None:
-            return None
-        valid = np.isfinite(after).all(axis=-1) & np.isfinite(before).all(axis=-1)
-        if (valid & glance.surface).any():
-            valid &= glance.surface  # background has often none, whatever the camera does
-        if not valid.any():
-            return None
-        apart, *lengths = (
-            float(np.median(np.linalg.norm(vectors[valid], axis=-1)))
-            for vectors in (after + before, after, before)
-        )
-        return cls(apart, *lengths) if apart > LEAP * max(glance.light.shape) else None
-
-    def crossing(self, cut_before: bool, cut_after: bool) -> str:
-        """Return which vectors cross a cut: those that are not as the others foretell."""
-        # Between the two, the change has to be larger than what goes on inside the shot: a camera
-        # that brakes or reverses changes by as much as it moves. Of a shot of one frame there is
-        # nothing inside; the shorter ones stay there.
+        if leap is None:
+            return ""
+        apart, to_next, to_previous = leap
+        cut_before, cut_after = self.starts_at(key), self.starts_at(key + 1)
+        # Vectors that are not as the others foretell cross the cut. Between the two, the change has
+        # to be larger than what goes on inside the shot: a camera that brakes or reverses changes
+        # by as much as it moves. Of a shot of one frame there is nothing inside; the shorter ones
+        # stay there.
         if cut_before and cut_after:
-            longer = "to_next" if self.to_next > self.to_previous else "to_previous"
-            return longer if self.apart > min(self.to_next, self.to_previous) else ""
-        if cut_after and self.apart > self.to_previous:
+            longer = "to_next" if to_next > to_previous else "to_previous"
+            return longer if apart > min(to_next, to_previous) else ""
+        if cut_after and apart > to_previous:
             return "to_next"
-        if cut_before and self.apart > self.to_next:
-            return "to_previous"
-        return ""
+        return "to_previous" if cut_before and apart > to_next else ""
 
 
-def pair_beside_hold(
-    first: int, count: int, is_cut: Callable[[int], bool], is_hold: Callable[[int], bool]
-) -> int:
-    """Return the first frame of a pair nearby that does not show one picture twice.
+def measure_leap(glance: Thumbnail) -> tuple[float, float, float] | None:
+    """Compare a frame's vectors to both sides, of surfaces as rendered, in cells of its glance.
 
-    A picture that is repeated tells nothing of its vectors, which are those of the first one.
-    `first` is the pair that is wanted: it and the frame after it; returned if none nearby is
-    better. `count` is of all frames. `is_cut` returns True if a frame, by its index, does not
-    belong to the frame before it, `is_hold` if both frames of a pair show the same picture.
+    Return the median lengths of n + p, n and p, with n to the next frame and p to the previous one;
+    None where the two continue each other.
     """
-    if not is_hold(first):
-        return first
-    for distance in AROUND_HOLD:
-        candidate = first + distance
-        inside = 0 <= candidate < count - 1
-        if inside and not is_cut(candidate + 1) and not is_hold(candidate):
-            return candidate
-    return first
+    after, before = glance.to_next, glance.to_previous
+    if after is None or before is None:
+        return None
+    valid = np.isfinite(after).all(axis=-1) & np.isfinite(before).all(axis=-1)
+    if (valid & glance.surface).any():
+        valid &= glance.surface  # background has often none, whatever the camera does
+    if not valid.any():
+        return None
+    apart, to_next, to_previous = (
+        float(np.median(np.linalg.norm(vectors[valid], axis=-1)))
+        for vectors in (after + before, after, before)
+    )
+    return (apart, to_next, to_previous) if apart > LEAP * max(glance.light.shape) else None
+
+
+def pairs_around(first: int, count: int, is_cut: Callable[[int], bool]) -> Iterator[int]:
+    """Yield a pair of neighbouring frames, and those that may stand for it if it is a hold.
+
+    A picture that is repeated tells nothing of its vectors, which are those of the first one. A
+    pair is named by its first frame. `count` is of all frames; `is_cut` returns True if a frame, by
+    its index, does not belong to the frame before it.
+    """
+    yield first
+    candidates = (first + distance for distance in AROUND_HOLD)
+    yield from (i for i in candidates if 0 <= i < count - 1 and not is_cut(i + 1))
 
 
 def pairs_within(count: int, is_cut: Callable[[int], bool]) -> list[int]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
+from typing import TypeVar
 
 from exwarp_cli.domain.frame import Window, set_max_pixels
 from exwarp_cli.domain.motion import MotionConvention, MotionFinding
@@ -43,12 +44,13 @@ from exwarp_cli.pipeline.depth_and_ids import (
     with_world_positions,
 )
 from exwarp_cli.pipeline.motion_convention import (
-    KeyColours,
     find_motion,
     motion_names,
     parse_motion,
 )
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
+
+T = TypeVar("T")
 
 # Returns the number of a slot's frame in a sequence at the output rate; None where it has none.
 FrameOf = Callable[[Slot], int | None]
@@ -193,7 +195,7 @@ def _with_motion(
     if slots is not None and not comparable and keys.display.shape == slots.display.shape:
         # Key frames to measure slots' vectors by, as these have no colour.
         instants = (Slot(key, 0) for key in range(len(source.timeline.numbers)))
-        colours = KeyColours(keys, tuple(map(slot_number, instants)))
+        colours = keys, tuple(map(slot_number, instants))
     names_vectors = settings.gbuffers is not None or settings.motion is not None
     may_estimate = pictures and settings.estimate_motion and not names_vectors
     try:
@@ -463,13 +465,9 @@ def require_one_size(shot: Shot, numbers: Collection[int]) -> None:
         for number in numbers
         if number in member.files
     }
-    different = [
-        (path, window)
-        for path, window in zip(files, read_display_windows(files.values()), strict=True)
-        if window is not None and window != shot.display
-    ]
+    different = find_other_windows(files, shot.display)
     if different:
-        path, window = different[0]
+        path, window = next(iter(different.items()))
         plain = is_plain(shot.sequence)
         sizes = [f"{w.width}x{w.height}" if plain else str(w) for w in (window, shot.display)]
         more = f" (and {len(different) - 1} more)" if len(different) > 1 else ""
@@ -479,14 +477,17 @@ def require_one_size(shot: Shot, numbers: Collection[int]) -> None:
         )
 
 
-def read_display_windows(frames: Iterable[tuple[sequences.Sequence, int]]) -> list[Window | None]:
-    """Return the display window of each frame; None where its header cannot be read."""
+def find_other_windows(
+    frames: Mapping[T, tuple[sequences.Sequence, int]], display: Window
+) -> dict[T, Window]:
+    """Return the display windows that are not `display`; frames with no readable header pass."""
 
-    def display(frame: tuple[sequences.Sequence, int]) -> Window | None:
+    def window_of(frame: tuple[sequences.Sequence, int]) -> Window:
         try:
             return read_display_window(*frame)
         except (InputError, OSError, KeyError):
-            return None
+            return display
 
     with ThreadPoolExecutor(READERS, "exwarp-header") as pool:
-        return list(pool.map(display, frames))
+        windows = zip(frames, pool.map(window_of, frames.values()), strict=True)
+        return {frame: window for frame, window in windows if window != display}

@@ -74,35 +74,19 @@ class FrameStatistics:
     """The statistics of an instant's geometry that are compared with another instant's."""
 
     def __init__(self, gbuffer: GBuffer) -> None:
-        self.window = gbuffer.window
         self.shown: Bool = ~gbuffer.background  # pixels that show a surface
         self.normals, self.positions = (
             None if part is None else ValueDistribution(part, self.shown)
             for part in (gbuffer.normal, gbuffer.position)
         )
-        self._parts = gbuffer.depth, gbuffer.normal, gbuffer.position
-
-    def are_of(self, gbuffer: GBuffer) -> bool:
-        """Return whether they were computed from these very arrays."""
-        parts = gbuffer.depth, gbuffer.normal, gbuffer.position
-        return all(own is part for own, part in zip(self._parts, parts, strict=True))
 
 
 def observe(now: GBuffer, before: GBuffer | None, span: int) -> Features:
-    """Return the features of an instant; see `compare`, which reuses statistics."""
-    earlier = None if before is None else FrameStatistics(before)
-    return compare(now, FrameStatistics(now), earlier, span)
+    """Return the features of an instant, per slot; missing parts give 0.
 
-
-def compare(
-    now: GBuffer, statistics: FrameStatistics, before: FrameStatistics | None, span: int
-) -> Features:
-    """Return the features of an instant, per slot.
-
-    `statistics` are those of `now`, whose stencil may be filled in from elsewhere; missing parts
-    give 0. `before` are those of the instant before, on the same window; without them, at the
-    first, earth mover's distances are 0. `span` is the number of slots between the two instants,
-    which the motion vectors span too: 1 with G-buffers of every slot, 4 with those of key frames.
+    `before` is the instant before, on the same window; without it, at the first, earth mover's
+    distances are 0. `span` is the number of slots between the two instants, which the motion
+    vectors span too: 1 with G-buffers of every slot, 4 with those of key frames.
 
     ValueError: the windows differ, or the span is not positive.
     """
@@ -111,13 +95,15 @@ def compare(
         raise ValueError(f"features span {span} slots; give 1 or more")
     if before is not None and before.window != now.window:
         raise ValueError(f"features of {now.window} cannot be compared with {before.window}")
+    statistics = FrameStatistics(now)
     emd_normal, emd_position = 0.0, 0.0
     if before is not None:
+        earlier = FrameStatistics(before)
         emd_normal, emd_position = (
             0.0 if a is None or b is None else float(earth_movers_distances(a, b).mean())
             for a, b in (
-                (before.normals, statistics.normals),
-                (before.positions, statistics.positions),
+                (earlier.normals, statistics.normals),
+                (earlier.positions, statistics.positions),
             )
         )
     # Of the means of blocks, over the whole span.

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Window
-from exwarp_cli.kernels import frame_statistics
 from exwarp_cli.pipeline import decide
 from exwarp_cli.pipeline.decide import Observer, with_ids
 from exwarp_cli.pipeline.interval_inputs import PolicyObservation
-from exwarp_cli.policy.state import compare, count_objects, observe
+from exwarp_cli.policy.state import count_objects, observe
 from exwarp_cli.synthesis.motion_fields import settle_motion
 from tests.unit.scenes import SKY, town
 
@@ -99,7 +98,7 @@ class TestKeySetting:
 
     def test_in_a_row_each_is_looked_at_once(self, monkeypatch):
         counted = []
-        monkeypatch.setattr(decide, "compare", lambda *a: counted.append(a) or compare(*a))
+        monkeypatch.setattr(decide, "observe", lambda *a: counted.append(a) or observe(*a))
         row = Observer(DISPLAY, "key")
         found = [row.surroundings(k, keys(k), ()) for k in range(5)]
         assert len(counted) == 5
@@ -107,18 +106,6 @@ class TestKeySetting:
         fresh = Observer(DISPLAY, "key").surroundings(4, keys(1, 2, 3, 4), ())
         assert fresh == found[4]
         assert fresh.before == (found[3].now[0], found[2].now[0], found[1].now[0])
-
-    def test_in_a_row_each_instant_s_ranges_are_found_once(self, monkeypatch):
-        """It is compared with the instant before, and with the one after."""
-        counted = []
-        true = frame_statistics.write_ranges
-        monkeypatch.setattr(
-            frame_statistics, "write_ranges", lambda *a: counted.append(a) or true(*a)
-        )
-        row = Observer(DISPLAY, "key")
-        for k in range(5):
-            row.surroundings(k, keys(k), ())
-        assert len(counted) == 2 * 5  # normals and positions
 
     def test_it_keeps_no_more_in_a_long_run(self):
         row = Observer(DISPLAY, "key")

@@ -16,11 +16,10 @@ from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import SURFACE
-from exwarp_cli.pipeline import key_frames
+from exwarp_cli.pipeline import key_frames, shots
 from exwarp_cli.pipeline.interval_builder import IntervalBuilder
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader
 from exwarp_cli.pipeline.key_frames import reads_late
-from exwarp_cli.pipeline.shots import _Leap
 from exwarp_cli.pipeline.source import Source, open_source
 from exwarp_cli.research.bench.subjects import EVERYTHING
 from exwarp_cli.synthesis.methods import METHODS
@@ -190,7 +189,7 @@ def test_intervals_in_a_row_are_built_as_alone(folder, wider):
 def test_what_was_read_to_find_a_cut_waits_for_its_turn_on_disk(folder, read, monkeypatch):
     """Where the camera reverses, the vectors of a key frame are compared with a third frame."""
     expected = [reader(folder, "softsplat").read(key).following for key in range(COUNT - 1)]
-    monkeypatch.setattr(_Leap, "from_glance", lambda _: _Leap(9.0, 1.0, 1.0))
+    monkeypatch.setattr(shots, "measure_leap", lambda _: (9.0, 1.0, 1.0))
     in_a_row = reader(folder, "softsplat")
     for key, following in enumerate(expected):
         read.clear()

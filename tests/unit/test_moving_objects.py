@@ -13,7 +13,6 @@ from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window
 from exwarp_cli.pipeline.interval_builder import (
     Ids,
     IntervalBuilder,
-    MovingObjects,
     with_stencils,
 )
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
@@ -71,7 +70,7 @@ def inputs(
 
 
 def moving(read: IntervalInputs) -> Ids | None:
-    return MovingObjects().find(read, DISPLAY)
+    return IntervalBuilder(DISPLAY).find_moving_objects(read, DISPLAY)
 
 
 SETTINGS = pytest.mark.parametrize("setting", ["key", "slot"])
@@ -121,26 +120,26 @@ class TestWhichMove:
 
     @SETTINGS
     def test_what_is_kept_is_what_is_found_afresh(self, setting):
-        found = MovingObjects()
+        found = IntervalBuilder(DISPLAY)
         for index in range(4):
             read = inputs(index, setting, idents=lambda i: 50 + i)
-            kept = found.find(read, DISPLAY)
+            kept = found.find_moving_objects(read, DISPLAY)
             assert kept == moving(read) and kept is not None
             assert kept <= {50 + i for i in range(max(index - 2, 0), index + 1)}
-            assert len(found._compared) <= 11
+            assert len(found._moving) <= 11
 
     @SETTINGS
     def test_each_instant_is_looked_at_once(self, monkeypatch, setting):
         counts: list[int] = []
         module = "exwarp_cli.pipeline.interval_builder"
-        true = MovingObjects.find.__globals__["find_moving"]
+        true = IntervalBuilder.build.__globals__["find_moving"]
         monkeypatch.setattr(
             f"{module}.find_moving", lambda *given: counts.append(1) or true(*given)
         )
-        found = MovingObjects()
+        found = IntervalBuilder(DISPLAY)
         for index in (2, 3):
             before = len(counts)
-            found.find(inputs(index, setting), DISPLAY)
+            found.find_moving_objects(inputs(index, setting), DISPLAY)
         assert len(counts) - before == (1 if setting == "key" else 4)
 
 
