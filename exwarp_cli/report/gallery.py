@@ -22,7 +22,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -189,14 +190,12 @@ class Gallery:
         self._worst: tuple[float, int] | None = None
         self._key: tuple[int, Picture] | None = None
         self._key_of: dict[int, int] = {}
-        self._shared = False
 
     def share(self) -> Gallery:
         """Return an empty gallery for a part of the run, with the plan of the whole."""
-        part = Gallery(self._has_truth, self._output, self._truth, self._sources)
-        part._chosen, part._key_of = self._chosen, self._key_of
-        part.album.room, part.album.longest = self.album.room, self.album.longest
-        part._shared = True
+        part = copy(self)
+        part.album = replace(self.album, start=None, frames={})
+        part._worst = part._key = None
         return part
 
     def adopt(self, part: Gallery) -> None:
@@ -213,8 +212,8 @@ class Gallery:
         self._worst, self.album.start = worst, worst[1]
 
     def plan(self, groups: Sequence[Sequence[int]]) -> None:
-        """Choose whole groups, the first and the last among them."""
-        if self._shared:  # a part's own plan does not count
+        """Choose whole groups, the first and the last among them; what is chosen stays."""
+        if self._chosen:  # a part of a run has the plan of the whole
             return
         for i in choose_groups(groups):
             self._chosen.update(groups[i])

@@ -19,7 +19,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 from markupsafe import Markup, escape
 
 if TYPE_CHECKING:
@@ -72,6 +71,8 @@ TIMELINE_COLUMNS = 600
 LEFT, TIMELINE_WIDTH, ROW, LEGEND = 46, 520, 22, 18
 
 SETTINGS: dict[Any, Any] = {
+    # Of series, as "C0", "C1" …, over and over.
+    "axes.prop_cycle": f"cycler(color={[COLOURS[f'c{i}'] for i in range(SERIES)]})",
     "svg.fonttype": "none",
     "svg.hashsalt": "exwarp",
     "text.parse_math": False,  # a dollar sign in a name is one
@@ -142,10 +143,10 @@ def draw_lines(
         axes = _add_axes(canvas, labels)
         at = np.asarray(x)
         for i, (name, values) in enumerate(series.items()):
-            points, y = thin_out(values), _to_floats(values)
+            points, y = thin_out(values), np.array(values, float)  # None becomes NaN
             marker = MARKERS[i % len(MARKERS)] if len(points) <= 60 else None
             axes.plot(
-                at[points], y[points], color=_series_colour(i), label=name, marker=marker,
+                at[points], y[points], color=f"C{i}", label=name, marker=marker,
                 markersize=3.5,
             )  # fmt: skip
             rings = [j for j in marked if values[j] is not None]
@@ -170,7 +171,7 @@ def draw_points(
     """Draw one value a frame, coloured by what made the frame, a word out of KINDS each."""
     with _canvas(2.5) as canvas:
         axes = _add_axes(canvas, labels)
-        at, points, y = np.asarray(x), thin_out(values), _to_floats(values)
+        at, points, y = np.asarray(x), thin_out(values), np.array(values, float)
         axes.plot(at[points], y[points], color=COLOURS["grid"], linewidth=1)
         for kind in dict.fromkeys(kinds):
             of_kind = [j for j in points if kinds[j] == kind and values[j] is not None]
@@ -194,14 +195,14 @@ def draw_bars(
 
     `references` are, by series, values that are marked across its bars: the paper's.
     """
-    width = 0.8 / max(len(series), 1)
+    width = 0.8 / len(series)
     is_in_legend = False  # the first mark stands for all
     with _canvas(2.6) as canvas:
         axes = _add_axes(canvas, labels)
         for i, (name, values) in enumerate(series.items()):
             x = [group - 0.4 + width * (i + 0.5) for group in range(len(groups))]
             axes.bar(
-                x, _to_floats(values), width * 0.92, color=_series_colour(i), label=name,
+                x, np.array(values, float), width * 0.92, color=f"C{i}", label=name,
                 hatch="///" if i >= SERIES else None, edgecolor=COLOURS["bg"], linewidth=0,
             )  # fmt: skip
             pairs = zip(x, (references or {}).get(name, ()), strict=False)
@@ -212,9 +213,9 @@ def draw_bars(
                 label="paper" if marks and not is_in_legend else "_",
             )  # fmt: skip
             is_in_legend |= bool(marks)
-        is_long = sum(len(str(group)) for group in groups) > 70
+        is_long = sum(map(len, groups)) > 70
         axes.set_xticks(
-            range(len(groups)), [str(group) for group in groups],
+            range(len(groups)), groups,
             rotation=30 if is_long else 0, ha="right" if is_long else "center",
         )  # fmt: skip
         axes.grid(False, axis="x")
@@ -237,32 +238,25 @@ def draw_stacked_bars(
         left = [0.0] * len(groups)
         for i, (name, values) in enumerate(parts.items()):
             lengths = [value or 0.0 for value in values]
-            colour = COLOURS[kind_role(name)] if kinds else _series_colour(i)
+            colour = COLOURS[kind_role(name)] if kinds else f"C{i}"
             hatch = "///" if i >= SERIES and not kinds else None  # colours repeat from here on
             axes.barh(
                 range(len(groups)), lengths, 0.7, left=left, label=name, color=colour, hatch=hatch,
                 edgecolor=COLOURS["bg"], linewidth=0.5,
             )  # fmt: skip
             left = [a + b for a, b in zip(left, lengths, strict=True)]
-        axes.set_yticks(range(len(groups)), [str(group) for group in groups])
+        axes.set_yticks(range(len(groups)), groups)
         axes.invert_yaxis()
         axes.grid(False, axis="y")
         _draw_legend(axes, max(len(parts), 2))
         return _finish(canvas, labels)
 
 
-def draw_histogram(
-    labels: Labels, edges: Sequence[float], counts: Mapping[str, Sequence[float]]
-) -> Figure:
-    """Draw counts between edges, one step line a series; a single one is filled."""
+def draw_histogram(labels: Labels, edges: Sequence[float], counts: Sequence[float]) -> Figure:
+    """Draw counts between edges as a filled outline."""
     with _canvas(2.1) as canvas:
         axes = _add_axes(canvas, labels)
-        for i, (name, values) in enumerate(counts.items()):
-            axes.stairs(
-                values, edges, label=name, color=_series_colour(i), fill=len(counts) == 1,
-                linewidth=1.6,
-            )  # fmt: skip
-        _draw_legend(axes, len(counts))
+        axes.stairs(counts, edges, color="C0", fill=True, linewidth=1.6)
         return _finish(canvas, labels)
 
 
@@ -270,17 +264,16 @@ def draw_scatter(
     labels: Labels, panels: Mapping[str, Sequence[float]], y: Sequence[float]
 ) -> Figure:
     """Draw small scatter plots of `y` over each of the panels, in rows of `SCATTER_COLUMNS`."""
-    rows = max(math.ceil(len(panels) / SCATTER_COLUMNS), 1)
-    columns = min(SCATTER_COLUMNS, max(len(panels), 1))
+    rows = math.ceil(len(panels) / SCATTER_COLUMNS)
     points = thin_out(y)
     with _canvas(0.4 + 1.9 * rows) as canvas:
-        grid = canvas.subplots(rows, columns, sharey=True, squeeze=False)
+        grid = canvas.subplots(rows, SCATTER_COLUMNS, sharey=True, squeeze=False)
         for axes in grid.flat[len(panels) :]:
             axes.set_visible(False)
         for i, ((title, x), axes) in enumerate(zip(panels.items(), grid.flat, strict=False)):
             axes.scatter(
                 [x[j] for j in points], [y[j] for j in points], s=7, alpha=0.55,
-                color=COLOURS["c0"], linewidths=0,
+                color="C0", linewidths=0,
             )  # fmt: skip
             axes.set_title(title)
             if i % SCATTER_COLUMNS == 0:
@@ -290,11 +283,11 @@ def draw_scatter(
 
 def draw_series_panels(labels: Labels, x: Sequence[float], series: Mapping[str, Values]) -> Figure:
     """Draw a small line plot for each series below each other, each with its own y axis."""
-    with _canvas(0.5 + 0.75 * max(len(series), 1)) as canvas:
+    with _canvas(0.5 + 0.75 * len(series)) as canvas:
         grid = canvas.subplots(len(series), 1, sharex=True, squeeze=False)
         for axes, (name, values) in zip(grid.flat, series.items(), strict=True):
             points = thin_out(values)
-            axes.plot(np.asarray(x)[points], _to_floats(values)[points], color=_series_colour(0))
+            axes.plot(np.asarray(x)[points], np.array(values, float)[points], color="C0")
             axes.set_ylabel(name, rotation=0, ha="right", va="center")
             axes.locator_params(axis="y", nbins=3)
             _mark_frames(axes, x)
@@ -379,14 +372,6 @@ def kind_role(kind: str) -> str:
     return kind if kind in ROLES else "muted"
 
 
-def _series_colour(index: int) -> str:
-    return COLOURS[f"c{index % SERIES}"]
-
-
-def _to_floats(values: Values) -> npt.NDArray[np.float64]:
-    return np.array(values, np.float64)  # None becomes NaN
-
-
 def _mark_frames(axes: Axes, x: Sequence[float], cuts: Sequence[float] = ()) -> None:
     """Draw a line before each frame after a cut; let no tick stand between two frames."""
     for number in cuts:
@@ -441,7 +426,7 @@ def _finish(canvas: Canvas, labels: Labels) -> Figure:
     # No prologue, fonts or global style.
     body = text[text.index("<svg") :]
     body = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", body, count=1, flags=re.DOTALL)
-    box = re.search(r'viewBox="([^"]*)"', body)
+    box = re.findall(r'viewBox="([^"]*)"', body)[0]
     body = body[body.index(">") + 1 :]
     body = re.sub(r'(<g) id="[^"]*"', r"\1", body)
     body = body.replace("xlink:href", "href")
@@ -450,8 +435,7 @@ def _finish(canvas: Canvas, labels: Labels) -> Figure:
     for name, colour in COLOURS.items():
         body = body.replace(colour, f"var(--{name})")
     body = re.sub(r"\s*\n\s*", " ", body)
-    opening = _svg_opening(box[1] if box else "0 0 1 1", labels)
-    return Figure(labels, opening + body.rstrip())
+    return Figure(labels, _svg_opening(box, labels) + body.rstrip())
 
 
 @contextmanager

@@ -394,7 +394,7 @@ def _holes_and_features(run: RunSummary, document: dict[str, Any]) -> list[Block
                 f"Histogram of the hole share; 95 % of the frames have at most {p95}.",
             )  # fmt: skip
             percents = [100 * edge for edge in edges[: bins + 1]]
-            blocks.append(draw_histogram(labels, percents, {"frames": counts[:bins]}))
+            blocks.append(draw_histogram(labels, percents, counts[:bins]))
     features = [
         (f.number, f.decision.features) for f in run.frames if f.decision and f.decision.features
     ]
