@@ -25,7 +25,6 @@ from exwarp_cli.report.html import (
     Page,
     Section,
     Table,
-    Viewer,
     file_name,
     measured_metrics,
     metric_plots,
@@ -254,7 +253,7 @@ def compare_page(
         if frame.reference != frame.test:
             facts["reference frame"] = str(frame.reference)
         if frame.hole_fraction is not None:
-            facts["holes"] = str(format_percent(frame.hole_fraction))
+            facts["holes"] = format_percent(frame.hole_fraction)
         album.set_facts(frame.test, "", facts)
     test, reference = document["test"]["pattern"], document["reference"]["pattern"]
     numbers = [
@@ -283,7 +282,7 @@ def compare_page(
         subtitle,
         numbers,
         (
-            Section("frames", "Frames", [Viewer(album)] if album.frames else []),
+            Section("frames", "Frames", [album] if album.frames else []),
             Section("quality", "Quality", _quality(result, document, album, base_scores)),
             Section("input", "Input", [_input(document)]),
         ),

@@ -24,6 +24,7 @@ import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,7 @@ class Album:
     start: int | None = None  # number of the frame shown first; None: the first but key frames
     fps: float | None = None  # frames a second, in real time; None if not known
     frames: dict[int, Shown] = field(default_factory=dict)  # by number
+    viewer: str = "viewer"  # id of its viewer, unique in the page: letters, digits and hyphens
 
     def add(
         self,
@@ -273,10 +275,8 @@ def merge_albums(
             file_of |= dict.fromkeys((number for number in there if number in asked), file)
 
     # Whole key intervals, as a gallery chooses them, and the worst frame.
-    intervals: dict[int, list[int]] = {}
-    for frame in run.frames:
-        intervals.setdefault(frame.key, []).append(frame.number)
-    groups = list(intervals.values())
+    intervals = groupby(run.frames, lambda frame: frame.key)
+    groups = [[frame.number for frame in frames] for _, frames in intervals]
     worst = worst_frame(frame for frame in run.frames if frame.number in file_of)
     chosen = set() if worst is None else {worst}
     complete = [i for i, group in enumerate(groups) if all(n in file_of for n in group)]

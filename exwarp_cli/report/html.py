@@ -61,15 +61,7 @@ class Table:
     note: str = ""  # a line below
 
 
-@dataclass(frozen=True)
-class Viewer:
-    """An album to look at; `name` is unique in the page: letters, digits and hyphens."""
-
-    album: Album
-    name: str = "viewer"
-
-
-Block = Table | str | Viewer | Figure  # text is a paragraph
+Block = Table | str | Album | Figure  # text is a paragraph
 
 
 @dataclass(frozen=True)

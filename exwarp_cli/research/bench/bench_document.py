@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import asdict
 from importlib import resources
 from typing import Any
 
@@ -134,7 +133,7 @@ def _time_rows(row: Measured) -> Document:
         "others_ms": {
             name: value for name, value in steps.items() if name not in ("warp", "holes", "network")
         },
-        "paper": None if printed is None else asdict(printed),
+        "paper": printed and dict(zip(paper.RUNTIME_STEPS, printed, strict=True)),
     }
     new_frames = {
         name: sum(frame["made_by"] != HOLD for frame in _frames(row, name)) / len(row.parts)

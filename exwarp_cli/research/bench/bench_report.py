@@ -15,7 +15,7 @@ from exwarp_cli.io.files import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.report.folder import PAGE_FILE
 from exwarp_cli.report.gallery import BUDGET, PICTURE_BYTES, TRUTH, Album
-from exwarp_cli.report.html import Block, Number, Page, Section, Table, Viewer, render
+from exwarp_cli.report.html import Block, Number, Page, Section, Table, render
 from exwarp_cli.report.schema import escape_formula, format_csv, mean, to_json
 from exwarp_cli.report.sentences import format_percent, format_time
 from exwarp_cli.research.bench.bench_document import (
@@ -35,7 +35,7 @@ from exwarp_cli.research.bench.bench_tables import (
     make_tables,
 )
 from exwarp_cli.research.bench.benchmark import Benchmark, Measured
-from exwarp_cli.research.bench.subjects import OpenedSubject
+from exwarp_cli.research.bench.subjects import OpenedSubject, SystemFrames
 from exwarp_cli.research.bench.systems import CHOOSERS, FIXED_PATHS, POLICY, SLOTS, pictures_of
 
 JSON_FILE, MARKDOWN_FILE = "bench.json", "bench.md"
@@ -70,17 +70,9 @@ PICTURED = (POLICY, "s6", "softsplat", "minterpolate", "hold")
 def write_benchmark(
     folder: Path, benchmark: Benchmark, clock_hz: float, progress: Progress
 ) -> Document:
-    """Write bench.json, bench.md, a CSV file a table, and the page.
+    """Write bench.json, bench.md, a CSV file a table, and the page; return what bench.json holds.
 
-    Returns
-    -------
-    dict
-        What bench.json holds.
-
-    Raises
-    ------
-    OutputError
-        When a file cannot be written.
+    OutputError: a file cannot be written.
     """
     make_folder(folder)
     remove_leftovers(folder)
@@ -103,14 +95,6 @@ def write_benchmark(
     # The document last, as it marks a complete benchmark.
     atomic_write_text(folder / JSON_FILE, to_json(document))
     return document
-
-
-def describe_files(folder: Path) -> list[str]:
-    """Say in lines what lies in a benchmark's folder."""
-    return [
-        f"tables in {folder / MARKDOWN_FILE}, {folder / JSON_FILE} and CSV files beside them",
-        f"page to look at: {folder / PAGE_FILE}",
-    ]
 
 
 def _format_rows(header: Sequence[str], rows: Sequence[Row]) -> str:
@@ -155,8 +139,8 @@ def bench_page(benchmark: Benchmark, document: Document, albums: Sequence[Album]
     viewers: list[Block] = []
     for i, (label, album) in enumerate(zip(sequence_labels(document), albums, strict=True)):
         if album.frames:
-            viewers += [label] if len(albums) > 1 else []
-            viewers.append(Viewer(album, f"viewer-{i}"))
+            album.viewer = f"viewer-{i}"
+            viewers += [label, album] if len(albums) > 1 else [album]
     return Page(
         "ExWarp benchmark",
         describe_benchmark(document),
@@ -216,11 +200,11 @@ def _numbers(document: Document) -> list[Number]:
     for name, label in HEADLINE:
         timed = [row for row in document["render_time"] if name in (row["saved_share"] or {})]
         if timed:
-            share = format_percent(mean(row["saved_share"][name] for row in timed))
+            share = format_percent(mean(row["saved_share"][name] for row in timed) or 0.0)
             rendered = format_time(mean(row["key_frame_s"] for row in timed))
             generated = format_time(mean(row["generated_frame_s"][name] for row in timed))
             numbers += [
-                Number("Render time saved", str(share), f"{label}, of rendering all frames"),
+                Number("Render time saved", share, f"{label}, of rendering all frames"),
                 Number("Rendered frame", str(rendered), "by the headers, on average"),
                 Number("Generated frame", str(generated), f"{label}, files apart"),
             ]
@@ -275,7 +259,7 @@ def _make_album(
         key, part = opened.numbers.index(number), parts[number]
         inputs = opened.reader.read(key)
         interval = opened.builder.build(inputs)
-        frames, masks = opened.frames(inputs, interval), opened.masks(interval)
+        frames, masks = SystemFrames(opened, inputs, interval), opened.masks(interval)
         truth, paths = opened.truth(key), FIXED_PATHS | part["paths"]
         shown = {
             name: pictures_of(name, paths.get(name))

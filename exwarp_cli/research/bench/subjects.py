@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from exwarp_cli.domain.decision import HOLD, LOOKAHEAD
-from exwarp_cli.domain.frame import Bool, Float32, Window, place_on_canvas
+from exwarp_cli.domain.frame import Bool, Float32, place_on_canvas
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, UsageError
 from exwarp_cli.io.dataset import BENCHMARK, find_scenes
 from exwarp_cli.io.ffmpeg import minterpolate, require_vmaf_size
 from exwarp_cli.io.footage import read_sequence_picture
-from exwarp_cli.io.generated_frames import FrameTemplate, quantise_picture
+from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.io.sequences import find_sequence
 from exwarp_cli.models.interpolator import OnnxInterpolator, load_interpolator
 from exwarp_cli.models.model_file import shipped_folder
@@ -72,19 +72,10 @@ class Subject:
 def find_subjects(settings: BenchSettings, say: Callable[[str], None]) -> tuple[Subject, ...]:
     """Return what is measured, in the order of the inputs.
 
-    Parameters
-    ----------
-    settings
-        What was asked.
-    say
-        Receives a line on each scene that is left out, as hardly anything of it is rendered.
+    `say` receives a line on each scene that is left out, as hardly anything of it is rendered.
 
-    Raises
-    ------
-    InputError
-        When an input is no data set, or a scene is missing or not rendered.
-    UsageError
-        When options of a sequence and of a data set are mixed.
+    InputError: an input is no data set, or a scene is missing or not rendered. UsageError: options
+    of a sequence and of a data set are mixed.
     """
     if settings.ground_truth is not None:
         if len(settings.inputs) != 1 or settings.scenes:
@@ -168,12 +159,6 @@ class Networks:
     interpolators: Mapping[str, OnnxInterpolator]  # by the system's name
 
     @property
-    def systems(self) -> tuple[str, ...]:
-        """Names of the systems that options added."""
-        extra = () if self.imported is None else (EXTRANET, EXTRANET_FAST)
-        return (*extra, *self.interpolators)
-
-    @property
     def checksums(self) -> dict[str, str]:
         """SHA-256 of each network by what it is; what interpolates depends on its card as well."""
         ours = {"extrapolator": self.own, "extranet": self.imported, LOOKAHEAD: self.look_ahead}
@@ -186,12 +171,8 @@ class Networks:
 def load_networks(settings: BenchSettings, threads: int | None) -> Networks:
     """Load what the systems run on.
 
-    Raises
-    ------
-    InputError, MissingExtraError
-        When a network cannot be used.
-    UsageError
-        When two interpolators have one name.
+    InputError or MissingExtraError: a network cannot be used. UsageError: two interpolators have
+    one name.
     """
     own = imported = look_ahead = None
     if any(name in CHOOSERS or name in FIXED[:-1] for name in settings.systems):
@@ -216,16 +197,14 @@ def load_networks(settings: BenchSettings, threads: int | None) -> Networks:
 class SystemFrames:
     """Frames of one key interval by the names of `systems`, each different one made once.
 
-    The interval comes with the next key frame, its past, and our network. Frames are as files like
-    `template` would hold them, on the display window.
+    The interval comes with the next key frame, its past, and our network. Frames are as the files
+    of a run would hold them, on the display window.
     """
 
-    def __init__(
-        self, interval: Interval, networks: Networks, template: FrameTemplate, display: Window
-    ) -> None:
-        self._interval, self._networks = interval, networks
-        self._foreign = replace(interval, extrapolator=networks.imported)
-        self._template, self._display = template, display
+    def __init__(self, opened: OpenedSubject, inputs: IntervalInputs, interval: Interval) -> None:
+        self._interval, self._networks = interval, opened.networks
+        self._foreign = replace(interval, extrapolator=opened.networks.imported)
+        self._template, self._display = inputs.template, opened.display
         self._frames: dict[str, Float32] = {}
 
     def __getitem__(self, name: str) -> Float32:
@@ -279,17 +258,14 @@ class OpenedSubject:
 
     `keys` are the indices of the key frames that are measured: those with another one and truth
     after. `numbers` are the numbers of all key frames. `parts` is where the parts of it lie.
-
-    Raises
-    ------
-    ExwarpError
-        When the sequence cannot be used.
+    ExwarpError: the sequence cannot be used.
     """
 
     def __init__(self, subject: Subject, settings: BenchSettings, networks: Networks) -> None:
         self.subject, self.settings, self.networks = subject, settings, networks
-        # Names of all systems that are compared.
-        self.systems = (*settings.systems, *networks.systems)
+        extranet = () if networks.imported is None else (EXTRANET, EXTRANET_FAST)
+        # Names of all systems that are compared: those that options add come last.
+        self.systems = (*settings.systems, *extranet, *networks.interpolators)
         self.source = open_source(subject.source)
         keys, timeline = self.source.keys, self.source.timeline
         self.display, self.numbers = keys.display, timeline.numbers
@@ -322,10 +298,6 @@ class OpenedSubject:
         self.builder = IntervalBuilder(self.display, extrapolator, self.networks.look_ahead)
         self.observer = Observer(self.display, self.source.setting)
         self.chooser = LearnedPolicy(self.policy.network)
-
-    def frames(self, inputs: IntervalInputs, interval: Interval) -> SystemFrames:
-        """Return what systems show, as files would hold it."""
-        return SystemFrames(interval, self.networks, inputs.template, self.display)
 
     def truth_numbers(self, key: int) -> dict[int, int]:
         """Return the numbers of the ground truth of slots 0 to 4; 4 is the next key frame's."""
