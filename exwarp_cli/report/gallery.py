@@ -24,6 +24,7 @@ import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -130,40 +131,39 @@ class Album:
 
     def to_plain(self) -> dict[str, Any]:
         """Return the object of the module's text but what pages add; equal pictures appear once."""
-        pictures: dict[int, tuple[int, Picture]] = {}  # each with its index, by identity
-
-        def index(picture: Picture) -> int:
-            return pictures.setdefault(id(picture), (len(pictures), picture))[0]
-
-        frames = []
-        for _, shown in sorted(self.frames.items()):
-            risk = shown.risk
-            frames.append(
-                {
-                    "number": shown.number,
-                    "label": f"frame {shown.number}",
-                    "kind": shown.kind,
-                    "facts": shown.facts,
-                    "risk": None
-                    if risk is None
-                    else {
-                        "columns": risk.columns,
-                        "rows": risk.rows,
-                        "levels": [round(level, 1) for level in risk.levels],
-                    },
-                    "holes": None if shown.holes is None else index(shown.holes),
-                    "pictures": {name: index(p) for name, p in shown.pictures.items()},
-                    "errors": {name: index(p) for name, p in shown.errors.items()},
-                }
-            )
-        used = {name for shown in self.frames.values() for name in shown.pictures}
+        frames = [shown for _, shown in sorted(self.frames.items())]
+        used = {name for shown in frames for name in shown.pictures}
+        pictures = {
+            id(picture): picture
+            for shown in frames
+            for picture in (shown.holes, *shown.pictures.values(), *shown.errors.values())
+            if picture is not None
+        }
+        index = {key: i for i, key in enumerate(pictures)}
         return {
             "names": [name for name in self.names if name in used],
             "before": self.before,
             "after": self.after,
             "start": self.start,
-            "images": [picture.to_plain() for _, picture in pictures.values()],
-            "frames": frames,
+            "images": [picture.to_plain() for picture in pictures.values()],
+            "frames": [
+                {
+                    "number": shown.number,
+                    "label": f"frame {shown.number}",
+                    "kind": shown.kind,
+                    "facts": shown.facts,
+                    "risk": shown.risk
+                    and {
+                        "columns": shown.risk.columns,
+                        "rows": shown.risk.rows,
+                        "levels": [round(level, 1) for level in shown.risk.levels],
+                    },
+                    "holes": shown.holes and index[id(shown.holes)],
+                    "pictures": {name: index[id(p)] for name, p in shown.pictures.items()},
+                    "errors": {name: index[id(p)] for name, p in shown.errors.items()},
+                }
+                for shown in frames
+            ],
         }
 
 
@@ -311,12 +311,10 @@ def _read_frames(
 
     Masks keep their size.
     """
-    pictures: dict[tuple[int, int], Picture] = {}
 
+    @cache
     def picture(index: int, room: int) -> Picture:
-        if (index, room) not in pictures:
-            pictures[index, room] = Picture.from_plain(plain["images"][index]).within(room, longest)
-        return pictures[index, room]
+        return Picture.from_plain(plain["images"][index]).within(room, longest)
 
     return [
         Shown(

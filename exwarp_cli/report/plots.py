@@ -317,15 +317,14 @@ def draw_timeline(
     step = TIMELINE_WIDTH / max(len(shared), 1)
     gap = 0.6 if step > 3 else 0
     height = ROW * len(rows)
-    svg = _svg_opening(f"0 0 {LEFT + TIMELINE_WIDTH} {height + LEGEND}", labels)
+    parts = [_svg_opening(f"0 0 {LEFT + TIMELINE_WIDTH} {height + LEGEND}", labels)]
     x = LEFT
     for kind in kinds:
-        svg += (
+        parts.append(
             f'<rect x="{x}" y="{height + 6}" width="9" height="9" class="k-{kind_role(kind)}"/>'
             f'<text class="word" x="{x + 13}" y="{height + 14}">{escape(kind)}</text>'
         )
         x += 26 + 6 * len(kind)
-    parts = [svg]
     for r, name in enumerate(rows):
         y = r * ROW
         parts.append(

@@ -27,6 +27,7 @@ from exwarp_cli.research.bench.bench_document import (
 )
 from exwarp_cli.research.bench.bench_figures import FIGURES, draw_features, sequence_labels
 from exwarp_cli.research.bench.bench_tables import (
+    NOTHING,
     PAPER,
     SEQUENCE,
     SOURCE,
@@ -115,7 +116,8 @@ def format_markdown(document: Document) -> str:
             "|" + "|".join("---:" if column.style else "---" for column in columns) + "|",
         ]
         for row in table.rows:
-            lines.append("| " + " | ".join(_escape(column.text(row)) for column in columns) + " |")
+            cells = (_escape(column.text(row) or NOTHING) for column in columns)
+            lines.append("| " + " | ".join(cells) + " |")
         parts.append(f"## {table.title}\n\n{table.note}\n\n" + "\n".join(lines) + "\n")
     return "\n".join(parts)
 
@@ -187,7 +189,7 @@ def _page_table(title: str, table: BenchTable, rows: Sequence[Row], note: str = 
         for column in table.measured_columns
         if column.key not in spare or len({row.get(column.key) for row in rows} - {None}) > 1
     ]
-    cells = [[None if row.get(c.key) is None else c.text(row) for c in columns] for row in rows]
+    cells = [[column.text(row) for column in columns] for row in rows]
     return Table(title, [column.title for column in columns], cells, note)
 
 
@@ -232,11 +234,10 @@ def _make_albums(benchmark: Benchmark) -> list[Album]:
     systems = [name for name in PICTURED if name in benchmark.systems] + extra
     chosen: list[list[int]] = []
     for row in benchmark.measured:
-        judge = next((name for name in systems if name in row.parts[0]["systems"]), None)
         numbers: set[int] = set()
-        if judge is not None:
+        if systems:
             quality = {
-                part["key"]: sum(frame["all"]["psnr_db"] for frame in part["systems"][judge])
+                part["key"]: sum(frame["all"]["psnr_db"] for frame in part["systems"][systems[0]])
                 for part in row.parts
             }
             ranked = sorted(quality, key=lambda number: quality[number])

@@ -41,12 +41,10 @@ class Column:
     path: tuple[str, ...] = ()  # keys to its values in rows of bench.json, where not `key` alone
     optional: bool = False  # left out of the table where no row has a value
 
-    def text(self, row: Row) -> str:
-        """Return a row's cell as people read it; a dash for what was not measured."""
-        value = row.get(self.key)
-        if value is None:
-            return NOTHING
-        return format(value, self.style) if self.style else str(value)
+    def text(self, row: Row) -> str | None:
+        """Return a row's cell as people read it; None for what was not measured."""
+        value = row[self.key]
+        return None if value is None else format(value, self.style)
 
 
 @dataclass(frozen=True)

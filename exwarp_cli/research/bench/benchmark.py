@@ -188,32 +188,20 @@ def _measure_parts(opened: OpenedSubject, keys: Sequence[int], report: Report) -
     subject = opened.subject
     note = f"{subject.name}, {subject.setting}"
     for key in keys:
-        part, is_new = _measure_part(opened, key)
+        path = opened.parts / f"{opened.numbers[key]}.json"
+        identity = part_identity(opened, key, opened.reader.fingerprints(key))
+        part = _read_kept(path, identity)
+        is_new = part is None
+        if part is None:
+            part = measure(opened, opened.reader.read(key)) | {"identity": identity}
+            atomic_write_text(path, json.dumps(part) + "\n")
+        else:
+            opened.reader.release(key)
         parts[subject, key] = part
-        report((part["key"], note, _kind(subject), is_new))
+        report((opened.numbers[key], note, _kind(subject), is_new))
         check_stop()
     opened.restart()
     return parts
-
-
-def _measure_part(opened: OpenedSubject, key: int) -> tuple[dict[str, Any], bool]:
-    """Return what is measured of a key interval, and whether it was not on disk before."""
-    path = opened.parts / f"{opened.numbers[key]}.json"
-    kept: dict[str, Any] | None = None
-    identity = ""
-
-    def needed(_: int, recipes: dict[int, str]) -> bool:
-        nonlocal kept, identity
-        identity = part_identity(opened, key, recipes)
-        kept = _read_kept(path, identity)
-        return kept is None
-
-    inputs = opened.reader.read(key, needed)
-    if kept is not None:
-        return kept, False
-    part = measure(opened, inputs) | {"identity": identity}
-    atomic_write_text(path, json.dumps(part) + "\n")
-    return part, True
 
 
 def _read_kept(path: Path, identity: str) -> dict[str, Any] | None:

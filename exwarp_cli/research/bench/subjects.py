@@ -194,26 +194,23 @@ def load_networks(settings: BenchSettings, threads: int | None) -> Networks:
     return Networks(own, imported, look_ahead, interpolators)
 
 
-class SystemFrames:
-    """Frames of one key interval by the names of `systems`, each different one made once.
+class SystemFrames(dict[str, Float32]):
+    """Frames of one key interval by the names of `systems`, each made when it is asked for.
 
-    The interval comes with the next key frame, its past, and our network. Frames are as the files
-    of a run would hold them, on the display window.
+    They are float32 [H, W, 3 or 4], scene-linear, as the files of a run would hold them, on the
+    display window. The interval comes with the next key frame, its past, and our network.
     """
 
     def __init__(self, opened: OpenedSubject, inputs: IntervalInputs, interval: Interval) -> None:
         self._interval, self._networks = interval, opened.networks
         self._foreign = replace(interval, extrapolator=opened.networks.imported)
         self._template, self._display = inputs.template, opened.display
-        self._frames: dict[str, Float32] = {}
 
-    def __getitem__(self, name: str) -> Float32:
-        """Return a picture, float32 [H, W, 3 or 4], scene-linear."""
-        if name not in self._frames:
-            pixels = quantise_picture(self._make(name), self._template)
-            canvas = self._interval.key.image.data_window
-            self._frames[name] = place_on_canvas(pixels, canvas, self._display)
-        return self._frames[name]
+    def __missing__(self, name: str) -> Float32:
+        pixels = quantise_picture(self._make(name), self._template)
+        canvas = self._interval.key.image.data_window
+        self[name] = place_on_canvas(pixels, canvas, self._display)
+        return self[name]
 
     def _make(self, name: str) -> Float32:
         interval = self._interval
