@@ -131,12 +131,12 @@ def draw_lines(
     labels: Labels,
     x: Sequence[float],
     series: Mapping[str, Values],
-    marked: Sequence[int] = (),
+    marked: int | None = None,
     cuts: Sequence[float] = (),
 ) -> Figure:
     """Draw series over a common axis.
 
-    `marked` are indices into `x` that get a ring; an upright line stands before each frame that
+    `marked` is the index into `x` that gets a ring; an upright line stands before each frame that
     comes after one of the `cuts`.
     """
     with _canvas(2.3) as canvas:
@@ -149,10 +149,9 @@ def draw_lines(
                 at[points], y[points], color=f"C{i}", label=name, marker=marker,
                 markersize=3.5,
             )  # fmt: skip
-            rings = [j for j in marked if values[j] is not None]
-            if rings:
+            if marked is not None and values[marked] is not None:
                 axes.plot(
-                    at[rings], y[rings], linestyle="none", marker="o", markersize=9,
+                    x[marked], y[marked], linestyle="none", marker="o", markersize=9,
                     markerfacecolor="none", markeredgecolor=COLOURS["mark"], zorder=5,
                     markeredgewidth=1.6,
                 )  # fmt: skip
@@ -395,15 +394,25 @@ def _draw_legend(axes: Axes, count: int) -> None:
 
 @contextmanager
 def _canvas(height: float) -> Iterator[Canvas]:
-    """Yield a canvas, `height` inches high, without settings of the user's own matplotlib."""
-    with quiet():
-        import matplotlib
-        from matplotlib.figure import Figure as Canvas
+    """Yield a canvas, `height` inches high, without settings of the user's own matplotlib.
 
-        with matplotlib.rc_context():
-            matplotlib.rcdefaults()
-            matplotlib.rcParams.update(SETTINGS)
-            yield Canvas(figsize=(WIDTH, height), layout="constrained")
+    Messages on its caches and fonts, which begin on import, are suppressed.
+    """
+    log = logging.getLogger("matplotlib")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import matplotlib
+            from matplotlib.figure import Figure as Canvas
+
+            with matplotlib.rc_context():
+                matplotlib.rcdefaults()
+                matplotlib.rcParams.update(SETTINGS)
+                yield Canvas(figsize=(WIDTH, height), layout="constrained")
+    finally:
+        log.setLevel(level)
 
 
 def _add_axes(canvas: Canvas, labels: Labels) -> Axes:
@@ -435,20 +444,6 @@ def _finish(canvas: Canvas, labels: Labels) -> Figure:
         body = body.replace(colour, f"var(--{name})")
     body = re.sub(r"\s*\n\s*", " ", body)
     return Figure(labels, _svg_opening(box, labels) + body.rstrip())
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Suppress matplotlib's messages on its caches and fonts, which begin on import."""
-    log = logging.getLogger("matplotlib")
-    level = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        log.setLevel(level)
 
 
 def _svg_opening(view_box: str, labels: Labels) -> str:

@@ -217,7 +217,7 @@ def _review(run: RunSummary, document: dict[str, Any], album: Album) -> list[Blo
             "How wrong each new frame is expected to be; lower is better.",
         )  # fmt: skip
         worst = numbers.index(review["predicted_error"]["worst_frame"])
-        blocks.append(draw_lines(labels, numbers, series, (worst,), _after_cuts(run)))
+        blocks.append(draw_lines(labels, numbers, series, worst, _after_cuts(run)))
     if places := places_worth_a_look(run)[:MAX_PLACES]:
         rows: list[list[Cell]] = [
             [
@@ -272,7 +272,7 @@ def _quality(run: RunSummary, document: dict[str, Any], album: Album) -> list[Bl
             numbers = [number for number, _ in pulses]
             series = {metric.title: [value for _, value in pulses]}
             worst = numbers.index(pulse["worst_frame"])
-            blocks.append(draw_lines(labels, numbers, series, (worst,), _after_cuts(run)))
+            blocks.append(draw_lines(labels, numbers, series, worst, _after_cuts(run)))
         rows = (
             ("mean of the new frames", metric.text(pulse["mean"])),
             (f"worst, frame {pulse['worst_frame']}", metric.text(pulse["worst"])),

@@ -134,10 +134,9 @@ def bench_page(benchmark: Benchmark, document: Document, albums: Sequence[Album]
     tables = {table.name: table for table in make_tables(document)}
     sections = []
     for title, names in SECTIONS.items():
-        shown = [tables[name] for name in names if name in tables]
-        if shown:
-            blocks = [block for table in shown for block in _blocks(benchmark, document, table)]
-            sections.append(Section(title.lower().replace(" ", "-"), title, blocks))
+        shown = (tables[name] for name in names if name in tables)
+        blocks = [block for table in shown for block in _blocks(benchmark, document, table)]
+        sections.append(Section(title.lower().replace(" ", "-"), title, blocks))
     viewers: list[Block] = []
     for i, (label, album) in enumerate(zip(sequence_labels(document), albums, strict=True)):
         if album.frames:

@@ -123,19 +123,16 @@ def _subjects_of_data_set(
                 raise
             say(f"left out: {error}")
             continue
-        manifest = scene.manifest
+        manifest, patterns = scene.manifest, []
         for frames in (manifest.instants, manifest.keys):
-            numbers = find_sequence(str(scene.folder / frames.pattern)).numbers
-            if list(numbers) != list(frames.numbers):
+            patterns.append(str(scene.folder / frames.pattern))
+            if list(find_sequence(patterns[-1]).numbers) != list(frames.numbers):
                 raise LayoutError(
                     f"{scene.folder} is rendered in pieces, and of {frames.pattern} only frames "
                     f"{frames.first}-{frames.first + frames.count - 1} hold together; render what "
                     "is between, or leave the scene out with --scenes"
                 )
-        # Instants are ground truth and G-buffers of slots at once.
-        keys, instants = (
-            str(scene.folder / frames.pattern) for frames in (manifest.keys, manifest.instants)
-        )
+        instants, keys = patterns  # instants are ground truth and G-buffers of slots at once
         policy, unseen = settings.policy, None
         without_scene = shipped_folder() / policy_name_without(scene.name)
         if policy is None and without_scene.is_file():
