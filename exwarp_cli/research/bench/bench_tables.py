@@ -169,8 +169,8 @@ def _runtime_rows(document: Document) -> Iterator[Document]:
 def _hole_rows(document: Document) -> Iterator[Document]:
     for row in document["holes"]:
         counts = row["histogram"]["counts"] if row["histogram"] else []
-        shares = {low: count / sum(counts) for low, count in zip(HOLE_EDGES, counts, strict=False)}
-        yield row | {f"from_{low:g}": share for low, share in shares.items()}
+        pairs = zip(HOLE_EDGES, counts, strict=False)
+        yield row | {f"from_{low:g}": count / sum(counts) for low, count in pairs}
 
 
 def _path_rows(metric: str, document: Document) -> Iterator[Document]:
