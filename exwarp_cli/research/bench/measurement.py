@@ -81,6 +81,7 @@ class IntervalScores:
     steps: Steps | None  # how surfaces move; None where flicker is not measured
     metrics: frozenset[str]  # names as in `Score`
     _scores: dict[tuple[str, int], FrameScores] = field(default_factory=dict, init=False)
+    _errors: dict[tuple[str, int], Float32] = field(default_factory=dict, init=False)
 
     def score(self, name: str, slot: int) -> FrameScores:
         """Score a picture shown at a slot, over all pixels and in holes; one by one frame."""
@@ -128,10 +129,13 @@ class IntervalScores:
         scores = [self.score(name, slot) for slot, name in zip(SLOTS, names, strict=True)]
         if self.steps is None:
             return scores
-        errors = {
-            slot: temporal.display_error(self.truth[slot], self.frames[name])
-            for slot, name in zip(SLOTS, names, strict=True)
-        }
+        errors = {}
+        for slot, name in zip(SLOTS, names, strict=True):
+            if (name, slot) not in self._errors:
+                self._errors[name, slot] = temporal.display_error(
+                    self.truth[slot], self.frames[name]
+                )
+            errors[slot] = self._errors[name, slot]
         flickers = flicker_of(errors, self.masks, self.steps)
         return [
             (replace(frame, flicker=over), holes and replace(holes, flicker=inside))
