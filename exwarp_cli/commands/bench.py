@@ -89,7 +89,8 @@ def command(
     from exwarp_cli.domain.metric import parse_metrics
     from exwarp_cli.pipeline.predictor import clock_of
     from exwarp_cli.pipeline.progress import reporting
-    from exwarp_cli.research.bench.bench_report import describe_files, write_benchmark
+    from exwarp_cli.report.folder import PAGE_FILE
+    from exwarp_cli.research.bench.bench_report import JSON_FILE, MARKDOWN_FILE, write_benchmark
     from exwarp_cli.research.bench.benchmark import run_benchmark
     from exwarp_cli.research.bench.systems import parse_names, parse_systems
 
@@ -108,6 +109,7 @@ def command(
     if as_json:
         print_json(written)
         return
+    out = settings.output
     with summary_of_files():
-        for line in describe_files(settings.output):
-            show(line)
+        show(f"tables in {out / MARKDOWN_FILE}, {out / JSON_FILE} and CSV files beside them")
+        show(f"page to look at: {out / PAGE_FILE}")

@@ -25,7 +25,6 @@ from exwarp_cli.report.html import (
     Page,
     Section,
     Table,
-    Viewer,
     file_name,
     measured_metrics,
     metric_plots,
@@ -107,7 +106,7 @@ def comparison_document(result: Comparison, baseline: Comparison | None = None) 
 def _summarise_quality(frames: tuple[ComparedFrame, ...]) -> dict[str, Any]:
     return {
         "all": mean_scores(frame.score for frame in frames),
-        "generated": mean_scores(f.score for f in frames if f.origin.generated),
+        GENERATED: mean_scores(f.score for f in frames if f.origin.generated),
         "dropped": mean_scores(f.score for f in frames if f.origin.dropped),
         "by_decision": {
             choice: mean_scores(f.score for f in frames if f.origin.choice == choice)
@@ -161,19 +160,13 @@ def quality_rows(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 def _judge_limits(result: Comparison) -> list[dict[str, Any]]:
     """Judge every limit of a comparison; ``value`` is None where it was not measured."""
-    frames, verdicts = result.frames, []
+    quality, verdicts = _summarise_quality(result.frames), []
     for limit in result.measuring.thresholds:
         name = limit.metric.field
-        scores = [frame.score for frame in frames]
-        if limit.scope == "holes":
-            value = mean_scores(frame.hole_score for frame in frames)[name]
-        elif limit.scope == GENERATED:
-            value = mean_scores(frame.score for frame in frames if frame.origin.generated)[name]
-        elif limit.scope == "all":
-            value = mean_scores(scores)[name]
-        else:
-            values = [number for score in scores if (number := getattr(score, name)) is not None]
-            value = max(values, key=limit.metric.badness, default=None)
+        values = [getattr(frame.score, name) for frame in result.frames]
+        measured = [value for value in values if value is not None]
+        worst = max(measured, key=limit.metric.badness, default=None)
+        value = worst if limit.scope == "worst" else quality[limit.scope][name]
         verdicts.append(
             {
                 "name": limit.name,
@@ -254,7 +247,7 @@ def compare_page(
         if frame.reference != frame.test:
             facts["reference frame"] = str(frame.reference)
         if frame.hole_fraction is not None:
-            facts["holes"] = str(format_percent(frame.hole_fraction))
+            facts["holes"] = format_percent(frame.hole_fraction)
         album.set_facts(frame.test, "", facts)
     test, reference = document["test"]["pattern"], document["reference"]["pattern"]
     numbers = [
@@ -283,7 +276,7 @@ def compare_page(
         subtitle,
         numbers,
         (
-            Section("frames", "Frames", [Viewer(album)] if album.frames else []),
+            Section("frames", "Frames", [album] if album.frames else []),
             Section("quality", "Quality", _quality(result, document, album, base_scores)),
             Section("input", "Input", [_input(document)]),
         ),

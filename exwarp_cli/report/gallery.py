@@ -22,7 +22,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
+from functools import cache
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +87,7 @@ class Album:
     start: int | None = None  # number of the frame shown first; None: the first but key frames
     fps: float | None = None  # frames a second, in real time; None if not known
     frames: dict[int, Shown] = field(default_factory=dict)  # by number
+    viewer: str = "viewer"  # id of its viewer, unique in the page: letters, digits and hyphens
 
     def add(
         self,
@@ -127,40 +131,39 @@ class Album:
 
     def to_plain(self) -> dict[str, Any]:
         """Return the object of the module's text but what pages add; equal pictures appear once."""
-        pictures: dict[int, tuple[int, Picture]] = {}  # each with its index, by identity
-
-        def index(picture: Picture) -> int:
-            return pictures.setdefault(id(picture), (len(pictures), picture))[0]
-
-        frames = []
-        for _, shown in sorted(self.frames.items()):
-            risk = shown.risk
-            frames.append(
-                {
-                    "number": shown.number,
-                    "label": f"frame {shown.number}",
-                    "kind": shown.kind,
-                    "facts": shown.facts,
-                    "risk": None
-                    if risk is None
-                    else {
-                        "columns": risk.columns,
-                        "rows": risk.rows,
-                        "levels": [round(level, 1) for level in risk.levels],
-                    },
-                    "holes": None if shown.holes is None else index(shown.holes),
-                    "pictures": {name: index(p) for name, p in shown.pictures.items()},
-                    "errors": {name: index(p) for name, p in shown.errors.items()},
-                }
-            )
-        used = {name for shown in self.frames.values() for name in shown.pictures}
+        frames = [shown for _, shown in sorted(self.frames.items())]
+        used = {name for shown in frames for name in shown.pictures}
+        pictures = {
+            id(picture): picture
+            for shown in frames
+            for picture in (shown.holes, *shown.pictures.values(), *shown.errors.values())
+            if picture is not None
+        }
+        index = {key: i for i, key in enumerate(pictures)}
         return {
             "names": [name for name in self.names if name in used],
             "before": self.before,
             "after": self.after,
             "start": self.start,
-            "images": [picture.to_plain() for _, picture in pictures.values()],
-            "frames": frames,
+            "images": [picture.to_plain() for picture in pictures.values()],
+            "frames": [
+                {
+                    "number": shown.number,
+                    "label": f"frame {shown.number}",
+                    "kind": shown.kind,
+                    "facts": shown.facts,
+                    "risk": shown.risk
+                    and {
+                        "columns": shown.risk.columns,
+                        "rows": shown.risk.rows,
+                        "levels": [round(level, 1) for level in shown.risk.levels],
+                    },
+                    "holes": shown.holes and index[id(shown.holes)],
+                    "pictures": {name: index[id(p)] for name, p in shown.pictures.items()},
+                    "errors": {name: index[id(p)] for name, p in shown.errors.items()},
+                }
+                for shown in frames
+            ],
         }
 
 
@@ -189,14 +192,12 @@ class Gallery:
         self._worst: tuple[float, int] | None = None
         self._key: tuple[int, Picture] | None = None
         self._key_of: dict[int, int] = {}
-        self._shared = False
 
     def share(self) -> Gallery:
         """Return an empty gallery for a part of the run, with the plan of the whole."""
-        part = Gallery(self._has_truth, self._output, self._truth, self._sources)
-        part._chosen, part._key_of = self._chosen, self._key_of
-        part.album.room, part.album.longest = self.album.room, self.album.longest
-        part._shared = True
+        part = copy(self)
+        part.album = replace(self.album, start=None, frames={})
+        part._worst = part._key = None
         return part
 
     def adopt(self, part: Gallery) -> None:
@@ -213,8 +214,8 @@ class Gallery:
         self._worst, self.album.start = worst, worst[1]
 
     def plan(self, groups: Sequence[Sequence[int]]) -> None:
-        """Choose whole groups, the first and the last among them."""
-        if self._shared:  # a part's own plan does not count
+        """Choose whole groups, the first and the last among them; what is chosen stays."""
+        if self._chosen:  # a part of a run has the plan of the whole
             return
         for i in choose_groups(groups):
             self._chosen.update(groups[i])
@@ -274,10 +275,8 @@ def merge_albums(
             file_of |= dict.fromkeys((number for number in there if number in asked), file)
 
     # Whole key intervals, as a gallery chooses them, and the worst frame.
-    intervals: dict[int, list[int]] = {}
-    for frame in run.frames:
-        intervals.setdefault(frame.key, []).append(frame.number)
-    groups = list(intervals.values())
+    intervals = groupby(run.frames, lambda frame: frame.key)
+    groups = [[frame.number for frame in frames] for _, frames in intervals]
     worst = worst_frame(frame for frame in run.frames if frame.number in file_of)
     chosen = set() if worst is None else {worst}
     complete = [i for i, group in enumerate(groups) if all(n in file_of for n in group)]
@@ -312,12 +311,10 @@ def _read_frames(
 
     Masks keep their size.
     """
-    pictures: dict[tuple[int, int], Picture] = {}
 
+    @cache
     def picture(index: int, room: int) -> Picture:
-        if (index, room) not in pictures:
-            pictures[index, room] = Picture.from_plain(plain["images"][index]).within(room, longest)
-        return pictures[index, room]
+        return Picture.from_plain(plain["images"][index]).within(room, longest)
 
     return [
         Shown(

@@ -19,11 +19,15 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.metric import METRICS, Metric
 from exwarp_cli.domain.results import Score
 from exwarp_cli.report.gallery import Album
-from exwarp_cli.report.plots import ROLES, SERIES, Figure, Labels, Values, draw_lines, quiet
+from exwarp_cli.report.plots import ROLES, SERIES, Figure, Labels, Values, draw_lines
 from exwarp_cli.report.schema import score_values
 from exwarp_cli.report.sentences import format_number
 
-HEAT_STEPS = 24  # colours that the error map is interpolated from
+# Colours that the error map is interpolated from, dark for none: matplotlib's magma in 24 steps.
+HEAT = (
+    "000004 060518 110c2f 1e1149 2f1163 420f75 54137d 651a80 782281 892881 9b2e7f ad347c "
+    "bf3a77 d0416f e04c67 ed5a5f f66e5c fb835f fd9869 feac76 fec185 fed597 fde9aa fcfdbf"
+)
 
 MAX_WORST = 8  # frames in the table of the worst
 
@@ -61,15 +65,7 @@ class Table:
     note: str = ""  # a line below
 
 
-@dataclass(frozen=True)
-class Viewer:
-    """An album to look at; `name` is unique in the page: letters, digits and hyphens."""
-
-    album: Album
-    name: str = "viewer"
-
-
-Block = Table | str | Viewer | Figure  # text is a paragraph
+Block = Table | str | Album | Figure  # text is a paragraph
 
 
 @dataclass(frozen=True)
@@ -126,12 +122,7 @@ def viewer_data(album: Album) -> Markup:
 
     It can stand inside a script element: no ``<``, only ASCII.
     """
-    with quiet():
-        from matplotlib import colormaps
-
-    # Colours of the error map, dark for none.
-    magma = colormaps["magma"]([i / (HEAT_STEPS - 1) for i in range(HEAT_STEPS)])
-    heat = [[round(255 * float(part)) for part in colour[:3]] for colour in magma]
+    heat = [list(bytes.fromhex(colour)) for colour in HEAT.split()]
     plain = album.to_plain() | {"heat": heat, "fps": album.fps}
     text = json.dumps(plain, allow_nan=False, separators=(",", ":"))
     for character in "<>&":
@@ -240,7 +231,7 @@ def metric_plots(
         series = {names[0] or metric.title: values}
         if metric in others:
             series[names[1]] = others[metric]
-        figures.append(draw_lines(labels, numbers, series, (worst,), cuts))
+        figures.append(draw_lines(labels, numbers, series, worst, cuts))
     return figures
 
 

@@ -131,12 +131,8 @@ def _select_newest(folders: Sequence[Path]) -> tuple[Selection, list[Path]]:
     finished_ns: dict[Path, int] = {}
     keys: dict[Path, frozenset[int]] = {}
     for folder in folders:
-        path = folder / REPORT_FILE
-        try:
-            finished_ns[folder] = path.stat().st_mtime_ns
-        except OSError as error:
-            raise InputError(f"cannot read {path}: {error.strerror or error}; {_AGAIN}") from error
         _, document = _read_report(folder)
+        finished_ns[folder] = (folder / REPORT_FILE).stat().st_mtime_ns
         try:
             numbers = list_numbers(document["input"]["selected"] or "")
             keys[folder] = frozenset(map(int, numbers))

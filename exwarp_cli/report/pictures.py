@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.colour import PEAK, encode_display
+from exwarp_cli.domain.colour import PEAK, SRGB, encode_display
 from exwarp_cli.domain.frame import Bool, Float32, UInt8
 
 # Media types of colour and errors, and of masks.
@@ -98,10 +98,8 @@ def tone_curve(linear: Float32, peak: int) -> Float32:
     `peak`.
     """
     # With the sRGB curve alone over 0 to 16, shadows would be left in steps of 16 levels.
-    toe = linear * np.float32(12.92)
-    body = np.float32(1.055) * np.maximum(linear, 0) ** np.float32(1 / 2.4) - np.float32(0.055)
     above = 1 + np.float32(SLOPE) * np.log(np.maximum(linear, 1))
-    coded = np.where(linear <= 0.0031308, toe, np.where(linear <= 1, body, above))
+    coded = np.where(linear <= 1, SRGB.to_code(linear), above)
     return np.asarray(coded.clip(0, None) / (1 + SLOPE * math.log(peak)), np.float32)
 
 

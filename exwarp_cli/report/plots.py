@@ -19,7 +19,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 from markupsafe import Markup, escape
 
 if TYPE_CHECKING:
@@ -72,6 +71,8 @@ TIMELINE_COLUMNS = 600
 LEFT, TIMELINE_WIDTH, ROW, LEGEND = 46, 520, 22, 18
 
 SETTINGS: dict[Any, Any] = {
+    # Of series, as "C0", "C1" …, over and over.
+    "axes.prop_cycle": f"cycler(color={[COLOURS[f'c{i}'] for i in range(SERIES)]})",
     "svg.fonttype": "none",
     "svg.hashsalt": "exwarp",
     "text.parse_math": False,  # a dollar sign in a name is one
@@ -130,28 +131,27 @@ def draw_lines(
     labels: Labels,
     x: Sequence[float],
     series: Mapping[str, Values],
-    marked: Sequence[int] = (),
+    marked: int | None = None,
     cuts: Sequence[float] = (),
 ) -> Figure:
     """Draw series over a common axis.
 
-    `marked` are indices into `x` that get a ring; an upright line stands before each frame that
+    `marked` is the index into `x` that gets a ring; an upright line stands before each frame that
     comes after one of the `cuts`.
     """
     with _canvas(2.3) as canvas:
         axes = _add_axes(canvas, labels)
         at = np.asarray(x)
         for i, (name, values) in enumerate(series.items()):
-            points, y = thin_out(values), _to_floats(values)
+            points, y = thin_out(values), np.array(values, float)  # None becomes NaN
             marker = MARKERS[i % len(MARKERS)] if len(points) <= 60 else None
             axes.plot(
-                at[points], y[points], color=_series_colour(i), label=name, marker=marker,
+                at[points], y[points], color=f"C{i}", label=name, marker=marker,
                 markersize=3.5,
             )  # fmt: skip
-            rings = [j for j in marked if values[j] is not None]
-            if rings:
+            if marked is not None and values[marked] is not None:
                 axes.plot(
-                    at[rings], y[rings], linestyle="none", marker="o", markersize=9,
+                    x[marked], y[marked], linestyle="none", marker="o", markersize=9,
                     markerfacecolor="none", markeredgecolor=COLOURS["mark"], zorder=5,
                     markeredgewidth=1.6,
                 )  # fmt: skip
@@ -170,7 +170,7 @@ def draw_points(
     """Draw one value a frame, coloured by what made the frame, a word out of KINDS each."""
     with _canvas(2.5) as canvas:
         axes = _add_axes(canvas, labels)
-        at, points, y = np.asarray(x), thin_out(values), _to_floats(values)
+        at, points, y = np.asarray(x), thin_out(values), np.array(values, float)
         axes.plot(at[points], y[points], color=COLOURS["grid"], linewidth=1)
         for kind in dict.fromkeys(kinds):
             of_kind = [j for j in points if kinds[j] == kind and values[j] is not None]
@@ -194,14 +194,14 @@ def draw_bars(
 
     `references` are, by series, values that are marked across its bars: the paper's.
     """
-    width = 0.8 / max(len(series), 1)
+    width = 0.8 / len(series)
     is_in_legend = False  # the first mark stands for all
     with _canvas(2.6) as canvas:
         axes = _add_axes(canvas, labels)
         for i, (name, values) in enumerate(series.items()):
             x = [group - 0.4 + width * (i + 0.5) for group in range(len(groups))]
             axes.bar(
-                x, _to_floats(values), width * 0.92, color=_series_colour(i), label=name,
+                x, np.array(values, float), width * 0.92, color=f"C{i}", label=name,
                 hatch="///" if i >= SERIES else None, edgecolor=COLOURS["bg"], linewidth=0,
             )  # fmt: skip
             pairs = zip(x, (references or {}).get(name, ()), strict=False)
@@ -212,9 +212,9 @@ def draw_bars(
                 label="paper" if marks and not is_in_legend else "_",
             )  # fmt: skip
             is_in_legend |= bool(marks)
-        is_long = sum(len(str(group)) for group in groups) > 70
+        is_long = sum(map(len, groups)) > 70
         axes.set_xticks(
-            range(len(groups)), [str(group) for group in groups],
+            range(len(groups)), groups,
             rotation=30 if is_long else 0, ha="right" if is_long else "center",
         )  # fmt: skip
         axes.grid(False, axis="x")
@@ -237,32 +237,25 @@ def draw_stacked_bars(
         left = [0.0] * len(groups)
         for i, (name, values) in enumerate(parts.items()):
             lengths = [value or 0.0 for value in values]
-            colour = COLOURS[kind_role(name)] if kinds else _series_colour(i)
+            colour = COLOURS[kind_role(name)] if kinds else f"C{i}"
             hatch = "///" if i >= SERIES and not kinds else None  # colours repeat from here on
             axes.barh(
                 range(len(groups)), lengths, 0.7, left=left, label=name, color=colour, hatch=hatch,
                 edgecolor=COLOURS["bg"], linewidth=0.5,
             )  # fmt: skip
             left = [a + b for a, b in zip(left, lengths, strict=True)]
-        axes.set_yticks(range(len(groups)), [str(group) for group in groups])
+        axes.set_yticks(range(len(groups)), groups)
         axes.invert_yaxis()
         axes.grid(False, axis="y")
         _draw_legend(axes, max(len(parts), 2))
         return _finish(canvas, labels)
 
 
-def draw_histogram(
-    labels: Labels, edges: Sequence[float], counts: Mapping[str, Sequence[float]]
-) -> Figure:
-    """Draw counts between edges, one step line a series; a single one is filled."""
+def draw_histogram(labels: Labels, edges: Sequence[float], counts: Sequence[float]) -> Figure:
+    """Draw counts between edges as a filled outline."""
     with _canvas(2.1) as canvas:
         axes = _add_axes(canvas, labels)
-        for i, (name, values) in enumerate(counts.items()):
-            axes.stairs(
-                values, edges, label=name, color=_series_colour(i), fill=len(counts) == 1,
-                linewidth=1.6,
-            )  # fmt: skip
-        _draw_legend(axes, len(counts))
+        axes.stairs(counts, edges, color="C0", fill=True, linewidth=1.6)
         return _finish(canvas, labels)
 
 
@@ -270,17 +263,16 @@ def draw_scatter(
     labels: Labels, panels: Mapping[str, Sequence[float]], y: Sequence[float]
 ) -> Figure:
     """Draw small scatter plots of `y` over each of the panels, in rows of `SCATTER_COLUMNS`."""
-    rows = max(math.ceil(len(panels) / SCATTER_COLUMNS), 1)
-    columns = min(SCATTER_COLUMNS, max(len(panels), 1))
+    rows = math.ceil(len(panels) / SCATTER_COLUMNS)
     points = thin_out(y)
     with _canvas(0.4 + 1.9 * rows) as canvas:
-        grid = canvas.subplots(rows, columns, sharey=True, squeeze=False)
+        grid = canvas.subplots(rows, SCATTER_COLUMNS, sharey=True, squeeze=False)
         for axes in grid.flat[len(panels) :]:
             axes.set_visible(False)
         for i, ((title, x), axes) in enumerate(zip(panels.items(), grid.flat, strict=False)):
             axes.scatter(
                 [x[j] for j in points], [y[j] for j in points], s=7, alpha=0.55,
-                color=COLOURS["c0"], linewidths=0,
+                color="C0", linewidths=0,
             )  # fmt: skip
             axes.set_title(title)
             if i % SCATTER_COLUMNS == 0:
@@ -290,11 +282,11 @@ def draw_scatter(
 
 def draw_series_panels(labels: Labels, x: Sequence[float], series: Mapping[str, Values]) -> Figure:
     """Draw a small line plot for each series below each other, each with its own y axis."""
-    with _canvas(0.5 + 0.75 * max(len(series), 1)) as canvas:
+    with _canvas(0.5 + 0.75 * len(series)) as canvas:
         grid = canvas.subplots(len(series), 1, sharex=True, squeeze=False)
         for axes, (name, values) in zip(grid.flat, series.items(), strict=True):
             points = thin_out(values)
-            axes.plot(np.asarray(x)[points], _to_floats(values)[points], color=_series_colour(0))
+            axes.plot(np.asarray(x)[points], np.array(values, float)[points], color="C0")
             axes.set_ylabel(name, rotation=0, ha="right", va="center")
             axes.locator_params(axis="y", nbins=3)
             _mark_frames(axes, x)
@@ -324,15 +316,14 @@ def draw_timeline(
     step = TIMELINE_WIDTH / max(len(shared), 1)
     gap = 0.6 if step > 3 else 0
     height = ROW * len(rows)
-    svg = _svg_opening(f"0 0 {LEFT + TIMELINE_WIDTH} {height + LEGEND}", labels)
+    parts = [_svg_opening(f"0 0 {LEFT + TIMELINE_WIDTH} {height + LEGEND}", labels)]
     x = LEFT
     for kind in kinds:
-        svg += (
+        parts.append(
             f'<rect x="{x}" y="{height + 6}" width="9" height="9" class="k-{kind_role(kind)}"/>'
             f'<text class="word" x="{x + 13}" y="{height + 14}">{escape(kind)}</text>'
         )
         x += 26 + 6 * len(kind)
-    parts = [svg]
     for r, name in enumerate(rows):
         y = r * ROW
         parts.append(
@@ -379,14 +370,6 @@ def kind_role(kind: str) -> str:
     return kind if kind in ROLES else "muted"
 
 
-def _series_colour(index: int) -> str:
-    return COLOURS[f"c{index % SERIES}"]
-
-
-def _to_floats(values: Values) -> npt.NDArray[np.float64]:
-    return np.array(values, np.float64)  # None becomes NaN
-
-
 def _mark_frames(axes: Axes, x: Sequence[float], cuts: Sequence[float] = ()) -> None:
     """Draw a line before each frame after a cut; let no tick stand between two frames."""
     for number in cuts:
@@ -411,15 +394,25 @@ def _draw_legend(axes: Axes, count: int) -> None:
 
 @contextmanager
 def _canvas(height: float) -> Iterator[Canvas]:
-    """Yield a canvas, `height` inches high, without settings of the user's own matplotlib."""
-    with quiet():
-        import matplotlib
-        from matplotlib.figure import Figure as Canvas
+    """Yield a canvas, `height` inches high, without settings of the user's own matplotlib.
 
-        with matplotlib.rc_context():
-            matplotlib.rcdefaults()
-            matplotlib.rcParams.update(SETTINGS)
-            yield Canvas(figsize=(WIDTH, height), layout="constrained")
+    Messages on its caches and fonts, which begin on import, are suppressed.
+    """
+    log = logging.getLogger("matplotlib")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import matplotlib
+            from matplotlib.figure import Figure as Canvas
+
+            with matplotlib.rc_context():
+                matplotlib.rcdefaults()
+                matplotlib.rcParams.update(SETTINGS)
+                yield Canvas(figsize=(WIDTH, height), layout="constrained")
+    finally:
+        log.setLevel(level)
 
 
 def _add_axes(canvas: Canvas, labels: Labels) -> Axes:
@@ -441,7 +434,7 @@ def _finish(canvas: Canvas, labels: Labels) -> Figure:
     # No prologue, fonts or global style.
     body = text[text.index("<svg") :]
     body = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", body, count=1, flags=re.DOTALL)
-    box = re.search(r'viewBox="([^"]*)"', body)
+    box = re.findall(r'viewBox="([^"]*)"', body)[0]
     body = body[body.index(">") + 1 :]
     body = re.sub(r'(<g) id="[^"]*"', r"\1", body)
     body = body.replace("xlink:href", "href")
@@ -450,22 +443,7 @@ def _finish(canvas: Canvas, labels: Labels) -> Figure:
     for name, colour in COLOURS.items():
         body = body.replace(colour, f"var(--{name})")
     body = re.sub(r"\s*\n\s*", " ", body)
-    opening = _svg_opening(box[1] if box else "0 0 1 1", labels)
-    return Figure(labels, opening + body.rstrip())
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Suppress matplotlib's messages on its caches and fonts, which begin on import."""
-    log = logging.getLogger("matplotlib")
-    level = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        log.setLevel(level)
+    return Figure(labels, _svg_opening(box, labels) + body.rstrip())
 
 
 def _svg_opening(view_box: str, labels: Labels) -> str:

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from fractions import Fraction
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -174,7 +175,7 @@ def mean(values: Iterable[float]) -> float | None:
 
 def score_values(score: Score | None) -> dict[str, float | None]:
     """Return a score's values by their names in every report; None if not measured."""
-    return {m.field: None if score is None else getattr(score, m.field) for m in METRICS}
+    return {m.field: getattr(score, m.field, None) for m in METRICS}
 
 
 def mean_scores(scores: Iterable[Score | None]) -> dict[str, float | int | None]:
@@ -197,11 +198,9 @@ def timed_steps(frames: tuple[FrameRecord, ...]) -> list[str]:
 
 def _complete_intervals(run: RunSummary) -> list[list[FrameRecord]]:
     """Group frames by key frame, without groups that lack a slot (the last one without tail)."""
-    groups: dict[int, list[FrameRecord]] = {}
-    for frame in run.frames:
-        groups.setdefault(frame.key, []).append(frame)
+    intervals = [list(frames) for _, frames in groupby(run.frames, lambda frame: frame.key)]
     least = math.floor(run.factor)  # of 2.5, intervals show two or three
-    return [group for group in groups.values() if len({f.slot for f in group}) >= least]
+    return [frames for frames in intervals if len({f.slot for f in frames}) >= least]
 
 
 def _count_frames(run: RunSummary) -> dict[str, Any]:
@@ -478,5 +477,4 @@ def escape_formula(name: str | None) -> str | None:
 
 def score_cells(score: Score | None, names: Sequence[str]) -> list[float | None]:
     """Return the cells of some metrics, by their names in `Score`."""
-    values = score_values(score)
-    return [values[name] for name in names]
+    return [getattr(score, name, None) for name in names]

@@ -15,9 +15,9 @@ def format_number(value: float | None, digits: int = 1) -> str | None:
     return None if value is None else f"{value:,.{digits}f}"
 
 
-def format_percent(share: float | None, digits: int = 1) -> str | None:
-    """Write a share as per cent; None stays None."""
-    return None if share is None else f"{share * 100:.{digits}f} %"
+def format_percent(share: float, digits: int = 1) -> str:
+    """Write a share as per cent."""
+    return f"{share * 100:.{digits}f} %"
 
 
 def format_time(seconds: float | None) -> str | None:

@@ -21,7 +21,6 @@ from exwarp_cli.report.html import (
     Page,
     Section,
     Table,
-    Viewer,
     better,
     file_name,
     frame_cell,
@@ -117,7 +116,7 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album) -> Pa
         if frame.risk is not None:
             facts["predicted error"] = f"{frame.risk.error:.1f} of 255"
         if frame.has_holes:
-            facts["holes"] = str(format_percent(frame.hole_fraction))
+            facts["holes"] = format_percent(frame.hole_fraction or 0.0)
         album.set_facts(frame.number, frame_maker(frame), facts, frame.risk)
     # VMAF and flicker are known only now.
     if (worst := worst_frame(run.frames)) in album.frames:
@@ -130,7 +129,7 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album) -> Pa
         f"{source['width']}x{source['height']}",
         headline(document),
         (
-            Section("frames", "Frames", [Viewer(album)] if album.frames else []),
+            Section("frames", "Frames", [album] if album.frames else []),
             Section("review", "Worth a look", _review(run, document, album)),
             Section("quality", "Quality", _quality(run, document, album)),
             Section("decisions", "Decisions", _decisions(run, document["decisions"])),
@@ -190,10 +189,10 @@ def headline(document: dict[str, Any]) -> list[Number]:
         note = (
             f"of the pixels of {pluralise(sum(holes['histogram']['counts']), 'frame')}, on average"
         )
-        numbers.append(Number("Holes", f"{format_percent(holes['mean_fraction'])}", note))
+        numbers.append(Number("Holes", format_percent(holes["mean_fraction"]), note))
     if decisions["warp_share"] is not None:
         note = "of decisions" if decisions["cost"] is None else "of the area"
-        numbers.append(Number("Warps", f"{format_percent(decisions['warp_share'], 0)}", note))
+        numbers.append(Number("Warps", format_percent(decisions["warp_share"], 0), note))
     if fps["throughput"]:
         time = format_time(1 / fps["throughput"])
         numbers.append(Number("Time", str(time), "per written frame, all threads"))
@@ -218,7 +217,7 @@ def _review(run: RunSummary, document: dict[str, Any], album: Album) -> list[Blo
             "How wrong each new frame is expected to be; lower is better.",
         )  # fmt: skip
         worst = numbers.index(review["predicted_error"]["worst_frame"])
-        blocks.append(draw_lines(labels, numbers, series, (worst,), _after_cuts(run)))
+        blocks.append(draw_lines(labels, numbers, series, worst, _after_cuts(run)))
     if places := places_worth_a_look(run)[:MAX_PLACES]:
         rows: list[list[Cell]] = [
             [
@@ -236,9 +235,7 @@ def _review(run: RunSummary, document: dict[str, Any], album: Album) -> list[Blo
 
 def _after_cuts(run: RunSummary) -> list[int]:
     """Return the output number of the first frame after each cut, as far as it was written."""
-    first: dict[int, int] = {}
-    for frame in run.frames:
-        first.setdefault(frame.key, frame.number)
+    first = {frame.key: frame.number for frame in reversed(run.frames)}
     return [first[cut.number] for cut in run.cuts or () if cut.number in first]
 
 
@@ -275,7 +272,7 @@ def _quality(run: RunSummary, document: dict[str, Any], album: Album) -> list[Bl
             numbers = [number for number, _ in pulses]
             series = {metric.title: [value for _, value in pulses]}
             worst = numbers.index(pulse["worst_frame"])
-            blocks.append(draw_lines(labels, numbers, series, (worst,), _after_cuts(run)))
+            blocks.append(draw_lines(labels, numbers, series, worst, _after_cuts(run)))
         rows = (
             ("mean of the new frames", metric.text(pulse["mean"])),
             (f"worst, frame {pulse['worst_frame']}", metric.text(pulse["worst"])),
@@ -291,8 +288,7 @@ def _slot_plots(frames: Sequence[FrameRecord]) -> list[Figure]:
         metric = BY_FIELD[field]
         values: dict[int, list[float]] = {}
         for frame in frames:
-            flicker = None if frame.score is None else frame.score.flicker
-            value = frame.pulse if field == "pulse" else flicker
+            value = getattr(frame if field == "pulse" else frame.score, field, None)
             if frame.slot and value is not None:
                 values.setdefault(frame.slot, []).append(value)
         if len(values) < 2:
@@ -394,7 +390,7 @@ def _holes_and_features(run: RunSummary, document: dict[str, Any]) -> list[Block
                 f"Histogram of the hole share; 95 % of the frames have at most {p95}.",
             )  # fmt: skip
             percents = [100 * edge for edge in edges[: bins + 1]]
-            blocks.append(draw_histogram(labels, percents, {"frames": counts[:bins]}))
+            blocks.append(draw_histogram(labels, percents, counts[:bins]))
     features = [
         (f.number, f.decision.features) for f in run.frames if f.decision and f.decision.features
     ]

@@ -27,13 +27,13 @@ LABELS = Labels("T <i> & $x$ 🎬", "x", "y", 'what "it" shows')
 X = list(range(8))
 Y = [1.0, 2.0, None, 4.0, 3.0, 2.0, 1.0, 0.5]
 FIGURES = {
-    "lines": lambda: plots.draw_lines(LABELS, X, {"a": Y, "b": Y[::-1]}, marked=[3]),
+    "lines": lambda: plots.draw_lines(LABELS, X, {"a": Y, "b": Y[::-1]}, marked=3),
     "points": lambda: plots.draw_points(LABELS, X, Y, ["warp", "extrapolate", "hold", "blend"] * 2),
     "bars": lambda: plots.draw_bars(
         LABELS, ["g", "h"], {"a": [1, 2], "b": [2, None]}, {"a": [3, 1]}
     ),
     "stacked": lambda: plots.draw_stacked_bars(LABELS, ["g"], {f"s{i}": [1.0] for i in range(9)}),
-    "histogram": lambda: plots.draw_histogram(LABELS, [0, 1, 2], {"a": [3, 4]}),
+    "histogram": lambda: plots.draw_histogram(LABELS, [0, 1, 2], [3, 4]),
     "scatter": lambda: plots.draw_scatter(LABELS, {name: [1, 2] for name in "pqrs"}, [3, 4]),
     "panels": lambda: plots.draw_series_panels(LABELS, X, {"a": Y, "b": Y}),
     "strip": lambda: draw_timeline(

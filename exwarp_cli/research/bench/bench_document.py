@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import asdict
 from importlib import resources
 from typing import Any
 
@@ -114,11 +113,6 @@ def identify(row: Measured) -> Document:
     }
 
 
-def _frames(row: Measured, system: str) -> list[Document]:
-    """Return the frames that a system shows at slots 1 to 3 of all key intervals."""
-    return [frame for part in row.parts for frame in part["systems"][system]]
-
-
 def _time_rows(row: Measured) -> Document:
     """Return the rows of a sequence that state times: Table III, beside rendering, and Figure 8.
 
@@ -134,12 +128,12 @@ def _time_rows(row: Measured) -> Document:
         "others_ms": {
             name: value for name, value in steps.items() if name not in ("warp", "holes", "network")
         },
-        "paper": None if printed is None else asdict(printed),
+        "paper": printed and dict(zip(paper.RUNTIME_STEPS, printed, strict=True)),
     }
-    new_frames = {
-        name: sum(frame["made_by"] != HOLD for frame in _frames(row, name)) / len(row.parts)
-        for name in row.parts[0]["systems"]
-    }
+    new_frames: dict[str, float] = {}
+    for name in row.parts[0]["systems"]:
+        makers = [frame["made_by"] for part in row.parts for frame in part["systems"][name]]
+        new_frames[name] = sum(maker != HOLD for maker in makers) / len(row.parts)
     base = row.about["fps"]
     fps = {
         "base": base,
@@ -196,7 +190,7 @@ def _score_rows(row: Measured) -> Document:
     interval_ms = 1e3 / row.about["fps"]
     systems, comparison = {}, {}
     for name in first["systems"]:
-        frames = _frames(row, name)
+        frames = [frame for part in row.parts for frame in part["systems"][name]]
         systems[name] = {
             "all": _mean_scores(frames),
             "holes": _mean_scores(frames, "holes"),

@@ -15,7 +15,7 @@ from exwarp_cli.io.files import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.report.folder import PAGE_FILE
 from exwarp_cli.report.gallery import BUDGET, PICTURE_BYTES, TRUTH, Album
-from exwarp_cli.report.html import Block, Number, Page, Section, Table, Viewer, render
+from exwarp_cli.report.html import Block, Number, Page, Section, Table, render
 from exwarp_cli.report.schema import escape_formula, format_csv, mean, to_json
 from exwarp_cli.report.sentences import format_percent, format_time
 from exwarp_cli.research.bench.bench_document import (
@@ -27,6 +27,7 @@ from exwarp_cli.research.bench.bench_document import (
 )
 from exwarp_cli.research.bench.bench_figures import FIGURES, draw_features, sequence_labels
 from exwarp_cli.research.bench.bench_tables import (
+    NOTHING,
     PAPER,
     SEQUENCE,
     SOURCE,
@@ -35,7 +36,7 @@ from exwarp_cli.research.bench.bench_tables import (
     make_tables,
 )
 from exwarp_cli.research.bench.benchmark import Benchmark, Measured
-from exwarp_cli.research.bench.subjects import OpenedSubject
+from exwarp_cli.research.bench.subjects import OpenedSubject, SystemFrames
 from exwarp_cli.research.bench.systems import CHOOSERS, FIXED_PATHS, POLICY, SLOTS, pictures_of
 
 JSON_FILE, MARKDOWN_FILE = "bench.json", "bench.md"
@@ -70,17 +71,9 @@ PICTURED = (POLICY, "s6", "softsplat", "minterpolate", "hold")
 def write_benchmark(
     folder: Path, benchmark: Benchmark, clock_hz: float, progress: Progress
 ) -> Document:
-    """Write bench.json, bench.md, a CSV file a table, and the page.
+    """Write bench.json, bench.md, a CSV file a table, and the page; return what bench.json holds.
 
-    Returns
-    -------
-    dict
-        What bench.json holds.
-
-    Raises
-    ------
-    OutputError
-        When a file cannot be written.
+    OutputError: a file cannot be written.
     """
     make_folder(folder)
     remove_leftovers(folder)
@@ -105,14 +98,6 @@ def write_benchmark(
     return document
 
 
-def describe_files(folder: Path) -> list[str]:
-    """Say in lines what lies in a benchmark's folder."""
-    return [
-        f"tables in {folder / MARKDOWN_FILE}, {folder / JSON_FILE} and CSV files beside them",
-        f"page to look at: {folder / PAGE_FILE}",
-    ]
-
-
 def _format_rows(header: Sequence[str], rows: Sequence[Row]) -> str:
     cells = ([row.get(key) for key in header] for row in rows)
     escaped = ([escape_formula(c) if isinstance(c, str) else c for c in row] for row in cells)
@@ -131,7 +116,8 @@ def format_markdown(document: Document) -> str:
             "|" + "|".join("---:" if column.style else "---" for column in columns) + "|",
         ]
         for row in table.rows:
-            lines.append("| " + " | ".join(_escape(column.text(row)) for column in columns) + " |")
+            cells = (_escape(column.text(row) or NOTHING) for column in columns)
+            lines.append("| " + " | ".join(cells) + " |")
         parts.append(f"## {table.title}\n\n{table.note}\n\n" + "\n".join(lines) + "\n")
     return "\n".join(parts)
 
@@ -148,15 +134,14 @@ def bench_page(benchmark: Benchmark, document: Document, albums: Sequence[Album]
     tables = {table.name: table for table in make_tables(document)}
     sections = []
     for title, names in SECTIONS.items():
-        shown = [tables[name] for name in names if name in tables]
-        if shown:
-            blocks = [block for table in shown for block in _blocks(benchmark, document, table)]
-            sections.append(Section(title.lower().replace(" ", "-"), title, blocks))
+        shown = (tables[name] for name in names if name in tables)
+        blocks = [block for table in shown for block in _blocks(benchmark, document, table)]
+        sections.append(Section(title.lower().replace(" ", "-"), title, blocks))
     viewers: list[Block] = []
     for i, (label, album) in enumerate(zip(sequence_labels(document), albums, strict=True)):
         if album.frames:
-            viewers += [label] if len(albums) > 1 else []
-            viewers.append(Viewer(album, f"viewer-{i}"))
+            album.viewer = f"viewer-{i}"
+            viewers += [label, album] if len(albums) > 1 else [album]
     return Page(
         "ExWarp benchmark",
         describe_benchmark(document),
@@ -203,7 +188,7 @@ def _page_table(title: str, table: BenchTable, rows: Sequence[Row], note: str = 
         for column in table.measured_columns
         if column.key not in spare or len({row.get(column.key) for row in rows} - {None}) > 1
     ]
-    cells = [[None if row.get(c.key) is None else c.text(row) for c in columns] for row in rows]
+    cells = [[column.text(row) for column in columns] for row in rows]
     return Table(title, [column.title for column in columns], cells, note)
 
 
@@ -216,11 +201,11 @@ def _numbers(document: Document) -> list[Number]:
     for name, label in HEADLINE:
         timed = [row for row in document["render_time"] if name in (row["saved_share"] or {})]
         if timed:
-            share = format_percent(mean(row["saved_share"][name] for row in timed))
+            share = format_percent(mean(row["saved_share"][name] for row in timed) or 0.0)
             rendered = format_time(mean(row["key_frame_s"] for row in timed))
             generated = format_time(mean(row["generated_frame_s"][name] for row in timed))
             numbers += [
-                Number("Render time saved", str(share), f"{label}, of rendering all frames"),
+                Number("Render time saved", share, f"{label}, of rendering all frames"),
                 Number("Rendered frame", str(rendered), "by the headers, on average"),
                 Number("Generated frame", str(generated), f"{label}, files apart"),
             ]
@@ -248,11 +233,10 @@ def _make_albums(benchmark: Benchmark) -> list[Album]:
     systems = [name for name in PICTURED if name in benchmark.systems] + extra
     chosen: list[list[int]] = []
     for row in benchmark.measured:
-        judge = next((name for name in systems if name in row.parts[0]["systems"]), None)
         numbers: set[int] = set()
-        if judge is not None:
+        if systems:
             quality = {
-                part["key"]: sum(frame["all"]["psnr_db"] for frame in part["systems"][judge])
+                part["key"]: sum(frame["all"]["psnr_db"] for frame in part["systems"][systems[0]])
                 for part in row.parts
             }
             ranked = sorted(quality, key=lambda number: quality[number])
@@ -275,7 +259,7 @@ def _make_album(
         key, part = opened.numbers.index(number), parts[number]
         inputs = opened.reader.read(key)
         interval = opened.builder.build(inputs)
-        frames, masks = opened.frames(inputs, interval), opened.masks(interval)
+        frames, masks = SystemFrames(opened, inputs, interval), opened.masks(interval)
         truth, paths = opened.truth(key), FIXED_PATHS | part["paths"]
         shown = {
             name: pictures_of(name, paths.get(name))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -41,34 +41,22 @@ class Column:
     path: tuple[str, ...] = ()  # keys to its values in rows of bench.json, where not `key` alone
     optional: bool = False  # left out of the table where no row has a value
 
-    def text(self, row: Row) -> str:
-        """Return a row's cell as people read it; a dash for what was not measured."""
-        value = row.get(self.key)
-        if value is None:
-            return NOTHING
-        return format(value, self.style) if self.style else str(value)
+    def text(self, row: Row) -> str | None:
+        """Return a row's cell as people read it; None for what was not measured."""
+        value = row[self.key]
+        return None if value is None else format(value, self.style)
 
 
 @dataclass(frozen=True)
-class TableSpec:
-    """How a table is made of bench.json; title and note may have fields of `make_tables`."""
+class BenchTable:
+    """A table, which `make_tables` fills: title and note may have fields of it until then."""
 
     name: str  # of its CSV file, without the ending
     title: str
     note: str  # what the numbers mean
     columns: tuple[Column, ...]
-    rows: Callable[[Document], Iterable[Document]]  # in which columns find their values
-
-
-@dataclass(frozen=True)
-class BenchTable:
-    """A table with its rows: cells by the keys of the columns."""
-
-    name: str
-    title: str
-    note: str
-    columns: tuple[Column, ...]
-    rows: tuple[Row, ...]
+    find_rows: Callable[[Document], Iterable[Document]]  # those that columns find their values in
+    rows: tuple[Row, ...] = ()  # cells by the keys of the columns
 
     @property
     def measured_columns(self) -> list[Column]:
@@ -171,8 +159,8 @@ def _runtime_rows(document: Document) -> Iterator[Document]:
 def _hole_rows(document: Document) -> Iterator[Document]:
     for row in document["holes"]:
         counts = row["histogram"]["counts"] if row["histogram"] else []
-        shares = {low: count / sum(counts) for low, count in zip(HOLE_EDGES, counts, strict=False)}
-        yield row | {f"from_{low:g}": share for low, share in shares.items()}
+        pairs = zip(HOLE_EDGES, counts, strict=False)
+        yield row | {f"from_{low:g}": count / sum(counts) for low, count in pairs}
 
 
 def _path_rows(metric: str, document: Document) -> Iterator[Document]:
@@ -279,7 +267,7 @@ def _clocked_slot_rows(document: Document) -> Iterator[Document]:
 
 # In the order in which they are shown: that of the paper.
 TABLES = (
-    TableSpec(
+    BenchTable(
         "render_time",
         "Rendering a frame against making one",
         "Seconds that the renderer left in the headers of the key frames, beside those of a "
@@ -295,7 +283,7 @@ TABLES = (
         ),
         _saving_rows,
     ),
-    TableSpec(
+    BenchTable(
         "runtime",
         "Run time of each step, ms a generated frame (Table III)",
         "Medians of three key intervals, on the processor named above; the paper's are those of an "
@@ -310,7 +298,7 @@ TABLES = (
         ),
         _runtime_rows,
     ),
-    TableSpec(
+    BenchTable(
         "holes",
         "Share of holes in warped frames (Figure 2)",
         "How many of the frames at slots 1 to 3 have that share of their pixels unseen in the key "
@@ -328,7 +316,7 @@ TABLES = (
         ),
         _hole_rows,
     ),
-    TableSpec(
+    BenchTable(
         "correlation",
         "Features against the PSNR of W (Figure 4)",
         "Correlation of ranks (Spearman) and of values (Pearson), slot by slot; the paper: "
@@ -350,7 +338,7 @@ TABLES = (
         lambda document: document["features"],
     ),
     *(
-        TableSpec(
+        BenchTable(
             f"paths_{name}",
             title,
             PATHS_NOTE,
@@ -370,7 +358,7 @@ TABLES = (
             ("ssim", "The same, SSIM (Table VI)", "ssim", ".3f"),
         )
     ),
-    TableSpec(
+    BenchTable(
         "comparison",
         "Comparison with interpolation (Table VII)",
         "Look-ahead systems wait for the next key frame, so that a live viewer sees "
@@ -393,7 +381,7 @@ TABLES = (
         ),
         _comparison_rows,
     ),
-    TableSpec(
+    BenchTable(
         "fps",
         "Effective frames per second (Figure 8)",
         "Base rate x (1 + new frames a key interval); repeats are no new frames. The paper: "
@@ -408,7 +396,7 @@ TABLES = (
         ),
         lambda document: document["fps"],
     ),
-    TableSpec(
+    BenchTable(
         "decisions",
         "Breakdown of the decisions (Figure 9)",
         "Shares of warping among all decisions and at each node, and key intervals by path. The "
@@ -416,7 +404,7 @@ TABLES = (
         (*SEQUENCE, SYSTEM, *CHOICE_COLUMNS),
         lambda document: _choice_rows(document["decisions"]),
     ),
-    TableSpec(
+    BenchTable(
         "predictor",
         "Cost of the predictor (synthesis table)",
         "Counted on the paper's machine: 4 cores with ten 8-bit MACs. What is marked as measured "
@@ -429,7 +417,7 @@ TABLES = (
         ),
         _predictor_rows,
     ),
-    TableSpec(
+    BenchTable(
         "extranet",
         "By ExtraNet's procedure: one frame midway between two rendered ones",
         "8-bit sRGB, rounded; SSIM with a uniform 7x7 window. What a system shows at slot 2.",
@@ -450,7 +438,7 @@ TABLES = (
 
 # Those of a benchmark with a clock come last.
 CLOCKED_TABLES = (
-    TableSpec(
+    BenchTable(
         "real_time_fps",
         "Effective frames per second in real time (Figure 8, clock {clock})",
         CLOCK_NOTE + "{latencies}",
@@ -469,7 +457,7 @@ CLOCKED_TABLES = (
             row | {"base": document["real_time"]["base"]} for row in document["real_time"]["rows"]
         ),
     ),
-    TableSpec(
+    BenchTable(
         "real_time_paths",
         "What every decision path shows in real time",
         "In a key interval that begins with a free engine, by the size of the frames. By path: the "
@@ -485,7 +473,7 @@ CLOCKED_TABLES = (
         ),
         _clocked_path_rows,
     ),
-    TableSpec(
+    BenchTable(
         "real_time_decisions",
         "Breakdown of the decisions in real time (Figure 9, clock {clock})",
         "As in the table of all decisions. The policy does not know the clock: it decides as it "
@@ -497,7 +485,7 @@ CLOCKED_TABLES = (
             for row in document["real_time"]["rows"]
         ),
     ),
-    TableSpec(
+    BenchTable(
         "real_time_slots",
         "Slots and quality of every system in real time",
         "Shares of slots 1 to 3 by what they show, and why they repeat the frame before: by path, "
@@ -530,18 +518,16 @@ def make_tables(document: Document) -> tuple[BenchTable, ...]:
         "papers_holes": "".join(f" The paper, {app}: {text}." for app, text in printed.items()),
     }
     tables = []
-    for spec in TABLES if clock is None else (*TABLES, *CLOCKED_TABLES):
+    for table in TABLES if clock is None else (*TABLES, *CLOCKED_TABLES):
         rows = tuple(
-            {column.key: find_value(row, column.path or (column.key,)) for column in spec.columns}
-            for row in spec.rows(document)
+            {column.key: find_value(row, column.path or (column.key,)) for column in table.columns}
+            for row in table.find_rows(document)
         )
-        columns = tuple(
-            column
-            for column in spec.columns
-            if not column.optional or any(row[column.key] is not None for row in rows)
-        )
-        title, note = (text.format(**facts) for text in (spec.title, spec.note))
-        tables.append(BenchTable(spec.name, title, note, columns, rows))
+        title, note = (text.format(**facts) for text in (table.title, table.note))
+        filled = replace(table, title=title, note=note, rows=rows)
+        measured = filled.measured_columns
+        columns = tuple(c for c in table.columns if not c.optional or c in measured)
+        tables.append(replace(filled, columns=columns))
     return tuple(tables)
 
 

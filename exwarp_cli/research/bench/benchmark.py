@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,6 +21,7 @@ from exwarp_cli.io.files import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.pipeline.messages import other_extrapolator
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.scheduling import use_threads
+from exwarp_cli.report.schema import mean
 from exwarp_cli.research.bench.measurement import (
     measure,
     part_identity,
@@ -68,16 +69,8 @@ class Benchmark:
     opened: tuple[OpenedSubject, ...] = ()  # the same subjects, to make frames of once more
 
 
-@dataclass(frozen=True)
-class Step:
-    """A key interval that is done; `is_new` is false for one that was on disk."""
-
-    subject: Subject
-    number: int
-    is_new: bool
-
-
-Report = Callable[[Step], None]
+# Takes, of a key interval that is done, the arguments of `Progress.advance`.
+Report = Callable[[tuple[int, str, str, bool]], None]
 Parts = dict[tuple[Subject, int], dict[str, Any]]  # by subject and key frame
 
 
@@ -86,11 +79,7 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
     """Measure what is not measured yet, and keep it in the folder `PARTS` of the output folder.
 
     Yields the benchmark; the progress ends with the block, in which its files may be written.
-
-    Raises
-    ------
-    ExwarpError
-        For anything that a user can cause; what was measured until then is kept.
+    ExwarpError: anything that a user can cause; what was measured until then is kept.
     """
     progress = progress or Progress()
     subjects = find_subjects(settings, progress.message)
@@ -116,21 +105,14 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
         notes = [facts["policy"]["note"] for facts in about]
         for note in dict.fromkeys(note for note in notes if note is not None):
             progress.message(note)
-
-        def report(step: Step) -> None:
-            kind = _kind(step.subject)
-            note = f"{step.subject.name}, {step.subject.setting}"
-            progress.advance(step.number, note, kind, step.is_new)
-
-        parts = _measure_all(opened, jobs, report)
+        parts = _measure_all(opened, jobs, lambda step: progress.advance(*step))
         measured = tuple(
             Measured(
                 each.subject, facts, timing, tuple(parts[each.subject, key] for key in each.keys)
             )
             for each, facts, timing in zip(opened, about, timings, strict=True)
         )
-        systems = (*settings.systems, *networks.systems)
-        yield Benchmark(settings, networks.checksums, systems, measured, opened)
+        yield Benchmark(settings, networks.checksums, opened[0].systems, measured, opened)
     finally:
         progress.finish()
 
@@ -153,19 +135,15 @@ def _measure_times(opened: OpenedSubject, progress: Progress) -> dict[str, Any]:
     identity = hashlib.sha256(json.dumps(dependencies).encode()).hexdigest()
     path = opened.parts / "timing.json"
     timing = _read_kept(path, identity)
-    is_new = timing is None
-
-    def report(key: int) -> None:
-        note = f"timing {subject.name}, {subject.setting}"
-        progress.advance(opened.numbers[key], note, f"timing {_kind(subject)}", is_new)
-
-    if timing is None:
-        progress.message(f"timing {subject.name} with G-buffers for {GBUFFERS_OF[subject.setting]}")
-        timing = time_subject(opened, report) | {"identity": identity}
-        atomic_write_text(path, json.dumps(timing, indent=1) + "\n")
-    else:
+    note, kind = f"timing {subject.name}, {subject.setting}", f"timing {_kind(subject)}"
+    if timing is not None:
         for key in timed_keys(opened):
-            report(key)
+            progress.advance(opened.numbers[key], note, kind, made=False)
+        return timing
+    progress.message(f"timing {subject.name} with G-buffers for {GBUFFERS_OF[subject.setting]}")
+    timing = time_subject(opened, lambda key: progress.advance(opened.numbers[key], note, kind))
+    timing["identity"] = identity
+    atomic_write_text(path, json.dumps(timing, indent=1) + "\n")
     return timing
 
 
@@ -207,33 +185,23 @@ _load_in_worker = lru_cache(1)(load_networks)
 def _measure_parts(opened: OpenedSubject, keys: Sequence[int], report: Report) -> Parts:
     """Measure some key intervals of a subject; what is on disk and still right is taken."""
     parts: Parts = {}
+    subject = opened.subject
+    note = f"{subject.name}, {subject.setting}"
     for key in keys:
-        part, is_new = _measure_part(opened, key)
-        parts[opened.subject, key] = part
-        report(Step(opened.subject, part["key"], is_new))
+        path = opened.parts / f"{opened.numbers[key]}.json"
+        identity = part_identity(opened, key, opened.reader.fingerprints(key))
+        part = _read_kept(path, identity)
+        is_new = part is None
+        if part is None:
+            part = measure(opened, opened.reader.read(key)) | {"identity": identity}
+            atomic_write_text(path, json.dumps(part) + "\n")
+        else:
+            opened.reader.release(key)
+        parts[subject, key] = part
+        report((opened.numbers[key], note, _kind(subject), is_new))
         check_stop()
     opened.restart()
     return parts
-
-
-def _measure_part(opened: OpenedSubject, key: int) -> tuple[dict[str, Any], bool]:
-    """Return what is measured of a key interval, and whether it was not on disk before."""
-    path = opened.parts / f"{opened.numbers[key]}.json"
-    kept: dict[str, Any] | None = None
-    identity = ""
-
-    def needed(_: int, recipes: dict[int, str]) -> bool:
-        nonlocal kept, identity
-        identity = part_identity(opened, key, recipes)
-        kept = _read_kept(path, identity)
-        return kept is None
-
-    inputs = opened.reader.read(key, needed)
-    if kept is not None:
-        return kept, False
-    part = measure(opened, inputs) | {"identity": identity}
-    atomic_write_text(path, json.dumps(part) + "\n")
-    return part, True
 
 
 def _read_kept(path: Path, identity: str) -> dict[str, Any] | None:
@@ -248,9 +216,9 @@ def _read_kept(path: Path, identity: str) -> dict[str, Any] | None:
 def describe_subject(opened: OpenedSubject) -> dict[str, Any]:
     """Return size, rate, producer, policy and render times of a subject."""
 
-    def mean_render_seconds(paths: Sequence[Path]) -> float | None:
-        times = [time[0] for path in paths if (time := render_seconds(read_headers(path)))]
-        return sum(times) / len(times) if times else None
+    def mean_render_seconds(paths: Iterable[Path]) -> float | None:
+        times = (render_seconds(read_headers(path)) for path in paths)
+        return mean(time[0] for time in times if time)
 
     source, network = opened.source, opened.networks.own
     display = source.keys.display
@@ -260,7 +228,7 @@ def describe_subject(opened: OpenedSubject) -> dict[str, Any]:
     if source.slots is not None and Role.COLOUR not in source.slots.layout:
         files = source.slots.sequence.files
         numbers = [source.slot_number(Slot(key, slot)) for key in opened.keys for slot in SLOTS]
-        gbuffer_s = mean_render_seconds([files[n] for n in numbers if n is not None])
+        gbuffer_s = mean_render_seconds(files[n] for n in numbers if n is not None)
     key_files = [source.keys.sequence.files[opened.numbers[key]] for key in opened.keys]
     return {
         "width": display.width,

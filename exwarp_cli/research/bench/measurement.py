@@ -92,12 +92,22 @@ class IntervalScores:
             )
         return self._scores[name, slot]
 
-    def judged(self, name: str, slot: int) -> list[float]:
-        """Return PSNR and SSIM of a picture shown at a slot; no other metric is computed."""
-        frame, _ = self._scores.get((name, slot)) or score_frame(
-            self.truth[slot], self.frames[name], None, frozenset(JUDGED)
-        )
-        return [getattr(frame, metric) for metric in JUDGED]
+    def score_repeats(self, extrapolates: bool) -> dict[str, list[list[float] | None]]:
+        """Return PSNR and SSIM of each picture of the tree at slots 1 to 3, as if repeated there.
+
+        None stands before a picture's first slot. No other metric is computed.
+        """
+        by_picture: dict[str, list[list[float] | None]] = {}
+        for name, first in FIRST_SLOTS.items():
+            if not extrapolates and "E" in name:
+                continue
+            by_picture[name] = [None] * (first - 1)
+            for slot in range(first, FACTOR):
+                frame, _ = self._scores.get((name, slot)) or score_frame(
+                    self.truth[slot], self.frames[name], None, frozenset(JUDGED)
+                )
+                by_picture[name].append([getattr(frame, metric) for metric in JUDGED])
+        return by_picture
 
     def add_vmaf(self, systems: Sequence[tuple[str, ...]]) -> None:
         """Add VMAF to the pictures of some systems, all in one run.
@@ -120,12 +130,13 @@ class IntervalScores:
         scores = [self.score(name, slot) for slot, name in zip(SLOTS, names, strict=True)]
         if self.steps is None:
             return scores
+        errors = {}
         for slot, name in zip(SLOTS, names, strict=True):
             if (name, slot) not in self._errors:
                 self._errors[name, slot] = temporal.display_error(
                     self.truth[slot], self.frames[name]
                 )
-        errors = {slot: self._errors[name, slot] for slot, name in zip(SLOTS, names, strict=True)}
+            errors[slot] = self._errors[name, slot]
         flickers = flicker_of(errors, self.masks, self.steps)
         return [
             (replace(frame, flicker=over), holes and replace(holes, flicker=inside))
@@ -164,20 +175,17 @@ def part_identity(opened: OpenedSubject, key: int, recipes: Mapping[int, str]) -
 def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
     """Make and score the frames of slots 1 to 3 by every system.
 
-    Returns
-    -------
-    dict
-        ``key``, the key frame's number; ``holes``, the share of slots 1 to 3 that W cannot see;
-        ``features`` of the three instants of decision; ``paths`` of the choosing systems;
-        ``returns`` of S1 to S6; ``warp_psnr_db`` of W at slots 1 to 3; ``systems``, for each the
-        scores of its three frames; ``extranet``, scores of pictures by ExtraNet's procedure;
-        ``slot_scores``, which a clock needs: see `score_slots`.
+    Return ``key``, the key frame's number; ``holes``, the share of slots 1 to 3 that W cannot see;
+    ``features`` of the three instants of decision; ``paths`` of the choosing systems; ``returns``
+    of S1 to S6; ``warp_psnr_db`` of W at slots 1 to 3; ``systems``, for each the scores of its
+    three frames; ``extranet``, scores of pictures by ExtraNet's procedure; ``slot_scores``, which a
+    clock needs: see `IntervalScores.score_repeats`.
     """
     interval = opened.builder.build(inputs)
     surroundings = opened.observer.of(inputs, interval)
     metrics = frozenset((*opened.settings.metrics, *JUDGED))
     masks, display = opened.masks(interval), opened.display
-    frames, truth = opened.frames(inputs, interval), opened.truth(inputs.key)
+    frames, truth = SystemFrames(opened, inputs, interval), opened.truth(inputs.key)
     steps = steps_of(interval, display, inputs.followed) if "flicker" in metrics else None
     scores = IntervalScores(frames, truth, masks, steps, metrics)
 
@@ -217,22 +225,8 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
             system: {name: getattr(by_extranet[names[MIDDLE - 1]], name) for name in JUDGED}
             for system, names in shown.items()
         },
-        "slot_scores": score_slots(scores, extrapolates=gains is not None),
+        "slot_scores": scores.score_repeats(extrapolates=gains is not None),
     }
-
-
-def score_slots(scores: IntervalScores, extrapolates: bool) -> dict[str, list[list[float] | None]]:
-    """Return PSNR and SSIM of each picture of the tree at slots 1 to 3, as if repeated there.
-
-    None stands before a picture's first slot.
-    """
-    by_picture: dict[str, list[list[float] | None]] = {}
-    for name, first in FIRST_SLOTS.items():
-        if not extrapolates and "E" in name:
-            continue
-        by_picture[name] = [None] * (first - 1)
-        by_picture[name] += [scores.judged(name, slot) for slot in range(first, FACTOR)]
-    return by_picture
 
 
 def timed_keys(opened: OpenedSubject) -> tuple[int, ...]:
@@ -248,12 +242,8 @@ def timed_keys(opened: OpenedSubject) -> tuple[int, ...]:
 def time_subject(opened: OpenedSubject, report: Callable[[int], None]) -> dict[str, Any]:
     """Measure run times on `timed_keys`, alone on the machine, with all threads.
 
-    `report` is called with each of these intervals when it is done.
-
-    Returns
-    -------
-    dict
-        ``steps_ms`` and ``systems_ms``: medians, milliseconds a generated frame; ``machine``.
+    `report` is called with each of these intervals when it is done. Return ``steps_ms`` and
+    ``systems_ms``, medians, milliseconds a generated frame; and ``machine``.
     """
     steps: dict[str, list[float]] = defaultdict(list)
     systems: dict[str, list[float]] = defaultdict(list)
@@ -327,7 +317,7 @@ def _time_interval(
         if path is None and name in CHOOSERS:
             continue
         # A copy has none of the motion fields that were computed before.
-        frames = opened.frames(inputs, replace(interval))
+        frames = SystemFrames(opened, inputs, replace(interval))
         pictures = dict.fromkeys(pictures_of(name, path))
         spent_ms, _ = _timed(partial(list, map(frames.__getitem__, pictures)))
         systems[name] = spent_ms / count

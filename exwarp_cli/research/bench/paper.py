@@ -7,8 +7,6 @@ Applications are the paper's abbreviations: LB (Lab), TR (Tropical), VL (Village
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from exwarp_cli.domain.decision import PATHS
 
 # Abbreviation by the name of our scene of the same theme.
@@ -18,27 +16,19 @@ SCENES = {"lab": "LB", "tropical": "TR", "village": "VL", "town": "TN", "slum": 
 SIZES = ((900, "3"), (600, "2"), (0, ""))
 
 
-@dataclass(frozen=True)
-class Runtime:
-    """A row of Table III, "Runtime (ms) breakdown of the ExtraNet model"."""
-
-    gbuffer: float
-    warping: float
-    hole_marking: float
-    inference: float
-
-
+# Table III, "Runtime (ms) breakdown of the ExtraNet model", by step: see `RUNTIME_STEPS`.
 RUNTIME = {
-    "LB": Runtime(0.17, 0.95, 1.94, 3.67),
-    "TR": Runtime(0.36, 0.89, 1.89, 3.78),
-    "VL": Runtime(0.48, 0.83, 1.81, 3.45),
-    "TN": Runtime(0.34, 0.96, 1.89, 3.61),
-    "TN2": Runtime(1.01, 1.58, 2.49, 7.04),
-    "TN3": Runtime(1.02, 2.89, 4.57, 13.54),
-    "SL": Runtime(0.24, 0.95, 1.93, 3.55),
-    "SL2": Runtime(1.24, 1.67, 2.59, 7.09),
-    "SL3": Runtime(2.1, 2.91, 4.63, 13.78),
+    "LB": (0.17, 0.95, 1.94, 3.67),
+    "TR": (0.36, 0.89, 1.89, 3.78),
+    "VL": (0.48, 0.83, 1.81, 3.45),
+    "TN": (0.34, 0.96, 1.89, 3.61),
+    "TN2": (1.01, 1.58, 2.49, 7.04),
+    "TN3": (1.02, 2.89, 4.57, 13.54),
+    "SL": (0.24, 0.95, 1.93, 3.55),
+    "SL2": (1.24, 1.67, 2.59, 7.09),
+    "SL3": (2.1, 2.91, 4.63, 13.78),
 }
+RUNTIME_STEPS = ("gbuffer", "warping", "hole_marking", "inference")
 
 # Applications of Table III by the size of their frames.
 RUNTIME_APPS = {

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from math import ceil, inf
 from typing import Any
 
@@ -129,7 +129,7 @@ def table_latencies(pixels: int) -> Latencies:
     """
     sizes = [TABLE_PIXELS[size] for size in paper.RUNTIME_APPS]
     steps = [
-        np.mean([astuple(paper.RUNTIME[app]) for app in apps], axis=0)
+        np.mean([paper.RUNTIME[app] for app in apps], axis=0)
         for apps in paper.RUNTIME_APPS.values()
     ]
     larger = max(pixels / sizes[-1], 1.0)

@@ -11,14 +11,14 @@ import numpy as np
 
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import HOLD, LOOKAHEAD
-from exwarp_cli.domain.frame import Bool, Float32, Window, place_on_canvas
+from exwarp_cli.domain.frame import Bool, Float32, place_on_canvas
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, UsageError
 from exwarp_cli.io.dataset import BENCHMARK, find_scenes
 from exwarp_cli.io.ffmpeg import minterpolate, require_vmaf_size
 from exwarp_cli.io.footage import read_sequence_picture
-from exwarp_cli.io.generated_frames import FrameTemplate, quantise_picture
+from exwarp_cli.io.generated_frames import quantise_picture
 from exwarp_cli.io.sequences import find_sequence
 from exwarp_cli.models.interpolator import OnnxInterpolator, load_interpolator
 from exwarp_cli.models.model_file import shipped_folder
@@ -72,19 +72,10 @@ class Subject:
 def find_subjects(settings: BenchSettings, say: Callable[[str], None]) -> tuple[Subject, ...]:
     """Return what is measured, in the order of the inputs.
 
-    Parameters
-    ----------
-    settings
-        What was asked.
-    say
-        Receives a line on each scene that is left out, as hardly anything of it is rendered.
+    `say` receives a line on each scene that is left out, as hardly anything of it is rendered.
 
-    Raises
-    ------
-    InputError
-        When an input is no data set, or a scene is missing or not rendered.
-    UsageError
-        When options of a sequence and of a data set are mixed.
+    InputError: an input is no data set, or a scene is missing or not rendered. UsageError: options
+    of a sequence and of a data set are mixed.
     """
     if settings.ground_truth is not None:
         if len(settings.inputs) != 1 or settings.scenes:
@@ -132,19 +123,16 @@ def _subjects_of_data_set(
                 raise
             say(f"left out: {error}")
             continue
-        manifest = scene.manifest
+        manifest, patterns = scene.manifest, []
         for frames in (manifest.instants, manifest.keys):
-            numbers = find_sequence(str(scene.folder / frames.pattern)).numbers
-            if list(numbers) != list(frames.numbers):
+            patterns.append(str(scene.folder / frames.pattern))
+            if list(find_sequence(patterns[-1]).numbers) != list(frames.numbers):
                 raise LayoutError(
                     f"{scene.folder} is rendered in pieces, and of {frames.pattern} only frames "
                     f"{frames.first}-{frames.first + frames.count - 1} hold together; render what "
                     "is between, or leave the scene out with --scenes"
                 )
-        # Instants are ground truth and G-buffers of slots at once.
-        keys, instants = (
-            str(scene.folder / frames.pattern) for frames in (manifest.keys, manifest.instants)
-        )
+        instants, keys = patterns  # instants are ground truth and G-buffers of slots at once
         policy, unseen = settings.policy, None
         without_scene = shipped_folder() / policy_name_without(scene.name)
         if policy is None and without_scene.is_file():
@@ -168,12 +156,6 @@ class Networks:
     interpolators: Mapping[str, OnnxInterpolator]  # by the system's name
 
     @property
-    def systems(self) -> tuple[str, ...]:
-        """Names of the systems that options added."""
-        extra = () if self.imported is None else (EXTRANET, EXTRANET_FAST)
-        return (*extra, *self.interpolators)
-
-    @property
     def checksums(self) -> dict[str, str]:
         """SHA-256 of each network by what it is; what interpolates depends on its card as well."""
         ours = {"extrapolator": self.own, "extranet": self.imported, LOOKAHEAD: self.look_ahead}
@@ -186,12 +168,8 @@ class Networks:
 def load_networks(settings: BenchSettings, threads: int | None) -> Networks:
     """Load what the systems run on.
 
-    Raises
-    ------
-    InputError, MissingExtraError
-        When a network cannot be used.
-    UsageError
-        When two interpolators have one name.
+    InputError or MissingExtraError: a network cannot be used. UsageError: two interpolators have
+    one name.
     """
     own = imported = look_ahead = None
     if any(name in CHOOSERS or name in FIXED[:-1] for name in settings.systems):
@@ -213,28 +191,23 @@ def load_networks(settings: BenchSettings, threads: int | None) -> Networks:
     return Networks(own, imported, look_ahead, interpolators)
 
 
-class SystemFrames:
-    """Frames of one key interval by the names of `systems`, each different one made once.
+class SystemFrames(dict[str, Float32]):
+    """Frames of one key interval by the names of `systems`, each made when it is asked for.
 
-    The interval comes with the next key frame, its past, and our network. Frames are as files like
-    `template` would hold them, on the display window.
+    They are float32 [H, W, 3 or 4], scene-linear, as the files of a run would hold them, on the
+    display window. The interval comes with the next key frame, its past, and our network.
     """
 
-    def __init__(
-        self, interval: Interval, networks: Networks, template: FrameTemplate, display: Window
-    ) -> None:
-        self._interval, self._networks = interval, networks
-        self._foreign = replace(interval, extrapolator=networks.imported)
-        self._template, self._display = template, display
-        self._frames: dict[str, Float32] = {}
+    def __init__(self, opened: OpenedSubject, inputs: IntervalInputs, interval: Interval) -> None:
+        self._interval, self._networks = interval, opened.networks
+        self._foreign = replace(interval, extrapolator=opened.networks.imported)
+        self._template, self._display = inputs.template, opened.display
 
-    def __getitem__(self, name: str) -> Float32:
-        """Return a picture, float32 [H, W, 3 or 4], scene-linear."""
-        if name not in self._frames:
-            pixels = quantise_picture(self._make(name), self._template)
-            canvas = self._interval.key.image.data_window
-            self._frames[name] = place_on_canvas(pixels, canvas, self._display)
-        return self._frames[name]
+    def __missing__(self, name: str) -> Float32:
+        pixels = quantise_picture(self._make(name), self._template)
+        canvas = self._interval.key.image.data_window
+        self[name] = place_on_canvas(pixels, canvas, self._display)
+        return self[name]
 
     def _make(self, name: str) -> Float32:
         interval = self._interval
@@ -279,17 +252,14 @@ class OpenedSubject:
 
     `keys` are the indices of the key frames that are measured: those with another one and truth
     after. `numbers` are the numbers of all key frames. `parts` is where the parts of it lie.
-
-    Raises
-    ------
-    ExwarpError
-        When the sequence cannot be used.
+    ExwarpError: the sequence cannot be used.
     """
 
     def __init__(self, subject: Subject, settings: BenchSettings, networks: Networks) -> None:
         self.subject, self.settings, self.networks = subject, settings, networks
-        # Names of all systems that are compared.
-        self.systems = (*settings.systems, *networks.systems)
+        extranet = () if networks.imported is None else (EXTRANET, EXTRANET_FAST)
+        # Names of all systems that are compared: those that options add come last.
+        self.systems = (*settings.systems, *extranet, *networks.interpolators)
         self.source = open_source(subject.source)
         keys, timeline = self.source.keys, self.source.timeline
         self.display, self.numbers = keys.display, timeline.numbers
@@ -322,10 +292,6 @@ class OpenedSubject:
         self.builder = IntervalBuilder(self.display, extrapolator, self.networks.look_ahead)
         self.observer = Observer(self.display, self.source.setting)
         self.chooser = MlpKernel(self.policy.network)
-
-    def frames(self, inputs: IntervalInputs, interval: Interval) -> SystemFrames:
-        """Return what systems show, as files would hold it."""
-        return SystemFrames(interval, self.networks, inputs.template, self.display)
 
     def truth_numbers(self, key: int) -> dict[int, int]:
         """Return the numbers of the ground truth of slots 0 to 4; 4 is the next key frame's."""

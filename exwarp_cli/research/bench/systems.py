@@ -116,20 +116,14 @@ def parse_names(text: str | None) -> tuple[str, ...]:
 
 
 def parse_systems(text: str | None) -> tuple[str, ...]:
-    """Read ``--systems``; all for None.
-
-    Raises
-    ------
-    UsageError
-        For a name that is none.
-    """
+    """Read ``--systems``; all for None. UsageError: a name that is none, or no name."""
     if text is None:
         return SYSTEMS
     names = parse_names(text)
-    if unknown := [name for name in names if name not in SYSTEMS]:
-        raise UsageError(f"--systems names {unknown[0]!r}; choose out of {', '.join(SYSTEMS)}")
-    if not names:
-        raise UsageError(f"--systems is empty; choose out of {', '.join(SYSTEMS)}")
+    unknown = [name for name in names if name not in SYSTEMS]
+    if unknown or not names:
+        wrong = f"names {unknown[0]!r}" if unknown else "is empty"
+        raise UsageError(f"--systems {wrong}; choose out of {', '.join(SYSTEMS)}")
     return names
 
 
