@@ -41,12 +41,6 @@ DARKEST = 0.2
 # At most: white of both kinds.
 BRIGHTEST = 2.0
 
-SIGN = np.uint32(0x80000000)
-
-# Values that are coded at a time, which stay in the cache. With fewer, threads that share them wait
-# for each other more often in between.
-PART = 2**18
-
 # What kernels take for G-buffer parts that are not known.
 NO_PLANE, NO_VECTORS = np.zeros((0, 0), np.float32), np.zeros((0, 0, 3), np.float32)
 
@@ -215,38 +209,15 @@ def _divide(pixels: Float32, modulation: Float32) -> Float32:
 def encode(linear: Float32, out: Float32 | None = None) -> Float32:
     """Return sign(x) log(1 + |x|): high dynamic range in a few units, negative values kept.
 
-    `out`, contiguous, may be `linear` itself.
+    `out` may be `linear` itself.
     """
-    return _signed(np.log1p, linear, np.empty(linear.shape, np.float32) if out is None else out)
+    size = np.abs(linear)
+    coded: Float32 = np.copysign(np.log1p(size, out=size), linear, out=out)
+    return coded
 
 
 def decode(coded: Float32) -> Float32:
     """Invert :func:`encode`."""
-    out: Float32 = pool.empty(coded.shape, np.float32)
-    flat = np.ascontiguousarray(coded).reshape(-1)
-    _row_bands.run_bands(_decode, (flat, out.reshape(-1)), _row_bands.threads())
-    return out
-
-
-def _decode(coded: Float32, out: Float32, share: Band) -> None:
-    part = band_slice(coded.size, share)
-    _signed(np.expm1, coded[part], out[part])
-
-
-def _signed(curve: np.ufunc, values: Float32, out: Float32) -> Float32:
-    """Write a curve of the magnitude with the value's sign to `out`, contiguous; return `out`."""
-    source, target = np.ascontiguousarray(values).reshape(-1), out.reshape(-1)
-    buffer = np.empty(min(source.size, PART), np.float32)
-    # numpy's curves compute 16 values at once, in a twentieth of the time of a loop of calls.
-    for first in range(0, source.size, PART):
-        part, result = source[first : first + PART], target[first : first + PART]
-        if part.view(np.int32).min() >= 0:  # none has a sign
-            curve(part, out=result)
-            continue
-        size = buffer[: part.size]
-        curve(np.abs(part, out=size), out=size)
-        # A curve of magnitudes has no sign bit, so that setting it is the same as `copysign`, in a
-        # fifth of the time.
-        np.bitwise_and(part.view(np.uint32), SIGN, out=result.view(np.uint32))
-        np.bitwise_or(result.view(np.uint32), size.view(np.uint32), out=result.view(np.uint32))
-    return out
+    size = np.abs(coded)
+    linear: Float32 = np.copysign(np.expm1(size, out=size), coded, out=size)
+    return linear

@@ -92,14 +92,6 @@ def displacement(
     return out
 
 
-def reach_of(motion: Float32) -> Float32:
-    """Return the target rows of displacements [H, W, 2], as the splatting kernel takes them."""
-    spans = -(-motion.shape[1] // splat.REACH_SPAN)
-    reach = np.empty((motion.shape[0], spans + 1, 2), np.float32)
-    splat.splat_row_extents(motion, reach)
-    return reach
-
-
 def _on_arc(gbuffer: GBuffer, index: Index, time: float) -> Float32:
     """Return the displacement of points that turn, float32 [N, 2] in pixels, -1 < time < 1.
 
