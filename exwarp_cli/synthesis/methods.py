@@ -252,7 +252,7 @@ def _look_ahead(name: str, weighs: bool, interval: Interval, slot: int) -> Predi
         return _causal(interval, slot)
     mixer = interval.look_ahead(slot, weighs)
     pixels = mixer.make(key.image.pixels, following.image.pixels)
-    made_by, risk, tiles = LOOKAHEAD if mixer.weighs else SOFTSPLAT, None, None
+    made_by, risk, tiles = SOFTSPLAT if mixer.network is None else LOOKAHEAD, None, None
     if mixer.chosen is not None:
         tiles = TileMakers.chosen(mixer.chosen)
         made_by = LOOKAHEAD if mixer.chosen.any() else SOFTSPLAT
