@@ -13,7 +13,6 @@ the sky, whose vectors are 0 even while the camera turns.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,29 +118,6 @@ def camera_after(
     pixels = pixels_at(index, scene.depth.shape[1])
     ends = pixels + vectors.reshape(-1, 2)[index]
     return fit(scene.points(index), ends, movers=stencil is None)
-
-
-def cameras_around(
-    scene: Scene | None,
-    # As for `camera_after`; None for an instant without vectors.
-    vectors: Sequence[Float32 | None],
-    stencil: Int32 | None,
-) -> F64:
-    """Recover the cameras of several instants, in the layout of the kernel that settles motion.
-
-    Returns float64 [N, 2, 3, 4]: of each instant for points, and for background at infinity; NaN
-    where there is none.
-    """
-    out = np.full((len(vectors), 2, 3, 4), np.nan)
-    for matrices, motion in zip(out, vectors, strict=True):
-        if scene is None or motion is None:
-            continue
-        camera = camera_after(scene, motion, stencil)
-        if camera is not None:
-            matrices[0] = camera
-            matrices[1, :, :3] = camera[:, :3] @ scene.to_ray
-            matrices[1, :, 3] = 1.0
-    return out
 
 
 def seen_by(scene: Scene, camera: F64) -> Float32:

@@ -16,7 +16,6 @@ from exwarp_cli.synthesis.camera import (
     Index,
     Scene,
     camera_after,
-    cameras_around,
     place_still,
     scene_of,
     seen_by,
@@ -115,7 +114,15 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
         for each in vectors
     )
     settled = tuple(pool.empty(each.shape, np.float32) for each in rendered)
-    cameras = cameras_around(scene, vectors, gbuffer.stencil)
+    # To the frames before and after: for points, and for background at infinity.
+    cameras = np.full((2, 2, 3, 4), np.nan)
+    for (near, far), motion in zip(cameras, vectors, strict=True):
+        if scene is None or motion is None:
+            continue
+        camera = camera_after(scene, motion, gbuffer.stencil)
+        if camera is not None:
+            near[:] = camera
+            far[:, :3], far[:, 3] = camera[:, :3] @ scene.to_ray, 1.0
     silhouettes.clean_vectors(rendered, surfaces, cameras, np.float32(STATIC_TOLERANCE), settled)
     bend = move_rigidly(gbuffer, scene, cameras, settled)
     before, after = (

@@ -200,7 +200,7 @@ Poses = tuple[Pose | None, Pose | None]
 def move_rigidly(
     gbuffer: GBuffer,  # as rendered; without ids nothing is done
     scene: Scene | None,  # the frame's points; without world positions nothing is done
-    cameras: F64,  # [2, 2, 3, 4], from :func:`exwarp_cli.synthesis.camera.cameras_around`
+    cameras: F64,  # [2, 2, 3, 4], as `silhouettes.clean_vectors` takes them
     # Motion to the previous and to the next frame, float32 [H, 2 W] each, changed; empty where
     # there is none.
     settled: tuple[Float32, ...],
