@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.array_types import F64, I8, I32, I64, U8
+from exwarp_cli.kernels.array_types import I8, I32, I64, U8
 
 FRACTION_BITS = 16
 
@@ -62,11 +62,6 @@ def to_fixed(values: npt.ArrayLike) -> I32:
     whole = np.floor(scaled)
     rounded = whole + (scaled - whole >= 0.5)
     return np.asarray(rounded).astype(np.int32)
-
-
-def from_fixed(values: I32) -> F64:
-    """Return what Q16.16 numbers stand for, exactly; float64 of the same shape."""
-    return np.asarray(values, np.float64) / ONE
 
 
 def requantise_half_up(

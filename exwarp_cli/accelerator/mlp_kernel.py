@@ -88,7 +88,6 @@ class MlpKernel:
 
     def __init__(self, network: QuantisedMlp) -> None:
         self.network = network
-        self._shape = (network.sizes[0],)
         self._width = max(size + -size % BLOCK_INPUTS for size in network.sizes)
         weights = [
             np.pad(layer.weights.T, ((0, -layer.fan_in % BLOCK_INPUTS), (0, 0))).ravel()
@@ -107,13 +106,11 @@ class MlpKernel:
         self._packed = np.concatenate(weights), constants, np.array(network.sizes, np.int64)
 
     def decide(self, state: I32) -> tuple[tuple[int, int], int]:
-        """Run one inference, of a state [n] in Q16.16; ValueError if it is not int32 [n].
+        """Run one inference, of a state [n] in Q16.16; ValueError as `decide_many`.
 
         Return the outputs for warping and for extrapolating, and the choice: 0 to warp, 1 to
         extrapolate.
         """
-        if state.dtype != np.int32 or state.shape != self._shape:
-            raise ValueError(f"a state is int32 {self._shape}, not {state.dtype} {state.shape}")
         outputs, choices = self.decide_many(state[None])
         return (int(outputs[0, 0]), int(outputs[0, 1])), int(choices[0])
 
@@ -124,7 +121,7 @@ class MlpKernel:
         """
         states = check_states(self.network, states)
         if states.ndim != 2:
-            raise ValueError(f"states are int32 [N, {self._shape[0]}], not {states.shape}")
+            raise ValueError(f"states are int32 [N, {self.network.sizes[0]}], not {states.shape}")
         outputs = np.empty((states.shape[0], 2), np.int32)
         run_network(*self._packed, np.ascontiguousarray(states), self._width, outputs)
         return outputs, np.asarray(outputs[:, 1] > outputs[:, 0]).astype(np.int8)

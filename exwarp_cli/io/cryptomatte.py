@@ -222,11 +222,8 @@ def surface_ids(
     """
     bits, shares = _bits_and_shares(ranks)
     ids = np.empty(bits.shape[:2], np.int32)
-    if dynamic is None:
-        raw_channels.write_dominant_ids(bits, shares, LEAD, rounded, ids)
-    else:
-        moving = np.array(sorted(dynamic), np.int32)
-        raw_channels.write_moving_ids(bits, shares, LEAD, rounded, moving, ids)
+    moving = np.array(sorted(dynamic or ()), np.int32)
+    raw_channels.write_dominant_ids(bits, shares, LEAD, rounded, moving, dynamic is None, ids)
     return ids
 
 

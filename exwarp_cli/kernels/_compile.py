@@ -211,23 +211,15 @@ def candidate_folders() -> Iterator[Path]:
     # A missing home folder is not made, and without one "~" would be made in the current folder.
     if cache.is_absolute() and (home.is_dir() or not cache.is_relative_to(home)):
         yield cache / "exwarp"
-    temporary = _temporary_folder()
-    if temporary is not None:
-        yield temporary
-
-
-def _temporary_folder() -> Path | None:
-    # No other user may write to it, as builds in it are executed.
-    if not hasattr(os, "getuid"):
-        return None
-    with suppress(OSError):
-        folder = Path(tempfile.gettempdir(), f"exwarp-{os.getuid()}")
-        folder.mkdir(mode=0o700, exist_ok=True)
-        status = folder.lstat()
-        is_own = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
-        if is_own and not status.st_mode & 0o022:
-            return folder
-    return None
+    if hasattr(os, "getuid"):
+        with suppress(OSError):
+            folder = Path(tempfile.gettempdir(), f"exwarp-{os.getuid()}")
+            folder.mkdir(mode=0o700, exist_ok=True)
+            status = folder.lstat()
+            is_own = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
+            # No other user may write to it, as builds in it are executed.
+            if is_own and not status.st_mode & 0o022:
+                yield folder
 
 
 @functools.cache

@@ -11,9 +11,6 @@ import numpy as np
 from exwarp_cli.kernels._compile import device_function, inline, kernel
 from exwarp_cli.kernels.array_types import I32, I64
 
-# Pixels of a row that are looked at together, and where these do not go on, so many of them.
-SPAN, FINE = 64, 16
-
 
 @inline
 def _find_root(parent: I32, label: int) -> int:
@@ -24,41 +21,19 @@ def _find_root(parent: I32, label: int) -> int:
     return label
 
 
-@inline
-def _is_continued(span: I32, ident: np.int32) -> bool:
-    """Return whether all pixels of a span show one object, or none where `ident` is 0."""
-    if ident == 0:
-        most = np.int32(0)
-        for j in range(span.size):
-            most = max(most, span[j])
-        return bool(most == 0)
-    changed = np.int32(0)
-    for j in range(span.size):
-        changed |= span[j] ^ ident
-    return bool(changed == 0)
-
-
 @device_function
 def _find_runs(row: I32, begins: I32, ends: I32) -> int:
     """Write where a row's runs of objects begin and end, [W], and return their number."""
     count, ident = 0, np.int32(0)
-    for first in range(0, row.size, SPAN):
-        after = min(first + SPAN, row.size)
-        if _is_continued(row[first:after], ident):
-            continue
-        for begin in range(first, after, FINE):
-            end = min(begin + FINE, after)
-            if _is_continued(row[begin:end], ident):
-                continue
-            for j in range(begin, end):
-                value = max(row[j], np.int32(0))
-                if value != ident:
-                    if ident > 0:
-                        ends[count - 1] = j
-                    if value > 0:
-                        begins[count] = j
-                        count += 1
-                    ident = value
+    for j in range(row.size):
+        value = max(row[j], np.int32(0))
+        if value != ident:
+            if ident > 0:
+                ends[count - 1] = j
+            if value > 0:
+                begins[count] = j
+                count += 1
+            ident = value
     if ident > 0:
         ends[count - 1] = row.size
     return count

@@ -1,4 +1,4 @@
-"""Statistics of frames: the features that the policy sees, and thumbnails of light.
+"""Statistics of frames: the features that the policy sees.
 
 The earth mover's distance (paper, "List of features") is, in one dimension, the area between two
 cumulative distributions (Vallender 1974). They are histograms over the range that both buffers
@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import ParallelKernel, kernel
+from exwarp_cli.kernels._compile import ParallelKernel
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32, F64, I64
 
@@ -89,8 +89,6 @@ class ValueDistribution:
     ) -> None:
         self._values = np.ascontiguousarray(values)
         self._mask = np.ascontiguousarray(shown)
-        self._ranges = np.zeros((values.shape[2], 2))
-        self._shares = np.zeros((values.shape[2], BINS))
         self._strips = -(-values.shape[0] // ROWS_PER_STRIP)
 
     @cached_property
@@ -106,15 +104,10 @@ class ValueDistribution:
 
         `ranges` as in `count_histograms`.
         """
-        # Often a channel has the range of the last call, as normals do: it is not counted again.
-        new = (ranges != self._ranges).any(axis=1)
-        if new.any():
-            counts = np.empty((self._strips, self._values.shape[2], BINS), np.int64)
-            count_histograms(self._values, self._mask, np.where(new[:, None], ranges, 0.0), counts)
-            total = counts.sum(axis=0).cumsum(axis=-1)
-            self._shares[new] = (total / np.maximum(total[:, -1:], 1))[new]
-            self._ranges = ranges
-        return self._shares
+        counts = np.empty((self._strips, self._values.shape[2], BINS), np.int64)
+        count_histograms(self._values, self._mask, ranges, counts)
+        total = counts.sum(axis=0).cumsum(axis=-1)
+        return np.asarray(total / np.maximum(total[:, -1:], 1))
 
 
 def earth_movers_distances(
@@ -166,33 +159,3 @@ def positive_median(
     """Return the median of values above 0; NaN without any."""
     positive = values[counted & (values > 0)]
     return np.float32(np.median(positive)) if positive.size else np.float32(np.nan)
-
-
-RED, GREEN, BLUE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
-MAX_LUMINANCE = np.float32(1e4)
-
-
-@kernel
-def mean_square_roots(
-    pixels: F32,  # [H, W C], scene-linear; NaN and negative luminance count as black
-    channels: int,  # C, 3 or more, red, green, blue first
-    rows: I64,  # [h points], the pixels' rows, cell by cell; below 0 outside, which is black
-    columns: I64,  # [w points]
-    points: int,  # pixels along a cell's side
-    out: F32,  # [h, w], written; finite, 0 or more
-) -> None:
-    """Write mean square roots of luminance, from a square of pixels of each cell."""
-    # In numpy the same took ten times as long.
-    black = np.float32(0)
-    for y in range(out.shape[0]):
-        for x in range(out.shape[1]):
-            total = black
-            for row in rows[y * points : (y + 1) * points]:
-                for column in columns[x * points : (x + 1) * points]:
-                    if row >= 0 and column >= 0:
-                        at = column * channels
-                        red, green, blue = pixels[row, at], pixels[row, at + 1], pixels[row, at + 2]
-                        light = RED * red + GREEN * green + BLUE * blue
-                        light = light if light > black else black  # NaN is not
-                        total += np.float32(math.sqrt(min(light, MAX_LUMINANCE)))
-            out[y, x] = total / np.float32(points * points)

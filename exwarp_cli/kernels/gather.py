@@ -219,37 +219,3 @@ def sample_points(
             a, b = np.float64(image[low, left, c]), np.float64(image[low, right, c])
             lower = a * (1 - fx) + b * fx
             samples[n, c] = upper * (1 - fy) + lower * fy
-
-
-@kernel
-def write_shifted_losses(
-    xy: F64,  # [N, 2], places in pixels
-    shifts: F32,  # [K, N, 2], added to the places
-    image: F32,  # [H, W, C]
-    wanted: F64,  # [N, C]
-    tolerance: F64,  # [N], the distance that counts 1, as do greater and unknown ones
-    place: int,
-    losses: F64,  # [K, P, N], written at [:, place]
-) -> None:
-    """Write, for K displacements of each place, how far samples are from `wanted`, from 0 to 1."""
-    # One pass for all displacements: two calls for each took twice as long.
-    height, width, channels = image.shape
-    for k in range(shifts.shape[0]):
-        for n in range(xy.shape[0]):
-            x, y = xy[n, 0] + np.float64(shifts[k, n, 0]), xy[n, 1] + np.float64(shifts[k, n, 1])
-            if not (x >= 0 and y >= 0 and x <= width - 1 and y <= height - 1):
-                losses[k, place, n] = 1.0
-                continue
-            left, top = np.int64(math.floor(x)), np.int64(math.floor(y))
-            right, low = min(left + 1, width - 1), min(top + 1, height - 1)
-            fx, fy = x - np.float64(left), y - np.float64(top)
-            square = np.float64(0)
-            for c in range(channels):
-                a, b = np.float64(image[top, left, c]), np.float64(image[top, right, c])
-                upper = a * (1 - fx) + b * fx
-                a, b = np.float64(image[low, left, c]), np.float64(image[low, right, c])
-                lower = a * (1 - fx) + b * fx
-                gap = upper * (1 - fy) + lower * fy - wanted[n, c]
-                square += gap * gap
-            distance = math.sqrt(square) / tolerance[n]
-            losses[k, place, n] = distance if distance < 1 else 1.0

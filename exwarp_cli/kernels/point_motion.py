@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline, kernel
+from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32, F64, I32
 from exwarp_cli.kernels.gather import sample_border
@@ -304,33 +304,3 @@ def write_rigid_motion(
             x, y = rigid_displacement(position, depth, camera, at_infinity, i, j)
             if not (keep_unseen and math.isnan(x)):
                 out[i, j, 0], out[i, j, 1] = x, y
-
-
-@kernel
-def write_equations(
-    points: F64,  # [N, 4], homogeneous
-    pixels: F64,  # [N, 2]
-    weights: F64,  # [N]; points without a weight above 0 are left out
-    scaled: F64,  # [4 N], the first M points written: the others times their weight
-    rows: F64,  # [24 N], 2 M rows of 12 written: those of x, then those of y
-) -> int:
-    """Write the weighted equations of the direct linear transform of M points; return M."""
-    # Rows are flat, of a constant length: otherwise this took twice as long.
-    count = 0
-    for n in range(len(weights)):
-        if weights[n] > 0:
-            for c in range(4):
-                scaled[4 * count + c] = points[n, c] * weights[n]
-            count += 1
-    row = 0
-    for n in range(len(weights)):
-        if weights[n] > 0:
-            right, down, first = 12 * row, 12 * (count + row), 4 * row
-            for c in range(4):
-                value = scaled[first + c]
-                rows[right + c], rows[right + 4 + c] = value, 0.0
-                rows[right + 8 + c] = -pixels[n, 0] * value
-                rows[down + c], rows[down + 4 + c] = 0.0, value
-                rows[down + 8 + c] = -pixels[n, 1] * value
-            row += 1
-    return count

@@ -106,51 +106,34 @@ def write_dominant_ids(
     shares: F32,
     lead: np.float32,  # margin of the greatest share over every other one
     rounded: bool,  # ids have 24 bits
-    out: I32,  # [H, W], written: id above 0, 0 background, or AMBIGUOUS
-) -> None:
-    """Write the id of the surface that each pixel shows."""
-    height, width, _ = bits.shape
-    for i in range(height):
-        for j in range(width):
-            first = decode_id(bits[i, j, 0], rounded)
-            second = decode_id(bits[i, j, 2], rounded)
-            share = _clamp_share(shares[i, j, 1], first)
-            second_share = _clamp_share(shares[i, j, 3], second)
-            out[i, j] = _dominant_id(first, second, share, second_share, lead)
-
-
-@kernel
-def write_moving_ids(
-    bits: U32,  # as `shares`, `lead`, `rounded`: see `write_dominant_ids`
-    shares: F32,
-    lead: np.float32,
-    rounded: bool,
     moving: I32,  # [N], ids, ascending
-    # out: [H, W], written: a dominant moving id; 0 for still ones; else AMBIGUOUS if any moves
+    every: bool,  # all ids count, not only the moving ones
+    # out: [H, W], written: the dominant id if it counts; 0 for the background and where no id that
+    # counts has a share; else AMBIGUOUS
     out: I32,
 ) -> None:
-    """Write the ids of the surfaces that move."""
+    """Write the id of the surface that each pixel shows, of those that count."""
     height, width, _ = bits.shape
     # Neighbours mostly have the same ids: looking each up again took ten times as long.
-    ids, moves = np.zeros(2, np.int32), np.zeros(2, np.bool_)
+    ids, counts = np.zeros(2, np.int32), np.zeros(2, np.bool_)
     for i in range(height):
         for j in range(width):
             for rank in range(2):
                 ident = decode_id(bits[i, j, 2 * rank], rounded)
                 if ident != ids[rank]:
-                    ids[rank], moves[rank] = ident, _is_listed(ident, moving)
+                    ids[rank], counts[rank] = ident, every or _is_listed(ident, moving)
             first, second = ids[0], ids[1]
             share = _clamp_share(shares[i, j, 1], first)
             second_share = _clamp_share(shares[i, j, 3], second)
-            first_moves = moves[0] and share > np.float32(0)
-            second_moves = moves[1] and second_share > np.float32(0)
+            first_counts = counts[0] and share > np.float32(0)
+            second_counts = counts[1] and second_share > np.float32(0)
             out[i, j] = np.int32(0)
-            if first_moves or second_moves:
+            if first_counts or second_counts:
                 dominant = _dominant_id(first, second, share, second_share, lead)
-                is_moving = (first_moves and dominant == first) or (
-                    second_moves and dominant == second
+                is_counted = (first_counts and dominant == first) or (
+                    second_counts and dominant == second
                 )
-                if dominant < 0 or is_moving:
+                if dominant < 0 or is_counted:
                     out[i, j] = dominant
 
 

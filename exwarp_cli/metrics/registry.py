@@ -185,9 +185,6 @@ METRICS: dict[str, Metric] = {
 # Metrics that compare scene-linear images.
 LINEAR_METRICS: dict[str, Metric] = {"hdr_flip": measure_hdr_flip}
 
-# Metrics of whole frames, without a map, that compare scene-linear images.
-FRAME_METRICS: dict[str, Callable[[Float32, Float32], float]] = {"pulse": measure_pulse}
-
 
 def score_frame(
     reference: Float32,  # [H, W, 3 or more], scene-linear, as `test`
@@ -216,9 +213,8 @@ def score_frame(
         overall[name] = metric_map.overall()
         if holes is not None:
             masked[name] = metric_map.within(holes)
-    overall |= {
-        name: measure(reference, test) for name, measure in FRAME_METRICS.items() if name in names
-    }
+    if "pulse" in names:
+        overall["pulse"] = measure_pulse(reference, test)
     return Score(**overall), Score(**masked) if holes is not None else None
 
 

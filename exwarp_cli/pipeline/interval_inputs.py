@@ -301,7 +301,7 @@ class IntervalReader:
     def fingerprints(self, key: int) -> dict[int, str]:
         """Digest what the frame of each slot depends on, but for those that were rendered."""
         lookahead, history = self._looks_ahead(key), self._history(key)
-        extrapolates = self._method.at(lookahead).extrapolates
+        extrapolates = (self._method if lookahead else self._method.last).extrapolates
         keys = [key, *((key + 1,) if lookahead else ())]
         instants: list[Slot] = []
         if self._source.estimated:  # key frames on both sides tell the motion of theirs

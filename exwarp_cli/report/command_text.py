@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from exwarp_cli import __version__
 from exwarp_cli.accelerator.mac_array import COMPARE_CYCLES, PAPER_LATENCY_NS, Schedule
-from exwarp_cli.accelerator.mlp import MAX_ACTIVATION, from_fixed
+from exwarp_cli.accelerator.mlp import MAX_ACTIVATION, ONE
 from exwarp_cli.domain.decision import CHOICES, FEATURES
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import ranges
@@ -184,7 +184,7 @@ def trace_lines(trace: Trace) -> Iterator[str]:
     yield f"row {trace.row.row}{f' ({identity})' if identity else ''}"
     yield f"input stage: {inference.inputs.size} numbers, {schedule.inputs.cycles} cycles"
     yield f"  Q16.16 {_first_numbers(state)}"
-    yield f"  as     {' '.join(f'{value:.4f}' for value in from_fixed(state)[:MAX_NUMBERS])}"
+    yield f"  as     {' '.join(f'{value:.4f}' for value in state[:MAX_NUMBERS] / ONE)}"
     yield f"  int8   {_first_numbers(inference.inputs)}"
     for k, (layer, sums) in enumerate(zip(schedule.layers, inference.accumulators, strict=True)):
         yield f"layer {k}: {layer.fan_in} to {layer.neurons}, {layer.cycles} cycles"

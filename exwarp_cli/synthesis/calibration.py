@@ -412,15 +412,10 @@ def _assign_directions(
         (error, best), axes = ranked[key][0], named[key]
         # At an even speed, vectors to one frame are those to the other reversed. So a direction is
         # no better for being named when the signs are not as named.
-        if _signs(axes) == _signs(best) or measured[key].error(axes) <= (
-            error * TIE_RATIO + TIE_FLOOR
-        ):
+        signs = [(each.x_channel, each.x_scale > 0, each.y_scale > 0) for each in (axes, best)]
+        if signs[0] == signs[1] or measured[key].error(axes) <= (error * TIE_RATIO + TIE_FLOOR):
             as_named.add(key)
     for option, error in least.items():
         if error <= most and as_named.issuperset(option):
             return option
     return min(least, key=least.__getitem__)
-
-
-def _signs(axis_map: AxisMap) -> tuple[int, bool, bool]:
-    return axis_map.x_channel, axis_map.x_scale > 0, axis_map.y_scale > 0

@@ -266,22 +266,19 @@ class Probe:
     ) -> F64:
         """Return the mean errors of displacements, [K]: 0 (all samples are found again) to 1."""
         part = self.part(count)
-        xy = np.ascontiguousarray(self.xy[part])
+        xy = self.xy[part]
+        places = (xy + shifts).reshape(-1, 2)
         losses = np.empty((len(shifts), len(self.observables), len(xy)))
         for index, each in enumerate(self.observables):
-            values = np.ascontiguousarray(each.values[part])
-            tolerance = np.ascontiguousarray(each.tolerance[part])
-            if self.resting or values.shape[1] > 1:
-                gather.write_shifted_losses(
-                    xy, shifts, each.image, values, tolerance, index, losses
-                )
-                continue
-            sampled = np.empty((len(shifts) * len(xy), 1))
-            gather.sample_points(each.image, (xy + shifts).reshape(-1, 2), sampled)
-            depths = sampled.reshape(len(shifts), -1)
-            wanted = _depths_later(values[:, 0], depths, xy, tolerance)
-            with np.errstate(invalid="ignore"):
-                gaps = np.abs(depths - wanted) / tolerance
+            wanted, tolerance = each.values[part], each.tolerance[part]
+            channels = wanted.shape[1]
+            samples = np.empty((len(shifts), len(xy), channels))
+            gather.sample_points(each.image, places, samples.reshape(-1, channels))
+            if channels == 1 and not self.resting:
+                wanted = _depths_later(wanted[:, 0], samples[..., 0], xy, tolerance)[..., None]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                samples -= wanted
+                gaps = np.sqrt(np.square(samples, out=samples).sum(axis=2)) / tolerance
             losses[:, index] = np.where(gaps < 1, gaps, 1.0)
         return np.asarray(np.average(losses.mean(axis=2), axis=1, weights=self._weights))
 

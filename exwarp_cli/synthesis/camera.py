@@ -13,7 +13,6 @@ the sky, whose vectors are 0 even while the camera turns.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -121,29 +120,6 @@ def camera_after(
     return fit(scene.points(index), ends, movers=stencil is None)
 
 
-def cameras_around(
-    scene: Scene | None,
-    # As for `camera_after`; None for an instant without vectors.
-    vectors: Sequence[Float32 | None],
-    stencil: Int32 | None,
-) -> F64:
-    """Recover the cameras of several instants, in the layout of the kernel that settles motion.
-
-    Returns float64 [N, 2, 3, 4]: of each instant for points, and for background at infinity; NaN
-    where there is none.
-    """
-    out = np.full((len(vectors), 2, 3, 4), np.nan)
-    for matrices, motion in zip(out, vectors, strict=True):
-        if scene is None or motion is None:
-            continue
-        camera = camera_after(scene, motion, stencil)
-        if camera is not None:
-            matrices[0] = camera
-            matrices[1, :, :3] = camera[:, :3] @ scene.to_ray
-            matrices[1, :, 3] = 1.0
-    return out
-
-
 def seen_by(scene: Scene, camera: F64) -> Float32:
     """Return the displacement of each pixel to another camera's frame, if its point stands still.
 
@@ -204,13 +180,12 @@ def fit(
     unit_pixels = (pixels - centre) / spread
     from_unit = np.diag([spread, spread, 1.0])
     from_unit[:2, 2] = centre
-    buffers = np.empty(4 * len(points)), np.empty(24 * len(points))  # these serve every round
     weights = np.ones(len(points))
     if movers:
         weights = _least_median_weights(unit_points, unit_pixels)
     inliers = np.ones(len(points), np.bool_)
     for count in range(ROUNDS):
-        unit = _least_algebraic_error(unit_points, unit_pixels, weights, buffers)
+        unit = _least_algebraic_error(unit_points, unit_pixels, weights)
         if unit is None:
             return None
         matrix = from_unit @ unit @ to_unit
@@ -247,11 +222,7 @@ def _least_median_weights(points: F64, pixels: F64) -> F64:
     """
     rng = np.random.default_rng(0)
     chosen = rng.integers(0, len(points), (SUBSETS, SUBSET_SIZE))
-    sample, (x, y) = points[chosen], np.moveaxis(pixels[chosen], -1, 0)[..., None]
-    system = np.zeros((SUBSETS, 2, SUBSET_SIZE, 12))  # equations of the direct linear transform
-    system[:, 0, :, :4], system[:, 0, :, 8:] = sample, -x * sample
-    system[:, 1, :, 4:8], system[:, 1, :, 8:] = sample, -y * sample
-    rows = system.reshape(SUBSETS, -1, 12)
+    rows = _equations(points[chosen], pixels[chosen])
     _, directions = np.linalg.eigh(rows.transpose(0, 2, 1) @ rows)
     matrices = directions[..., 0].reshape(SUBSETS, 3, 4)
     judges = slice(None, None, max(1, len(points) // JUDGES))
@@ -268,18 +239,26 @@ def _least_median_weights(points: F64, pixels: F64) -> F64:
     return (errors(matrices[best], slice(None)) <= limit).astype(np.float64)
 
 
-def _least_algebraic_error(
-    points: F64,  # [N, 4]
-    pixels: F64,  # [N, 2]
-    weights: F64,
-    buffers: tuple[F64, F64],  # [4 N] and [24 N], overwritten
-) -> F64 | None:
+def _equations(points: F64, pixels: F64) -> F64:
+    """Return the equations of the direct linear transform, [..., 2 N, 12]: those of x, then of y.
+
+    Of points [..., N, 4] at pixels [..., N, 2].
+    """
+    x, y = np.moveaxis(pixels, -1, 0)[..., None]
+    *subsets, count, _ = points.shape
+    rows = np.zeros((*subsets, 2, count, 12))
+    rows[..., 0, :, :4], rows[..., 0, :, 8:] = points, -x * points
+    rows[..., 1, :, 4:8], rows[..., 1, :, 8:] = points, -y * points
+    return rows.reshape(*subsets, 2 * count, 12)
+
+
+def _least_algebraic_error(points: F64, pixels: F64, weights: F64) -> F64 | None:
     """Return the 3x4 matrix that fits best, None if points do not determine it."""
-    used = point_motion.write_equations(points, pixels, weights, *buffers)
-    if used < MIN_SAMPLES:
+    used = weights > 0
+    if np.count_nonzero(used) < MIN_SAMPLES:
         return None
-    scaled = buffers[0][: 4 * used].reshape(used, 4)
-    rows = buffers[1][: 24 * used].reshape(2 * used, 12)
+    scaled = points[used] * weights[used, None]
+    rows = _equations(scaled, pixels[used])
     squares, directions = np.linalg.eigh(rows.T @ rows)
     if squares[1] < DEGENERATE**2 * squares[-1]:
         return None

@@ -29,7 +29,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, Int32, KeyFrame, Window
-from exwarp_cli.kernels import frame_statistics
 from exwarp_cli.synthesis.camera import F64, Index
 from exwarp_cli.synthesis.warp import sample_bilinear
 
@@ -79,6 +78,9 @@ LIKELY_SHIFT, TONES_LIMIT = 0.12, 0.1
 # Mean light up to which a frame is black, and from which on the change to black is no fade.
 BLACK, LIT = 0.02, 0.1
 
+RED, GREEN, BLUE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
+MAX_LUMINANCE = np.float32(1e4)
+
 # Displacements of the whole frame that are tried where there are no vectors, besides none.
 SHIFTS = 4
 
@@ -109,18 +111,14 @@ def make_thumbnail(frame: KeyFrame) -> Thumbnail:
     size = max(1, round(max(display.shape) / CELLS))
     # Of each cell the mean square root of luminance: bright fireflies do not dominate.
     offsets = np.array(sorted({(2 * i + 1) * size // (2 * POINTS) for i in range(POINTS)}))
-    rows, columns, inside = _cell_pixels(frame.image.data_window, display, size, offsets)
-    rows, columns = np.where(inside[0], rows, -1), np.where(inside[1], columns, -1)
-    height, width, channels = frame.image.pixels.shape
-    light = np.empty((len(rows) // len(offsets), len(columns) // len(offsets)), np.float32)
-    lines = np.ascontiguousarray(frame.image.pixels).reshape(height, width * channels)
-    frame_statistics.mean_square_roots(lines, channels, rows, columns, len(offsets), light)
+    rows, columns = _cell_pixels(frame.image.data_window, display, size, offsets)
+    light = mean_light(frame.image.pixels, rows, columns, len(offsets))
     gbuffer = frame.gbuffer
     if gbuffer is None:
         return Thumbnail(frame.number, light, np.ones(light.shape, np.bool_))
     middle = np.array([size // 2])
-    rows, columns, inside = _cell_pixels(gbuffer.window, display, size, middle)
-    is_outside = ~(inside[0][:, None] & inside[1])
+    rows, columns = _cell_pixels(gbuffer.window, display, size, middle)
+    is_outside = (rows < 0)[:, None] | (columns < 0)
 
     def pick(array: np.ndarray | None, fill: float = 0.0) -> np.ndarray | None:
         if array is None:
@@ -153,22 +151,37 @@ def make_thumbnail(frame: KeyFrame) -> Thumbnail:
     )
 
 
-def _cell_pixels(
-    window: Window, display: Window, size: int, offsets: Index
-) -> tuple[Index, Index, tuple[Bool, Bool]]:
+def mean_light(pixels: Float32, rows: Index, columns: Index, points: int) -> Float32:
+    """Return mean square roots of luminance, float32 [h, w], of `points` squared pixels of a cell.
+
+    `pixels` are scene-linear [H, W, 3 or more], `rows` [h points] and `columns` [w points] theirs,
+    cell by cell. What lies outside (-1), NaN and negative luminance count as black.
+    """
+    red, green, blue = np.moveaxis(pixels[rows[:, None], columns, :3], -1, 0)
+    with np.errstate(invalid="ignore", over="ignore"):
+        light = RED * red + GREEN * green + BLUE * blue
+    light = np.where(light > 0, np.minimum(light, MAX_LUMINANCE), np.float32(0))
+    light[(rows < 0)[:, None] | (columns < 0)] = 0
+    total = np.zeros((len(rows) // points, len(columns) // points), np.float32)
+    for i, j in np.ndindex(points, points):
+        total += np.sqrt(light[i::points, j::points])
+    return total / np.float32(points * points)
+
+
+def _cell_pixels(window: Window, display: Window, size: int, offsets: Index) -> tuple[Index, Index]:
     """Return rows and columns, in an array on `window`, of the pixels at offsets in each cell.
 
-    Those outside the array are clipped; the masks say which rows and columns are inside.
+    -1 for those outside the array.
     """
-
-    def along(length: int, first: int, end: int) -> tuple[Index, Bool]:
+    out = []
+    for length, first, end in (
+        (display.height, display.y - window.y, window.height),
+        (display.width, display.x - window.x, window.width),
+    ):
         starts = size * np.arange(max(1, length // size))
         places = np.add.outer(starts, offsets + first).ravel()
-        return np.clip(places, 0, end - 1), (places >= 0) & (places < end)
-
-    rows, inside_rows = along(display.height, display.y - window.y, window.height)
-    columns, inside_columns = along(display.width, display.x - window.x, window.width)
-    return rows, columns, (inside_rows, inside_columns)
+        out.append(np.where((places >= 0) & (places < end), places, -1))
+    return out[0], out[1]
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from exwarp_cli.domain.network_api import (
     NetworkPictures,
 )
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.kernels import _row_bands, network_planes
+from exwarp_cli.kernels import _row_bands
 from exwarp_cli.kernels._row_bands import Band, band_slice
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.history import SMOOTH, HistorySamples, OlderKeyFrame, is_lit_alike
@@ -27,9 +27,8 @@ from exwarp_cli.synthesis.warp import Mover, fill_holes
 # normal is 0, as that of the background.
 UNKNOWN_DEPTH, UNKNOWN_ROUGHNESS, UNKNOWN_METALLIC = 0.5, 0.5, 0.0
 
-# Which of a network's planes, in the order of INPUTS, hold colour: the first, and how many. The
-# first three of all are those from 13 on, times the mask.
-COLOUR_PLANES = ((3, 3), (13, 3), (17, 3), (21, 3))
+# Least median of depths, which are divided by it.
+MIN_MEDIAN = np.finfo(np.float32).tiny
 
 # Surface colour is divided by at least this: what is darker shows emission, refraction or the sky,
 # of which surface colour says nothing, and a silhouette mixes it with the surface beside it. On
@@ -40,15 +39,6 @@ DARKEST = 0.2
 
 # At most: white of both kinds.
 BRIGHTEST = 2.0
-
-SIGN = np.uint32(0x80000000)
-
-# Values that are coded at a time, which stay in the cache. With fewer, threads that share them wait
-# for each other more often in between.
-PART = 2**18
-
-# What kernels take for G-buffer parts that are not known.
-NO_PLANE, NO_VECTORS = np.zeros((0, 0), np.float32), np.zeros((0, 0, 3), np.float32)
 
 
 @dataclass(frozen=True)
@@ -86,21 +76,51 @@ class SlotInputs:
         )
         shape = EXTRAPOLATOR_INTERFACE.channels, bottom - top, right - left
         out = np.empty(shape, np.float32) if room is None else room
-        surface = (
-            _plane(self.surface.depth),
-            _plane(self.surface.normal, NO_VECTORS),
-            _plane(self.surface.roughness),
-            _plane(self.surface.metallic),
-        )
-        defaults = UNKNOWN_DEPTH, UNKNOWN_ROUGHNESS, UNKNOWN_METALLIC
-        frames = tuple((frame.pixels, frame.visible) for frame in self.frames)
-        median, corner = np.float32(self.median), (top, left)
-        network_planes.write_input_planes(
-            frames, self.filled, surface, defaults, median, corner, out
-        )
+        _row_bands.run_bands(self._write_rows, (out, (top, left)), _row_bands.threads())
         self.scratch.page_out()  # before the network takes its memory
-        _row_bands.run_bands(_encode_colour, (out.reshape(len(out), -1),), _row_bands.threads())
         return NetworkPictures(EXTRAPOLATOR_INTERFACE.split(out), self.time)
+
+    def _write_rows(self, planes: Float32, corner: tuple[int, int], band: Band) -> None:
+        """Write a band of rows of a part [25, h, w], which begins at a row and column."""
+        (height, width), (top, left), surface = self.shape, corner, self.surface
+        lines = band_slice(planes.shape[1], band)
+        part = planes[:, lines]
+        begin, end = max(-left, 0), min(width - left, part.shape[2])
+        rows = np.clip(np.arange(top + lines.start, top + lines.stop), 0, height - 1)
+        place = np.s_[rows, left + begin : left + end]
+        inside = EXTRAPOLATOR_INTERFACE.split(part[..., begin:end])
+        warped, mask, features, history = inside.values()
+        colours = [(self.filled, warped[3:])]
+        for k, frame in enumerate(self.frames):
+            colours.append((frame.pixels, history[4 * k : 4 * k + 3]))
+            history[4 * k + 3] = frame.visible[place]
+        for pixels, colour in colours:
+            colour[:] = np.moveaxis(pixels[place][..., :3], -1, 0)
+            for line in colour:  # contiguous, as numpy's curves are slow else
+                encode(line, out=line)
+        mask[0] = history[3]
+        np.multiply(history[:3], mask, out=warped[:3])
+        features[:3] = 0
+        if surface.normal is not None:
+            normal = surface.normal[place].clip(-1, 1)
+            normal[~np.isfinite(surface.normal[place])] = 0
+            features[:3] = np.moveaxis(normal, -1, 0)
+        median, parts = (
+            np.float32(self.median),
+            (surface.depth, surface.roughness, surface.metallic),
+        )
+        known = [None if values is None else values[place] for values in parts]
+        if known[0] is not None:
+            with np.errstate(over="ignore"):  # of the largest floats
+                distance = np.maximum(known[0], 0) + max(median, MIN_MEDIAN)
+            known[0] = np.float32(1) - median / distance
+        defaults = UNKNOWN_DEPTH, UNKNOWN_ROUGHNESS, UNKNOWN_METALLIC
+        for plane, values, unknown in zip(features[3:], known, defaults, strict=True):
+            plane[:] = unknown
+            if values is not None:
+                np.copyto(plane, values.clip(0, 1), where=~np.isnan(values))
+        part[..., :begin] = part[..., begin : begin + 1]
+        part[..., end:] = part[..., end - 1 : end]
 
     @property
     def pictures(self) -> Mapping[str, Float32]:
@@ -174,19 +194,6 @@ def prepare(
     return Prepared(inputs, modulation, warped, sources)
 
 
-def _encode_colour(values: Float32, share: Band) -> None:
-    """Encode the colour of a network's planes [C, N], of a share of their pixels."""
-    part = values[:, band_slice(values.shape[1], share)]
-    for first, count in COLOUR_PLANES:
-        for line in part[first : first + count]:
-            encode(line, out=line)
-    np.multiply(part[13:16], part[16], out=part[:3])
-
-
-def _plane(values: Float32 | None, nothing: Float32 = NO_PLANE) -> Float32:
-    return nothing if values is None else np.ascontiguousarray(values)
-
-
 def modulation_of(gbuffer: GBuffer) -> Float32 | None:
     """Return the factor of lighting at a surface, float32 [H, W, 3], from DARKEST to BRIGHTEST.
 
@@ -215,38 +222,15 @@ def _divide(pixels: Float32, modulation: Float32) -> Float32:
 def encode(linear: Float32, out: Float32 | None = None) -> Float32:
     """Return sign(x) log(1 + |x|): high dynamic range in a few units, negative values kept.
 
-    `out`, contiguous, may be `linear` itself.
+    `out` may be `linear` itself.
     """
-    return _signed(np.log1p, linear, np.empty(linear.shape, np.float32) if out is None else out)
+    size = np.abs(linear)
+    coded: Float32 = np.copysign(np.log1p(size, out=size), linear, out=out)
+    return coded
 
 
 def decode(coded: Float32) -> Float32:
     """Invert :func:`encode`."""
-    out: Float32 = pool.empty(coded.shape, np.float32)
-    flat = np.ascontiguousarray(coded).reshape(-1)
-    _row_bands.run_bands(_decode, (flat, out.reshape(-1)), _row_bands.threads())
-    return out
-
-
-def _decode(coded: Float32, out: Float32, share: Band) -> None:
-    part = band_slice(coded.size, share)
-    _signed(np.expm1, coded[part], out[part])
-
-
-def _signed(curve: np.ufunc, values: Float32, out: Float32) -> Float32:
-    """Write a curve of the magnitude with the value's sign to `out`, contiguous; return `out`."""
-    source, target = np.ascontiguousarray(values).reshape(-1), out.reshape(-1)
-    buffer = np.empty(min(source.size, PART), np.float32)
-    # numpy's curves compute 16 values at once, in a twentieth of the time of a loop of calls.
-    for first in range(0, source.size, PART):
-        part, result = source[first : first + PART], target[first : first + PART]
-        if part.view(np.int32).min() >= 0:  # none has a sign
-            curve(part, out=result)
-            continue
-        size = buffer[: part.size]
-        curve(np.abs(part, out=size), out=size)
-        # A curve of magnitudes has no sign bit, so that setting it is the same as `copysign`, in a
-        # fifth of the time.
-        np.bitwise_and(part.view(np.uint32), SIGN, out=result.view(np.uint32))
-        np.bitwise_or(result.view(np.uint32), size.view(np.uint32), out=result.view(np.uint32))
-    return out
+    size = np.abs(coded)
+    linear: Float32 = np.copysign(np.expm1(size, out=size), coded, out=size)
+    return linear

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -61,8 +61,6 @@ class OlderKeyFrame:
     motion: Float32
     guessed: bool = False  # `motion` is that to the frame after, reversed: no vectors lead back
 
-    _gone: list[tuple[GBuffer, Bool]] = field(default_factory=list, init=False, compare=False)
-
     @cached_property
     def scene(self) -> Scene | None:
         """The frame's points."""
@@ -75,14 +73,6 @@ class OlderKeyFrame:
         if gbuffer is None or scene is None or scene.camera is None:
             return None
         return find_still(gbuffer, scene)
-
-    def gone(self, newer: GBuffer) -> Bool:
-        """bool [H, W]: what the key frame after it, `newer`, shows, and this one does not."""
-        if not self._gone or self._gone[0][0] is not newer:
-            assert self.frame.gbuffer is not None
-            hidden = find_holes(newer, self.frame.gbuffer, self.motion, FACTOR)
-            self._gone[:] = [(newer, hidden)]
-        return self._gone[0][1]
 
 
 def older_key_frames(
@@ -151,7 +141,8 @@ def look_back_reprojected(
         gbuffer = older.frame.gbuffer
         if gbuffer is None:
             break
-        gone = older.gone(newer)
+        # What the key frame after it shows, and this one does not.
+        gone = find_holes(newer, gbuffer, older.motion, FACTOR)
         scratch.page_out()
         led, missed = pool.empty(moved.shape, np.float32), pool.empty(lost.shape, np.bool_)
         follow_visible(older.motion, stencil_of(newer), gone, moved, lost, led, missed)

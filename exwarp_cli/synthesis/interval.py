@@ -93,7 +93,6 @@ class Interval:
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
     _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
     _scenes: dict[int, Scene | None] = field(default_factory=dict, init=False)
-    _looked: dict[int, HistorySamples] = field(default_factory=dict, init=False)
     # Empty until the first of several threads has found them for all, under the lock.
     _light: list[LightFlow | None] = field(default_factory=list, init=False)
     _residual: list[KeyResidual] = field(default_factory=list, init=False)
@@ -290,17 +289,13 @@ class Interval:
 
     def look_back(self, slot: int) -> HistorySamples:
         """Return the surfaces of a slot, 1 to 3, in this and the older key frames."""
-        if slot not in self._looked:
-            back, key = self.back(slot), self.key.gbuffer
-            assert key is not None  # the motion came from it
-            scene = self._scene(slot if self.slots else 0) if self.past else None
-            history = key, self.past, scene, self.scratch
-            if self.slots:
-                samples = look_back_rendered(slot, self.slots[slot - 1], back, *history)
-            else:
-                samples = look_back_reprojected(slot / FACTOR, back, *history)
-            self._looked[slot] = self.scratch.store(samples)
-        return self._looked[slot]
+        back, key = self.back(slot), self.key.gbuffer
+        assert key is not None  # the motion came from it
+        scene = self._scene(slot if self.slots else 0) if self.past else None
+        history = key, self.past, scene, self.scratch
+        if self.slots:
+            return look_back_rendered(slot, self.slots[slot - 1], back, *history)
+        return look_back_reprojected(slot / FACTOR, back, *history)
 
     def _scene(self, index: int) -> Scene | None:
         """Return the points of a slot's G-buffer, of the key frame (0) or of the following one."""
@@ -312,7 +307,7 @@ class Interval:
 
     def prepared(self, slot: int) -> Prepared:
         """Return what a network needs to extrapolate to a slot, 1 to 3."""
-        samples = self.look_back(slot)
+        samples = self.scratch.store(self.look_back(slot))
         return prepare(
             slot, self.warped(slot), self.back(slot), samples, self.key, self.past, self.scratch
         )
@@ -329,7 +324,6 @@ class Interval:
             return self._extrapolated[slot]
         self._back[slot] = self.scratch.store(self.back(slot))
         prepared = self.prepared(slot)
-        self._looked.pop(slot, None)
         pool.clear()  # the network takes a gigabyte
         if chosen is None or chosen.all():
             answer = network(prepared.inputs)
@@ -357,7 +351,6 @@ class Interval:
             self._holes[slot] = self._back[slot].hole
         self._back.pop(slot, None)
         self._forward.pop(slot, None)
-        self._looked.pop(slot, None)
 
     def bare(self) -> Interval:
         """Return the interval with no more than warps from the key frame use."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 from functools import cached_property
 
 import numpy as np
@@ -133,16 +132,6 @@ def _flat(array: np.ndarray) -> np.ndarray:
     return array.reshape(-1, *array.shape[2:])
 
 
-class TransferRule(Enum):
-    """How a slot's layers come from the key frames'."""
-
-    REPEAT = "repeat"  # the key frame's, unmoved
-    # Both key frames', unmoved: colour cross-faded, the rest that of the one nearer in time.
-    FADE = "fade"
-    WARP = "warp"  # the key frame's, moved
-    BLEND = "blend"  # both key frames', moved, and blended by depth and time
-
-
 @dataclass(frozen=True)
 class PointMotion:
     """Where the points of one key frame are in a neighbouring one."""
@@ -214,9 +203,12 @@ class LayerMotion:
 
 @dataclass(frozen=True)
 class LayerRetimer:
-    """Makes the layers of one slot."""
+    """Makes the layers of one slot.
 
-    rule: TransferRule
+    With `warp` or `mixer` from moved key frames. Without, key frames are not moved: colour is that
+    of both cross-faded, the rest that of the one nearer in time.
+    """
+
     time: float  # of the slot, in key intervals after the key frame; 0 where that is repeated
     sources: PixelSources  # of values that are not mixed
     back: SlotField | None = None  # from the slot to the key frames, as far as they are used
@@ -238,7 +230,7 @@ class LayerRetimer:
             if not self.warp.has_beauty:
                 self.warp.make(self.frames[0])
             return self.warp.make(before)
-        if self.rule is TransferRule.REPEAT:
+        if self.time == 0:
             return fill_nonfinite(before)
         assert after is not None
         if self.mixer is not None:
@@ -319,22 +311,22 @@ def make_retimer(
             slot -= 1  # a repeat of what the slot before showed
     if name in ("hold", HELD) or slot == 0:
         depth = None if key is None else depth_of(key)
-        return LayerRetimer(TransferRule.REPEAT, 0.0, unmoved_sources(shape, depth))
+        return LayerRetimer(0.0, unmoved_sources(shape, depth))
     time = interval.time(slot)
     if name == "blend" or not interval.has_motion:
         later = time > 0.5
         nearer = following.gbuffer if later and following is not None else key
         depth = None if nearer is None else depth_of(nearer)
-        return LayerRetimer(TransferRule.FADE, time, unmoved_sources(shape, depth, later))
+        return LayerRetimer(time, unmoved_sources(shape, depth, later))
     assert key is not None
     back = interval.back(slot)
     if path is not None or following is None:
         sources, frames = moved_sources(back, key), (interval.key.image.pixels,)
         warp = interval.warp(slot)
-        return LayerRetimer(TransferRule.WARP, time, sources, back, None, frames, warp)
+        return LayerRetimer(time, sources, back, None, frames, warp)
     forward = interval.forward(slot)
     assert following.gbuffer is not None
     sources = moved_sources(back, key, forward, following.gbuffer, time)
     both = interval.key.image.pixels, following.image.pixels
     mixer = interval.look_ahead(slot)
-    return LayerRetimer(TransferRule.BLEND, time, sources, back, forward, both, mixer=mixer)
+    return LayerRetimer(time, sources, back, forward, both, mixer=mixer)

@@ -64,18 +64,13 @@ class LookAhead:
         self._time = time
         self._linear = linear
         self._coverage = coverage
-        self._network = network
+        self.network = network
         self._weights: list[tuple[Tile, np.ndarray]] = []  # of the beauty, for further layers
         self._shifted: tuple[Mover, Mover] | None = None
         self._flow_weight = np.zeros((0, 0), np.float32)
         self._tiles, self._choose = tiles, choose
         self.evidence: TileEvidence | None = None
         self.chosen: Bool | None = None  # tiles in which the network weighed; None without a choice
-
-    @property
-    def weighs(self) -> bool:
-        """Whether a network weighs what both sides show."""
-        return self._network is not None
 
     @property
     def has_beauty(self) -> bool:
@@ -114,7 +109,7 @@ class LookAhead:
                     self._tiles, plain, shifted, self._flow_weight, field, self._linear
                 )
         sides = (*plain, *shifted)
-        if self._network is not None:  # mixing overwrites the pixels of the first of each pair
+        if self.network is not None:  # mixing overwrites the pixels of the first of each pair
             plain, shifted = (
                 (replace(first, pixels=pool.copy(first.pixels)), second)
                 for first, second in (plain, shifted)
@@ -128,9 +123,9 @@ class LookAhead:
         moving *= self._flow_weight[..., None]
         out += moving
         del moving
-        if self._network is not None:
+        if self.network is not None:
             layer = Candidates(out, sides, self._flow_weight, self._time, self._linear)
-            out = layer.mix(self._weigh(self._network, layer) if leads else self._weights)
+            out = layer.mix(self._weigh(self.network, layer) if leads else self._weights)
         return self._sides[0].light(out)
 
     def _weigh(

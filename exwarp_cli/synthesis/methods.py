@@ -20,7 +20,7 @@ from exwarp_cli.domain.decision import (
     SOFTSPLAT,
     WARP,
 )
-from exwarp_cli.domain.frame import Float32, KeyFrame
+from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.network_api import HISTORY_FRAMES, LookAheadNetwork
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.tiles import REWARP, Risk, TileMakers, TilePlan
@@ -113,16 +113,12 @@ class Method:
         """What makes an interval that has no next key frame."""
         return self.tail or self
 
-    def at(self, looks_ahead: bool) -> Method:
-        """Return what makes an interval that has a next key frame to go by, or has none."""
-        return self if looks_ahead else self.last
-
     def older_keys(self, looks_ahead: bool) -> int:
         """Return how many key frames before an interval's own its slots may depend on.
 
         `looks_ahead` says whether the interval has a next key frame that is used.
         """
-        if self.at(looks_ahead).extrapolates:
+        if (self if looks_ahead else self.last).extrapolates:
             return HISTORY_FRAMES - 1
         return int(self.carries_light and not looks_ahead)
 
@@ -166,8 +162,7 @@ def predict_path(path: str, interval: Interval, slot: int) -> Predicted:
         pixels = Mover(interval.step_back(3), interval.linear).warp_alone(interval.extrapolated(2))
     else:
         return replace(_warp(interval, slot), method=name)
-    risk = _risk_of_warp(interval, slot, pixels)
-    return Predicted(pixels, FrameKind.GENERATED, name, _network_sources(interval), maker, risk)
+    return _by_network(interval, slot, pixels, name, maker)
 
 
 def predict_tiles(plan: TilePlan, interval: Interval, slot: int) -> Predicted:
@@ -180,9 +175,7 @@ def predict_tiles(plan: TilePlan, interval: Interval, slot: int) -> Predicted:
         return replace(_warp(interval, slot), method=CAUSAL)
     pixels = _compose_tiles(plan, interval, slot)
     made_by = EXTRAPOLATE if makers.share(EXTRAPOLATE) else WARP
-    risk = _risk_of_warp(interval, slot, pixels)
-    sources = _network_sources(interval)
-    return Predicted(pixels, FrameKind.GENERATED, CAUSAL, sources, made_by, risk)
+    return _by_network(interval, slot, pixels, CAUSAL, made_by)
 
 
 def _compose_tiles(plan: TilePlan, interval: Interval, slot: int) -> Float32:
@@ -229,8 +222,13 @@ def terms_of_warp(interval: Interval, slot: int, pixels: Float32) -> F64:
     return terms_of(tiles, TileEvidence(none, none, unseen), interval.residual, pixels)
 
 
-def _network_sources(interval: Interval) -> tuple[int, ...]:
-    return tuple(sorted((interval.key.number, *(past.frame.number for past in interval.past))))
+def _by_network(
+    interval: Interval, slot: int, pixels: Float32, method: str, made_by: str
+) -> Predicted:
+    """Return a frame whose colour comes from all key frames that the extrapolator sees."""
+    numbers = interval.key.number, *(past.frame.number for past in interval.past)
+    risk, sources = _risk_of_warp(interval, slot, pixels), tuple(sorted(numbers))
+    return Predicted(pixels, FrameKind.GENERATED, method, sources, made_by, risk)
 
 
 def _causal(interval: Interval, slot: int) -> Predicted:
@@ -239,53 +237,48 @@ def _causal(interval: Interval, slot: int) -> Predicted:
 
 
 def _blend(interval: Interval, slot: int) -> Predicted:
-    if interval.following is None:
+    key, following = interval.key, interval.following
+    if following is None:
         return _causal(interval, slot)
-    frames, sources = _both_frames(interval, interval.following)
-    pixels = cross_fade(*frames, interval.time(slot))
+    pixels = cross_fade(key.image.pixels, following.image.pixels, interval.time(slot))
+    sources = key.number, following.number
     return Predicted(pixels, FrameKind.GENERATED, BLEND, sources, BLEND)
 
 
 def _look_ahead(name: str, weighs: bool, interval: Interval, slot: int) -> Predicted:
     """Warp both key frames to the slot and mix them; by the interval's network if it `weighs`."""
-    if interval.following is None:
+    key, following = interval.key, interval.following
+    if following is None:
         return _causal(interval, slot)
-    frames, sources = _both_frames(interval, interval.following)
     mixer = interval.look_ahead(slot, weighs)
-    pixels = mixer.make(*frames)
-    made_by, risk, tiles = LOOKAHEAD if mixer.weighs else SOFTSPLAT, None, None
+    pixels = mixer.make(key.image.pixels, following.image.pixels)
+    made_by, risk, tiles = SOFTSPLAT if mixer.network is None else LOOKAHEAD, None, None
     if mixer.chosen is not None:
         tiles = TileMakers.chosen(mixer.chosen)
         made_by = LOOKAHEAD if mixer.chosen.any() else SOFTSPLAT
     if mixer.evidence is not None:
         terms = terms_of(interval.tiles, mixer.evidence, interval.residual, pixels)
         risk = predict_risk(terms, MIXED, interval.time(slot))
+    sources = key.number, following.number
     return Predicted(pixels, FrameKind.GENERATED, name, sources, made_by, risk, tiles)
 
 
 def _onnx(interval: Interval, slot: int) -> Predicted:
     """Have a network interpolate the key frames."""
-    if interval.following is None:
+    key, following = interval.key, interval.following
+    if following is None:
         return _causal(interval, slot)
     assert interval.interpolator is not None
     assert not isinstance(interval.interpolator, LookAheadNetwork)
-    (before, after), sources = _both_frames(interval, interval.following)
-    frames = fill_nonfinite(before), fill_nonfinite(after)
+    frames = fill_nonfinite(key.image.pixels), fill_nonfinite(following.image.pixels)
     pixels = pool.copy(interval.interpolator(*frames, interval.time(slot)))
     if interval.leads_both_ways:
         fields = interval.back(slot), interval.forward(slot)
         hold_within(pixels, sources_between(frames, fields))
     else:
         hold_in_range(pixels, frames)
+    sources = key.number, following.number
     return Predicted(pixels, FrameKind.GENERATED, "onnx", sources, INTERPOLATE)
-
-
-def _both_frames(
-    interval: Interval, following: KeyFrame
-) -> tuple[tuple[Float32, Float32], tuple[int, int]]:
-    """Return the pixels and the numbers of the key frames around a slot."""
-    key = interval.key
-    return (key.image.pixels, following.image.pixels), (key.number, following.number)
 
 
 def predict_both_ways(interval: Interval, slot: int, lookahead: bool) -> tuple[Float32, Float32]:

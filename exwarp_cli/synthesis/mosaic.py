@@ -39,6 +39,9 @@ Float = npt.NDArray[np.floating]
 # First row or column, and the one after the last.
 Span = tuple[int, int]
 
+# Neighbouring tiles: their rows and columns of tiles.
+Box = tuple[Span, Span]
+
 
 @dataclass(frozen=True)
 class Tiles:
@@ -80,22 +83,6 @@ class Tiles:
             first = (-(-(offset + edge) // stride) for edge in tile_edges(size, parts))
             out.append(list(pairwise(min(max(place, 0), end) for place in first)))
         return out[0], out[1]
-
-
-@dataclass(frozen=True)
-class Box:
-    """Neighbouring tiles: rows and columns of tiles, each from the first to after the last."""
-
-    rows: Span
-    columns: Span
-
-    def around(self, other: Box) -> Box:
-        """Return the smallest box that holds both."""
-        (top, bottom), (left, right) = (
-            (min(a[0], b[0]), max(a[1], b[1]))
-            for a, b in ((self.rows, other.rows), (self.columns, other.columns))
-        )
-        return Box((top, bottom), (left, right))
 
 
 @dataclass(frozen=True)
@@ -156,32 +143,35 @@ class Mosaic:
         Neighbours together where that saves pixels; one box of all tiles where the others would
         take as many.
         """
-        boxes = []
+        boxes: list[Box] = []
         for row, marks in enumerate(chosen):
             steps = np.diff(np.concatenate([[0], marks, [0]]))
             firsts, lasts = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
             runs = zip(firsts.tolist(), lasts.tolist(), strict=True)
-            boxes += [Box((row, row + 1), run) for run in runs]
+            boxes += [((row, row + 1), run) for run in runs]
         count = len(boxes) + 1
         while len(boxes) < count:
             count, merged = len(boxes), list[Box]()
             for box in boxes:
                 for index, other in enumerate(merged):
-                    union = other.around(box)
+                    rows, columns = (
+                        (min(a[0], b[0]), max(a[1], b[1])) for a, b in zip(box, other, strict=True)
+                    )
+                    union = rows, columns
                     if self._cost(union) <= self._cost(box) + self._cost(other):
                         merged[index] = union
                         break
                 else:
                     merged.append(box)
             boxes = merged
-        full = Box((0, len(self.down)), (0, len(self.across)))
+        full = (0, len(self.down)), (0, len(self.across))
         if sum(map(self._cost, boxes)) >= self._cost(full):
             boxes = [full]
         return [(box, *self._with_halo(box)) for box in boxes]
 
     def inside(self, box: Box) -> tuple[slice, slice]:
         """Return the pixels of a box of tiles."""
-        (top, bottom), (left, right) = box.rows, box.columns
+        (top, bottom), (left, right) = box
         return (
             slice(self.down[top][0], self.down[bottom - 1][1]),
             slice(self.across[left][0], self.across[right - 1][1]),

@@ -16,7 +16,6 @@ from exwarp_cli.synthesis.camera import (
     Index,
     Scene,
     camera_after,
-    cameras_around,
     place_still,
     scene_of,
     seen_by,
@@ -26,7 +25,6 @@ from exwarp_cli.synthesis.gbuffer_values import coarser, depth_step, normal_step
 from exwarp_cli.synthesis.trajectory import (
     displacement,
     move_rigidly,
-    reach_of,
     stencil_of,
     trace_points,
 )
@@ -111,9 +109,20 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
     scene, vectors = scene_of(gbuffer), (gbuffer.to_previous, gbuffer.to_next)
     position = _NO_VECTORS if scene is None else np.ascontiguousarray(scene.position)
     surfaces = position, depth_of(gbuffer), stencil_of(gbuffer), edges_of(gbuffer)
-    rendered = tuple(_NO_PLANE if each is None else _as_rows(each) for each in vectors)
+    rendered = tuple(
+        _NO_PLANE if each is None else np.ascontiguousarray(each).reshape(len(each), -1)
+        for each in vectors
+    )
     settled = tuple(pool.empty(each.shape, np.float32) for each in rendered)
-    cameras = cameras_around(scene, vectors, gbuffer.stencil)
+    # To the frames before and after: for points, and for background at infinity.
+    cameras = np.full((2, 2, 3, 4), np.nan)
+    for (near, far), motion in zip(cameras, vectors, strict=True):
+        if scene is None or motion is None:
+            continue
+        camera = camera_after(scene, motion, gbuffer.stencil)
+        if camera is not None:
+            near[:] = camera
+            far[:, :3], far[:, 3] = camera[:, :3] @ scene.to_ray, 1.0
     silhouettes.clean_vectors(rendered, surfaces, cameras, np.float32(STATIC_TOLERANCE), settled)
     bend = move_rigidly(gbuffer, scene, cameras, settled)
     before, after = (
@@ -121,11 +130,6 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
         for old, new in zip(vectors, settled, strict=True)
     )
     return replace(gbuffer, to_previous=before, to_next=after, bend=bend)
-
-
-def _as_rows(array: Float32) -> Float32:
-    height, width, channels = array.shape
-    return np.ascontiguousarray(array).reshape(height, width * channels)
 
 
 def edges_of(gbuffer: GBuffer) -> Bool:
@@ -156,13 +160,13 @@ def splat_motion(
     gbuffer: GBuffer,
     # [H, W, 2], pixels: where each of the frame's pixels moves; NaN for nowhere.
     motion: Float32,
-    reach: Float32 | None = None,  # from `reach_of` the motion, if already computed
 ) -> SlotField:
     """Return the motion field back to a frame from where its surfaces move to."""
-    reach = reach_of(motion) if reach is None else reach
-    depth = depth_of(gbuffer)
+    spans = -(-motion.shape[1] // splat.REACH_SPAN)
+    extents, depth = np.empty((len(motion), spans + 1, 2), np.float32), depth_of(gbuffer)
+    splat.splat_row_extents(motion, extents)
     field, near = pool.empty(motion.shape, np.float32), pool.empty(depth.shape, np.float32)
-    splat.splat(motion, depth, reach, field, near)
+    splat.splat(motion, depth, extents, field, near)
     hole: Bool = pool.empty(depth.shape, np.bool_)
     return SlotField(field, near, np.isnan(near, out=hole), depth)
 

@@ -92,14 +92,6 @@ def displacement(
     return out
 
 
-def reach_of(motion: Float32) -> Float32:
-    """Return the target rows of displacements [H, W, 2], as the splatting kernel takes them."""
-    spans = -(-motion.shape[1] // splat.REACH_SPAN)
-    reach = np.empty((motion.shape[0], spans + 1, 2), np.float32)
-    splat.splat_row_extents(motion, reach)
-    return reach
-
-
 def _on_arc(gbuffer: GBuffer, index: Index, time: float) -> Float32:
     """Return the displacement of points that turn, float32 [N, 2] in pixels, -1 < time < 1.
 
@@ -208,7 +200,7 @@ Poses = tuple[Pose | None, Pose | None]
 def move_rigidly(
     gbuffer: GBuffer,  # as rendered; without ids nothing is done
     scene: Scene | None,  # the frame's points; without world positions nothing is done
-    cameras: F64,  # [2, 2, 3, 4], from :func:`exwarp_cli.synthesis.camera.cameras_around`
+    cameras: F64,  # [2, 2, 3, 4], as `silhouettes.clean_vectors` takes them
     # Motion to the previous and to the next frame, float32 [H, 2 W] each, changed; empty where
     # there is none.
     settled: tuple[Float32, ...],

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +22,6 @@ from exwarp_cli.kernels.silhouettes import MOTION_GAP, find_moving_edges
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.camera import Index
 from exwarp_cli.synthesis.motion_fields import SlotField, splat_motion
-from exwarp_cli.synthesis.trajectory import reach_of
 
 # How far to look for background, as a share of the frame's longer side.
 FILL_REACH = 0.25
@@ -257,23 +255,19 @@ class CoverageSide:
     gbuffer: GBuffer
     motion: Float32  # [H, W, 2], pixels: from the key frame to the slot; NaN where unknown
 
-    @cached_property
-    def reach(self) -> Float32:
-        """Of the motion, for all places inside pixels; see `reach_of`."""
-        return reach_of(self.motion)
-
     def moved(self, offset: Float32 | None = None) -> SlotField:
         """Return the motion field back from the slot's pixels.
 
         With `offset`, float32 [2] in pixels, from places beside their centres, as if these were
         the centres.
         """
-        if offset is None:
-            return splat_motion(self.gbuffer, self.motion, self.reach)
-        height, width, _ = self.motion.shape
-        # As rows of 2 W values, because arrays with a last axis of two are slow.
-        motion = self.motion.reshape(height, 2 * width) - np.tile(offset, width)
-        return splat_motion(self.gbuffer, motion.reshape(self.motion.shape), self.reach - offset[1])
+        motion = self.motion
+        if offset is not None:
+            height, width, _ = motion.shape
+            # As rows of 2 W values, because arrays with a last axis of two are slow.
+            rows = motion.reshape(height, 2 * width) - np.tile(offset, width)
+            motion = rows.reshape(motion.shape)
+        return splat_motion(self.gbuffer, motion)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from exwarp_cli.kernels import _row_bands, gather, holes, resample, silhouettes,
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.motion_fields import TURN_PER_SLOT, SlotField, reproject, settle_motion
-from exwarp_cli.synthesis.trajectory import displacement, reach_of
+from exwarp_cli.synthesis.trajectory import displacement
 from exwarp_cli.synthesis.warp import LANCZOS, Mover, fill_holes
 from tests.bench import goals
 from tests.bench.street import key_frame
@@ -102,14 +102,17 @@ def _geometry(raw: KeyFrame, settled: KeyFrame) -> dict[str, tuple[Work, Work]]:
     edge, mask = np.empty(depth.shape, np.bool_), np.empty(depth.shape, np.bool_)
     source = reproject(moving, TIME)
 
+    extents = np.empty((len(motion), -(-motion.shape[1] // splat.REACH_SPAN) + 1, 2), np.float32)
+
     def splat_all() -> None:
-        splat.splat(motion, depth, reach_of(motion), field, near)
+        splat.splat_row_extents(motion, extents)
+        splat.splat(motion, depth, extents, field, near)
 
     cosine = np.float32(np.cos(SLOT * TURN_PER_SLOT))
     limits = cosine, *(np.float32(0),) * 3
     pairs = [(a, a) for a in (depth, stencil, buffers.position, buffers.normal)]
     works: dict[str, Work] = {
-        "row_reach": lambda: reach_of(motion),
+        "row_reach": lambda: splat.splat_row_extents(motion, extents),
         "row_reach + splat": splat_all,
         "mark": lambda: holes.mark_holes(source.field, *pairs, limits, mask),
         "find_edges": lambda: silhouettes.find_edges(depth, stencil, edge),

@@ -309,20 +309,6 @@ def looked_up(image: np.ndarray, target: np.ndarray) -> Arrays:
     return (found,)
 
 
-def missed_along(
-    xy: np.ndarray,
-    shifts: np.ndarray,
-    image: np.ndarray,
-    wanted: np.ndarray,
-    tolerance: np.ndarray,
-    place: int = 0,
-    places: int = 1,
-) -> Arrays:
-    losses = np.full((len(shifts), places, len(xy)), -1.0)
-    gather.write_shifted_losses(xy, shifts, image, wanted, tolerance, place, losses)
-    return (losses,)
-
-
 def opponent_written(image: np.ndarray, gain: float = 0, serial: bool = False) -> Arrays:
     planes = np.full((picture_errors.OPPONENT_PLANES, *image.shape[:2]), np.nan, np.float32)
     build(picture_errors, "write_opponent", serial)(image, np.float32(gain), planes)

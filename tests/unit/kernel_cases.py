@@ -240,13 +240,6 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
 ONE_BUILD: dict[str, Callable[[], calls.Arrays]] = {
     "whole_ids": lambda: calls.rounded(image(64).reshape(-1).round(1)),
     "look_up": lambda: calls.looked_up(image(58), scattered(59)),
-    "count_misses": lambda: calls.missed_along(
-        scattered(65)[:, :2].copy(),
-        np.random.default_rng(66).normal(0, 2, (3, len(scattered(65)), 2)).astype(np.float32),
-        image(67),
-        scattered(68)[:, :1] + np.zeros(image(67).shape[2]),
-        scattered(69)[:, 0] ** 2,
-    ),
     "label": lambda: calls.areas_measured(ids(38) * ids(39)),
 }
 """Kernels that are only serial: compiled and interpreted."""

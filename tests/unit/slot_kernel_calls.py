@@ -6,7 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from exwarp_cli.kernels import gather, network_planes, point_motion
+from exwarp_cli.domain.frame import GBuffer, Window
+from exwarp_cli.kernels import gather, point_motion
+from exwarp_cli.synthesis.extrapolation import MovedFrame, SlotInputs
 from tests.unit import kernel_calls as calls
 from tests.unit import kernel_cases as cases
 from tests.unit.kernel_calls import Arrays, build
@@ -57,17 +59,18 @@ def taken_over(
 def spread(
     frames: tuple[Frame, Frame, Frame],
     filled: np.ndarray,
-    parts: tuple[np.ndarray, ...],
+    parts: tuple[np.ndarray | None, ...],
     median: float,
     rows: slice,
     columns: slice,
-    serial: bool = False,
-) -> Arrays:
-    out = np.full((25, rows.stop - rows.start, columns.stop - columns.start), np.nan, np.float32)
-    defaults, corner = (0.5, 0.25, 0.0), (rows.start, columns.start)
-    call = build(network_planes, "write_input_planes", serial)
-    call(frames, filled, parts, defaults, np.float32(median), corner, out)
-    return (out,)
+) -> np.ndarray:
+    """Return the planes [25, h, w] of a part of a slot's inputs."""
+    height, width, _ = filled.shape
+    names = "depth", "normal", "roughness", "metallic"
+    surface = GBuffer(Window(0, 0, width, height), **dict(zip(names, parts, strict=True)))
+    moved = tuple(MovedFrame(*frame) for frame in frames)
+    pictures = SlotInputs(moved, filled, surface, median, 0.5).part(rows, columns).pictures
+    return np.concatenate(list(pictures.values()))
 
 
 def bounds_raised(
@@ -139,15 +142,6 @@ def _take_over(serial: bool) -> Arrays:
     return full + taken_over(cases.field(70), bare, (nothing, nothing), seen(73), serial)
 
 
-def _spread(serial: bool) -> Arrays:
-    """A part that reaches beyond the frame, and one of what is known least of."""
-    frames, filled = (frame(74), frame(75), frame(76)), frame(77)[0]
-    all_of_it = slice(0, 40), slice(-2, 16)
-    full = spread(frames, filled, parts(78), 2.5, *all_of_it, serial)
-    nothing = (NO_PLANE, calls.NO_VECTORS, NO_PLANE, NO_PLANE)
-    return full + spread(frames, filled, nothing, 1.0, slice(3, 9), slice(2, 7), serial)
-
-
 def _raise_bounds(serial: bool) -> Arrays:
     """All pixels of a frame, and those whose alpha is 0 alone."""
     pixels = cases.image(87)
@@ -167,7 +161,6 @@ def _hold(serial: bool) -> Arrays:
 CASES: dict[str, Callable[[bool], Arrays]] = {
     "follow_visible": _follow_shown,
     "copy_surface": _take_over,
-    "write_input_planes": _spread,
     "raise_bounds": _raise_bounds,
     "clamp_to_bounds": _hold,
 }

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.stats import wasserstein_distance
 
-from exwarp_cli.kernels import frame_statistics
 from exwarp_cli.kernels._row_bands import set_threads
 from exwarp_cli.kernels.frame_statistics import (
     BINS,
@@ -229,23 +228,6 @@ class TestValues:
                     ValueDistribution(other, everything(other)), one
                 ).tobytes()
             )
-
-    def test_a_range_that_stays_is_not_counted_again(self, monkeypatch):
-        values = scene(15)
-        asked: list[np.ndarray] = []
-        true = frame_statistics.count_histograms
-        monkeypatch.setattr(
-            frame_statistics, "count_histograms", lambda *a: asked.append(a[2]) or true(*a)
-        )
-        one = ValueDistribution(values, everything(values))
-        first = np.array([[-9.0, 9], [0, 900], [-2, 2]])
-        shares = one.shares(first).copy()
-        np.testing.assert_array_equal(one.shares(first), shares)
-        second = np.array([[-9.0, 9], [0, 800], [-2, 2]])
-        changed = one.shares(second).copy()
-        np.testing.assert_array_equal(asked, [first, [[0, 0], [0, 800], [0, 0]]])
-        np.testing.assert_array_equal(changed[[0, 2]], shares[[0, 2]])
-        assert (changed[1] != shares[1]).any()
 
 
 @pytest.mark.parametrize("width", [1, 7, 8, 63, 64, 65, 331])

@@ -16,7 +16,6 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.layer_retiming import (
     LayerMotion,
     LayerRetimer,
-    TransferRule,
     lead_points,
     make_retimer,
     unmoved_sources,
@@ -127,36 +126,36 @@ class TestManner:
 
     def test_a_dropped_slot_repeats_the_key_frame(self):
         made = self.of("s1", 1)
-        assert made.rule is TransferRule.REPEAT and made.time == 0
+        assert made.warp is None and made.time == 0
         np.testing.assert_array_equal(made.sources.pixel, unmoved_sources((80, 128)).pixel)
 
     def test_a_dropped_slot_repeats_the_slot_before(self):
         made = self.of("s1", 3)
-        assert made.rule is TransferRule.WARP and made.time == 0.5
+        assert made.warp is not None and made.time == 0.5
 
     @pytest.mark.parametrize("path", ["s2", "s3", "s6"])
     def test_where_a_network_made_the_beauty_layers_are_moved(self, path):
         made = self.of(path, 3)
-        assert made.rule is TransferRule.WARP and made.time == 0.75
+        assert made.warp is not None and made.time == 0.75
 
     def test_a_warp_goes_beyond_the_slots_of_the_paper(self):
         times = tuple(i / 8 for i in range(1, 8))
         given = replace(interval(lookahead=False), times=times)
         shown = Predicted(key(0).image.pixels, FrameKind.GENERATED, "s6", (1001,), WARP)
         made = make_retimer(given, 7, shown)
-        assert made.rule is TransferRule.WARP and made.time == 7 / 8
+        assert made.warp is not None and made.time == 7 / 8
 
     @pytest.mark.parametrize(("slot", "later"), [(1, False), (2, False), (3, True)])
     def test_a_cross_fade_takes_ids_from_the_nearer_key_frame(self, slot, later):
         made, _ = retimed("blend", slot)
         ids = [geometry(frame).stencil for frame in (key(0), key(1))]
         np.testing.assert_array_equal(made.sources.take(*ids), ids[later])
-        assert made.rule is TransferRule.FADE
+        assert made.warp is None and made.mixer is None and made.time == slot / 4
 
     def test_a_network_that_interpolates_goes_with_blended_layers(self):
         given = interval(lookahead=True)
         shown = Predicted(key(0).image.pixels, FrameKind.GENERATED, "onnx", (1, 2), "interpolate")
-        assert make_retimer(given, 2, shown).rule is TransferRule.BLEND
+        assert make_retimer(given, 2, shown).mixer is not None
 
     def test_without_motion_its_layers_are_cross_faded(self):
         given = replace(
@@ -165,7 +164,8 @@ class TestManner:
             following=key(1).without("to_previous", "to_next"),
         )
         shown = Predicted(key(0).image.pixels, FrameKind.GENERATED, "onnx", (1, 2), "interpolate")
-        assert make_retimer(given, 2, shown).rule is TransferRule.FADE
+        made = make_retimer(given, 2, shown)
+        assert made.warp is None and made.mixer is None and made.time == 0.5
 
 
 class TestData:

@@ -14,7 +14,7 @@ from exwarp_cli.domain import metric as metric_names
 from exwarp_cli.domain.colour import encode_display
 from exwarp_cli.domain.results import Score
 from exwarp_cli.metrics import registry
-from exwarp_cli.metrics.registry import FRAME_METRICS, LINEAR_METRICS, METRICS, score_frame
+from exwarp_cli.metrics.registry import LINEAR_METRICS, METRICS, score_frame
 from tests.reference import quality, scikit
 
 
@@ -147,8 +147,8 @@ def test_the_metrics_are_named_as_the_fields_of_a_score() -> None:
     overall, _ = score_frame(*random_pair((12, 12, 3)), None)
     known = [metric.field for metric in metric_names.METRICS]
     assert list(vars(overall)) == known
-    assert {*METRICS, *LINEAR_METRICS, *FRAME_METRICS, "vmaf", "flicker"} == set(known)
-    assert (*METRICS, *FRAME_METRICS) == metric_names.DEFAULT_METRICS
+    assert {*METRICS, *LINEAR_METRICS, "pulse", "vmaf", "flicker"} == set(known)
+    assert (*METRICS, "pulse") == metric_names.DEFAULT_METRICS
 
 
 def test_only_what_is_named_is_measured() -> None:

@@ -18,11 +18,8 @@ from exwarp_cli.synthesis.motion_fields import (
     reproject,
     settle_motion,
 )
-from exwarp_cli.synthesis.trajectory import (
-    displacement,
-    reach_of,
-    stencil_of,
-)
+from exwarp_cli.synthesis.trajectory import displacement, stencil_of
+from tests.unit.kernel_calls import reached
 from tests.unit.scenes import SKY, View, town
 
 TIMES = (0.25, 0.5, 0.75)
@@ -223,7 +220,7 @@ class TestDisplacement:
         ways = ways if given == "both" else {given: ways[given]}
         gbuffer = GBuffer(Window(0, 0, width, 7), **ways)
         motion = displacement(gbuffer, 0.75)
-        reach = reach_of(motion)
+        (reach,) = reached(motion)
         for i, row in enumerate(motion):
             spans = [*np.split(row, range(REACH_SPAN, width, REACH_SPAN)), row]
             assert len(reach[i]) == len(spans)

@@ -10,7 +10,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from exwarp_cli.accelerator.mlp import PAPER_SIZES, from_fixed, to_fixed
+from exwarp_cli.accelerator.mlp import ONE, PAPER_SIZES, to_fixed
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.models.model_file import shipped_folder
@@ -94,7 +94,7 @@ def test_all_forms_of_it_agree():
     fixed = to_fixed(states)
     outputs, _ = MlpKernel(policy.network).decide_many(fixed)
     np.testing.assert_array_equal(answer(MODELS / "policy-int8.onnx", fixed), outputs)
-    values = from_fixed(fixed).astype(np.float32)
+    values = (fixed / ONE).astype(np.float32)
     expected = values.astype(np.float64)
     for number, (weights, biases) in enumerate(policy.floats):
         last = number == len(policy.floats) - 1
