@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from exwarp_cli.domain.timeline import parse_rate
-from exwarp_cli.errors import InputError
+from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.exr.header import MULTIPART, Attribute, RawHeader
 from exwarp_cli.io.exr.reader import HeaderCache, damaged_error, parse_header
 from exwarp_cli.io.exr.writer import PREFIX
@@ -228,7 +228,9 @@ def digests(
     try:
         return with_retries(path, read)
     except OSError as error:
-        raise damaged_error(path, str(error.strerror)) from error
+        raise DamagedFileError(
+            f"cannot read {path}: {error.strerror}; render or copy it again"
+        ) from error
 
 
 def _with_rate(file: BinaryIO, rate: Fraction) -> tuple[bytes, int]:

@@ -140,6 +140,9 @@ class TestRefusals:
         folder = stills(tmp_path / "keys", map(frame, range(4)))
         (folder / "pan.0002.png").unlink()
         exwarp("upsample", folder, "-o", tmp_path / "out").refused(3, "frame 2 is missing")
+        left_out = exwarp("upsample", folder, "-o", tmp_path / "out", "--keep-going", "-m", "hold")
+        place = folder / "pan.0002.png"
+        assert f"frames 5-8: cannot read {place}: No such file or directory;" in left_out.err
 
     def test_truth_of_another_size(self, exwarp, keys, tmp_path):
         truth = stills(tmp_path / "truth", (frame(0)[:-2] for _ in range(13)))
