@@ -93,6 +93,7 @@ class LazyGroup(click.Group):
 
 @click.group(
     cls=LazyGroup,
+    # For help and completion alone: `resolve_command` imports the real ones.
     commands={name: click.Command(name, short_help=text) for name, text in COMMANDS.items()},
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},

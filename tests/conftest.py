@@ -59,8 +59,11 @@ def pytest_configure(config: pytest.Config) -> None:
 
     Where PYTHONDONTWRITEBYTECODE is set, each would compile it again, in 0.5 s.
     """
+    chosen = config.option
     is_plain = config.args_source == pytest.Config.ArgsSource.TESTPATHS
-    if is_plain and not (config.option.all or config.option.markexpr):
+    if is_plain and not (
+        chosen.all or chosen.markexpr or chosen.keyword or getattr(chosen, "lf", False)
+    ):
         config.option.markexpr = DEFAULT_SUITE
     if not hasattr(config, "workerinput"):
         compileall.compile_dir(Path(exwarp_cli.__file__).parent, quiet=1)

@@ -1,8 +1,8 @@
 """How much is tried: which tests run by default, and how many of their cases.
 
-``pytest`` alone runs what takes under four minutes on two cores. With ``--all``, with files or with
-``-m`` it runs what these name; ``make test`` runs all. Of combinations it tries a spread, with
-EXWARP_TESTS=full every one.
+``pytest`` alone runs what takes under four minutes on two cores. With files, ``-m``, ``-k`` or
+``--lf`` it runs what these name, with ``--all`` everything, as ``make test`` does. Of combinations
+it tries a spread, with EXWARP_TESTS=full every one.
 """
 
 from __future__ import annotations

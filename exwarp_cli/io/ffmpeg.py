@@ -13,14 +13,12 @@ its own pair and on the reference's neighbours, and on nothing else.
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
-import tempfile
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import IO, ClassVar
+from typing import ClassVar
 
 import imageio_ffmpeg
 import numpy as np
@@ -116,14 +114,15 @@ class _FfmpegStream(ResourceOwner):
         self._options, self._folder = options, folder
 
     def _open(self, stack: ExitStack) -> None:
-        log: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - the stack closes it
-        self._log = stack.enter_context(log)
+        path = stack.enter_context(scratch_folder()) / "ffmpeg.log"
+        log = stack.enter_context(path.open("wb"))
+        self._log = stack.enter_context(path.open("rb"))  # ffmpeg shares the position of `log`
         try:
             self._process = subprocess.Popen(
                 _command(self._options),
                 stdin=self._stdin,
                 stdout=self._stdout,
-                stderr=self._log,
+                stderr=log,
                 cwd=self._folder,
                 process_group=0,
             )
@@ -157,7 +156,7 @@ class FfmpegReader(_FfmpegStream):
     def __init__(self, options: Sequence[str], frame_bytes: int) -> None:
         super().__init__(("-nostdin", *options))
         self._frame_bytes = frame_bytes
-        self._log_position, self._incomplete_line = 0, b""
+        self._incomplete_line = b""
 
     def read(self) -> bytes | None:
         """Return the next frame's bytes; None at the end, or where fewer are left.
@@ -176,12 +175,7 @@ class FfmpegReader(_FfmpegStream):
 
     def messages(self) -> list[str]:
         """Return the complete lines that ffmpeg printed since the last call."""
-        # ffmpeg shares the file's position, so it is not moved here.
-        log, text = self._log.fileno(), self._incomplete_line
-        while more := os.pread(log, 1 << 16, self._log_position):
-            self._log_position += len(more)
-            text += more
-        *lines, self._incomplete_line = text.split(b"\n")
+        *lines, self._incomplete_line = (self._incomplete_line + self._log.read()).split(b"\n")
         return [line.decode("utf-8", "replace") for line in lines]
 
 

@@ -99,6 +99,17 @@ class KeyFile:
         with target.open("rb") as file:
             return all(file.read(len(piece)) == piece for piece in self.pieces())
 
+    def begins_with(self, data: bytes) -> bool:
+        """Return True if these bytes are the beginning of the file; reads no more than it needs."""
+        rest = data
+        for piece in self.pieces():
+            if not piece.startswith(rest[: len(piece)]):
+                return False
+            rest = rest[len(piece) :]
+            if not rest:
+                return True
+        return not rest
+
     def digest(self) -> str:
         """Return the checksum of the file, hexadecimal; see `exwarp_cli.io.files`."""
         return compute_checksum(self.pieces())
@@ -189,7 +200,7 @@ def _report_unsound(source: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(
-            f"cannot read {source}: {error.strerror or error}; check the path"
+            f"cannot read {source}: {error.strerror or error}; check the path and its rights"
         ) from error
     except (ValueError, struct.error) as error:
         raise damaged_error(source, str(error)) from error

@@ -80,7 +80,7 @@ def count_histograms(
 
 
 class ValueDistribution:
-    """The range and the cumulative distribution of a buffer, computed once for all comparisons."""
+    """The range and cumulative distributions of a buffer."""
 
     def __init__(
         self,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
-from itertools import chain, filterfalse
+from itertools import chain
 
 import numpy as np
 
@@ -125,7 +125,8 @@ def with_depth_ordered(
     for first in pairs_within(len(numbers), cuts.__contains__):
         pairs = map(both_directions, pairs_around(first, len(numbers), cuts.__contains__))
         wanted = next(pairs)
-        for depth, neighbour, motion in next(filterfalse(is_hold, chain((wanted,), pairs)), wanted):
+        moving = (pair for pair in chain((wanted,), pairs) if not is_hold(pair))
+        for depth, neighbour, motion in next(moving, wanted):
             votes = occlusion_votes(depth, neighbour, motion)
             by_pair.append(votes)
             total += votes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -329,6 +329,7 @@ class ViewInterval:
         if frames is None:
             return {}
         retimer = make_retimer(self.interval, slot, shown)
+        vectors = cache(partial(self._vectors, frames, retimer))  # several layers may hold them
         own = frames.slots[slot - 1] if frames.slots else {}
         planes: dict[PlaneKey, Plane] = {}
         for layer in self.content.extra:
@@ -337,7 +338,7 @@ class ViewInterval:
             if all(ref in own for ref in layer.refs):
                 values = {ref: np.array(self._placed(own[ref])) for ref in layer.refs}
             else:
-                values = self._retimed(layer, frames, retimer)
+                values = self._retimed(layer, frames, retimer, vectors)
             if layer.kind is not LayerKind.COLOUR:  # which is mended where it is mixed
                 background = np.inf if layer.kind is LayerKind.DEPTH else 0.0
                 retimer.sources.mend(list(values.values()), background)
@@ -349,7 +350,11 @@ class ViewInterval:
         return planes
 
     def _retimed(
-        self, layer: Layer, frames: LayerFrames, retimer: LayerRetimer
+        self,
+        layer: Layer,
+        frames: LayerFrames,
+        retimer: LayerRetimer,
+        vectors: Callable[[], Float32],  # see `_vectors`
     ) -> dict[ChannelRef, np.ndarray]:
         """Make a layer's channels for a slot, [H, W] each, in the type that its file has."""
         refs, motion, window = layer.refs, self.content.motion, self.window
@@ -370,13 +375,8 @@ class ViewInterval:
                     outside = (outside_mask(window, end) for end in ends)
                     values[retimer.sources.take(*outside), i] = 0
         elif layer.kind is LayerKind.MOTION and any(ref in motion for ref in refs):
-            convention = self.content.convention
-            assert convention is not None
-            before = self._stack(frames.before, motion)
-            after = None if frames.after is None else self._stack(frames.after, motion)
-            vectors = retimer.vectors(convention, before, after)
             return {
-                ref: vectors[..., motion.index(ref)]
+                ref: vectors()[..., motion.index(ref)]
                 if ref in motion
                 else self._copied(ref, frames, retimer)
                 for ref in refs
@@ -385,6 +385,14 @@ class ViewInterval:
             return {ref: self._copied(ref, frames, retimer) for ref in refs}
         # Copied, so that half takes its own memory.
         return {ref: np.ascontiguousarray(values[..., i]) for i, ref in enumerate(refs)}
+
+    def _vectors(self, frames: LayerFrames, retimer: LayerRetimer) -> Float32:
+        """Make all motion channels [H, W, C] for a slot."""
+        motion, convention = self.content.motion, self.content.convention
+        assert convention is not None
+        before = self._stack(frames.before, motion)
+        after = None if frames.after is None else self._stack(frames.after, motion)
+        return retimer.vectors(convention, before, after)
 
     def _copied(self, ref: ChannelRef, frames: LayerFrames, retimer: LayerRetimer) -> np.ndarray:
         """Copy the sources' values, bit for bit."""

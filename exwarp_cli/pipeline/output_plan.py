@@ -398,8 +398,7 @@ class _Ownership:
         except OSError:
             beginning = None
         if beginning is not None and any(
-            b"".join(form.pieces()).startswith(beginning)
-            for form in possible_key_files(source, path)
+            form.begins_with(beginning) for form in possible_key_files(source, path)
         ):
             return True
         timeline, frames = self.source.timeline, self.targets.frames

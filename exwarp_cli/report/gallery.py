@@ -194,7 +194,7 @@ class Gallery:
         self._key_of: dict[int, int] = {}
 
     def share(self) -> Gallery:
-        """Return an empty gallery for a part of the run, with the plan of the whole."""
+        """Return an empty gallery for a part of the run, with the plan of the whole: plan first."""
         part = copy(self)
         part.album = replace(self.album, start=None, frames={})
         part._worst = part._key = None

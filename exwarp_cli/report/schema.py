@@ -175,7 +175,7 @@ def mean(values: Iterable[float]) -> float | None:
 
 def score_values(score: Score | None) -> dict[str, float | None]:
     """Return a score's values by their names in every report; None if not measured."""
-    return {m.field: getattr(score, m.field, None) for m in METRICS}
+    return {m.field: None if score is None else getattr(score, m.field) for m in METRICS}
 
 
 def mean_scores(scores: Iterable[Score | None]) -> dict[str, float | int | None]:
@@ -477,4 +477,4 @@ def escape_formula(name: str | None) -> str | None:
 
 def score_cells(score: Score | None, names: Sequence[str]) -> list[float | None]:
     """Return the cells of some metrics, by their names in `Score`."""
-    return [getattr(score, name, None) for name in names]
+    return [None if score is None else getattr(score, name) for name in names]

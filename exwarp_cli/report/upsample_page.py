@@ -288,7 +288,8 @@ def _slot_plots(frames: Sequence[FrameRecord]) -> list[Figure]:
         metric = BY_FIELD[field]
         values: dict[int, list[float]] = {}
         for frame in frames:
-            value = getattr(frame if field == "pulse" else frame.score, field, None)
+            source = frame if field == "pulse" else frame.score
+            value = None if source is None else getattr(source, field)
             if frame.slot and value is not None:
                 values.setdefault(frame.slot, []).append(value)
         if len(values) < 2:

@@ -16,7 +16,6 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from math import inf, prod
-from operator import is_not
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -148,7 +147,7 @@ class ScratchFrames:
             after = self._store_array(before)
         elif type(before) is tuple:
             items = tuple(map(self.store, before))
-            if any(map(is_not, items, before)):
+            if any(new is not old for new, old in zip(items, before, strict=True)):
                 after = items
         elif is_dataclass(before) and not isinstance(before, type):
             parts = {f.name: self.store(getattr(before, f.name)) for f in fields(before) if f.init}

@@ -10,7 +10,6 @@ import os
 import signal
 import socket
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -73,6 +72,8 @@ def clean_up_after(action: Callable[[], object]) -> Iterator[None]:
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
     """Yield an empty folder that is removed when the block ends, or the process within it."""
+    import tempfile  # not needed by most commands
+
     folder = tempfile.TemporaryDirectory("-exwarp", ignore_cleanup_errors=True)
     with clean_up_after(folder.cleanup):
         yield Path(folder.name)

@@ -89,7 +89,7 @@ class SlotInputs:
         rows = np.clip(np.arange(top + lines.start, top + lines.stop), 0, height - 1)
         place = np.s_[rows, left + begin : left + end]
         inside = EXTRAPOLATOR_INTERFACE.split(part[..., begin:end])
-        warped, mask, features, history = inside.values()
+        warped, features, history = inside["warped"], inside["features"], inside["history"]
         colours = [(self.filled, warped[3:])]
         for k, frame in enumerate(self.frames):
             colours.append((frame.pixels, history[4 * k : 4 * k + 3]))
@@ -98,24 +98,24 @@ class SlotInputs:
             colour[:] = np.moveaxis(pixels[place][..., :3], -1, 0)
             for line in colour:  # contiguous, as numpy's curves are slow else
                 encode(line, out=line)
-        mask[0] = history[3]
-        np.multiply(history[:3], mask, out=warped[:3])
+        inside["mask"][0] = history[3]
+        np.multiply(history[:3], history[3], out=warped[:3])
         features[:3] = 0
         if surface.normal is not None:
             normal = surface.normal[place].clip(-1, 1)
             normal[~np.isfinite(surface.normal[place])] = 0
             features[:3] = np.moveaxis(normal, -1, 0)
-        median, parts = (
-            np.float32(self.median),
-            (surface.depth, surface.roughness, surface.metallic),
+        depth, roughness, metallic = (
+            None if values is None else values[place]
+            for values in (surface.depth, surface.roughness, surface.metallic)
         )
-        known = [None if values is None else values[place] for values in parts]
-        if known[0] is not None:
+        if depth is not None:
+            median = np.float32(self.median)
             with np.errstate(over="ignore"):  # of the largest floats
-                distance = np.maximum(known[0], 0) + max(median, MIN_MEDIAN)
-            known[0] = np.float32(1) - median / distance
-        defaults = UNKNOWN_DEPTH, UNKNOWN_ROUGHNESS, UNKNOWN_METALLIC
-        for plane, values, unknown in zip(features[3:], known, defaults, strict=True):
+                distance = np.maximum(depth, 0) + max(median, MIN_MEDIAN)
+            depth = np.float32(1) - median / distance
+        known = (depth, UNKNOWN_DEPTH), (roughness, UNKNOWN_ROUGHNESS), (metallic, UNKNOWN_METALLIC)
+        for plane, (values, unknown) in zip(features[3:], known, strict=True):
             plane[:] = unknown
             if values is not None:
                 np.copyto(plane, values.clip(0, 1), where=~np.isnan(values))

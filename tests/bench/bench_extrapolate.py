@@ -35,7 +35,7 @@ SLOTS = (2, 3)
 """Those that are extrapolated where most are: by the path S3."""
 
 BARE, WHOLE = "session alone", "E"
-PARTS = ("motion field", "history", "inputs", "network", "finish")
+PARTS = ("motion field", "inputs", "network", "finish")
 GOALS = {f"{WHOLE}, {setting} G-buffers": 1.1 for setting in ("key", "slot")}
 
 Fed = dict[str, np.ndarray]
@@ -91,7 +91,6 @@ def _round(
     interval, taken = _interval(setting), {name: 0.0 for name in times}
     for slot in SLOTS:
         _timed(taken, "motion field", lambda s=slot: interval.back(s))
-        _timed(taken, "history", lambda s=slot: interval.look_back(s))
         prepared = _timed(taken, "inputs", lambda s=slot: interval.prepared(s))
         fed = _padded(prepared.inputs.part(slice(None), slice(None)), stride)
         _timed(taken, BARE, lambda f=fed: bare(f))

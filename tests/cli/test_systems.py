@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # What Python's documentation gives as absent, of what ExWarp would use.
 NOT_ON_MACOS = (
-    "os.sched_getaffinity", "os.posix_fadvise", "os.posix_fallocate", "os.copy_file_range",
+    "os.sched_getaffinity", "os.posix_fadvise", "os.posix_fallocate",
 )  # fmt: skip
 NOT_ON_WINDOWS = (
     *NOT_ON_MACOS, "os.fork", "os.getuid", "os.geteuid", "os.preadv", "os.pread", "os.sysconf",
@@ -85,6 +85,15 @@ def written(out: Path) -> dict[str, bytes]:
 @pytest.mark.parametrize("system", ["macos", "windows"])
 def test_frames_are_those_of_linux(system, on_linux, plain_shot, plain_truth, tmp_path):
     assert upsampled(system, plain_shot, plain_truth, tmp_path) == on_linux
+
+
+@pytest.mark.parametrize("system", spread(["windows", "macos"], 1))
+def test_a_video_is_read(system, plain_shot, upsample, tmp_path):
+    video = tmp_path / "shot.mp4"
+    upsample(plain_shot, tmp_path / "frames", "-m", "hold", "--video", video)
+    line = ("upsample", video, "-o", tmp_path / "out", "-m", "hold", "--progress", "none")
+    result = run(system, *line)
+    assert result.returncode == 0, result.stderr
 
 
 @pytest.mark.parametrize("system", spread(["windows", "macos"], 1))

@@ -97,12 +97,6 @@ int rename(const char *from, const char *to) {
   return real(from, to);
 }
 
-ssize_t copy_file_range(int in, off64_t *from, int out, off64_t *to, size_t size, unsigned flags) {
-  REAL(ssize_t, "copy_file_range", int, off64_t *, int, off64_t *, size_t, unsigned);
-  if (*wish("FAULT_CALL") && is_meant_fd(out) && (fails("copy") || fails("write"))) return -1;
-  return real(in, from, out, to, size, flags);
-}
-
 static int opened(int (*real)(const char *, int, ...), const char *path, int flags, int mode) {
   if ((flags & (O_WRONLY | O_RDWR)) && is_meant(path) && fails("open")) return -1;
   if (!(flags & (O_WRONLY | O_RDWR)) && is_meant(path) && fails("look")) return -1;

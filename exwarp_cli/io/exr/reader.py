@@ -15,6 +15,7 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
+from threading import Lock
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -342,11 +343,12 @@ class ExrFile(AbstractContextManager["ExrFile"]):
 class HeaderCache:
     """Keeps headers that were read last, and which AOVs' files OpenImageIO decodes.
 
-    So a shot's files are opened less often.
+    So a shot's files are opened less often. Several threads use it.
     """
 
     _headers: OrderedDict[Path, FileHeader] = field(default_factory=OrderedDict)
     _decoded_here: dict[str, bool] = field(default_factory=dict)
+    _lock: Lock = field(default_factory=Lock)
 
     def open(self, path: Path, aov: str) -> ExrFile:
         """Open a file of an AOV, the way that was right for the one before; see `ExrFile`."""
@@ -357,7 +359,8 @@ class HeaderCache:
 
     def read(self, path: Path) -> FileHeader:
         """Return the header of a file; raises as `ExrFile` does."""
-        header = self._headers.get(path)
+        with self._lock:
+            header = self._headers.get(path)
         with suppress(OSError):
             if header is not None and header.stamp == _stamp(path.stat()):
                 return header
@@ -367,11 +370,12 @@ class HeaderCache:
 
     def keep(self, path: Path, header: FileHeader) -> None:
         """Keep a header as the newest; one without parts drops what is kept of that file."""
-        self._headers.pop(path, None)
-        if header.parts:
-            self._headers[path] = header
-        while len(self._headers) > MAX_HEADERS:
-            self._headers.popitem(last=False)
+        with self._lock:
+            self._headers.pop(path, None)
+            if header.parts:
+                self._headers[path] = header
+            while len(self._headers) > MAX_HEADERS:
+                self._headers.popitem(last=False)
 
 
 def open_image(path: Path) -> oiio.ImageInput:

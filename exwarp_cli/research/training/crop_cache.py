@@ -196,10 +196,11 @@ class CachedArrays(ABC):
     """
 
     prefix = ""  # of the folders' names
+    names: tuple[str, ...]  # of the arrays
 
     def __init__(self, folders: Sequence[Path]) -> None:
         self._files = [
-            {file.stem: np.load(file, mmap_mode="r") for file in folder.glob("*.npy")}
+            {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in self.names}
             for folder in folders
         ]
         counts = [len(files["time"]) for files in self._files]
@@ -262,7 +263,7 @@ class Batch(NamedTuple):
     @property
     def inputs(self) -> tuple[Tensor, ...]:
         """What the network is called with."""
-        return self[:5]
+        return self.warped, self.mask, self.features, self.history, self.time
 
     @property
     def plain(self) -> Tensor:
@@ -281,6 +282,8 @@ def to_device(batch: Any, device: str) -> Any:
 
 class Crops(CachedArrays):
     """All crops of some folders."""
+
+    names = ("colour", "mask", "features", "modulation", "target", "time")
 
     @staticmethod
     def token(settings: ExtrapolatorSettings) -> dict[str, object]:
@@ -337,7 +340,7 @@ class Crops(CachedArrays):
             patches = [(slice(None), slice(None))] * len(indices)
         places = [self._places[index] for index in indices]
         tensors: dict[str, Tensor] = {}
-        for name in self._files[0]:
+        for name in self.names:
             cuts = [
                 self._files[f][name][i if name == "time" else (i, slice(None), *patch)]
                 for (f, i), patch in zip(places, patches, strict=True)

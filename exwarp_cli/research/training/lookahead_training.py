@@ -156,11 +156,17 @@ class SampleBatch(NamedTuple):
     time: Tensor  # float32 [N]
     truth: Tensor  # As displayed
 
+    @property
+    def pictures(self) -> tuple[Tensor, ...]:
+        """What the network is called with, but for the time."""
+        return self.colour, self.masks, self.depth, self.agreement
+
 
 class Samples(CachedArrays):
     """The slots of some folders, of which patches are read as they are needed."""
 
     prefix = "lookahead-"
+    names = SampleBatch._fields
 
     @staticmethod
     def token(settings: LookAheadSettings) -> dict[str, object]:
@@ -370,7 +376,7 @@ class LookAheadTraining(ResumableTraining):
         return ShippedNetwork(self.average)
 
     def _loss(self, batch: SampleBatch) -> Tensor:
-        colour = mix(self.network(*batch[:-1]), batch.colour)
+        colour = mix(self.network(*batch.pictures, batch.time), batch.colour)
         return loss_of(colour, batch.truth)
 
     @torch.no_grad()
@@ -382,7 +388,7 @@ class LookAheadTraining(ResumableTraining):
             sample = to_device(samples.whole(index), self.device)
             height, width = sample.truth.shape[-2:]
             padding = (0, -width % STRIDE, 0, -height % STRIDE)
-            pictures = [functional.pad(p, padding, mode="replicate") for p in sample[:4]]
+            pictures = [functional.pad(p, padding, mode="replicate") for p in sample.pictures]
             colour = mix(self.average(*pictures, sample.time), pictures[0])
             colour = colour[..., :height, :width].clamp(0, 1)
             truth, plain = sample.truth.clamp(0, 1), sample.colour[:, :3].clamp(0, 1)
