@@ -23,8 +23,8 @@ LEAP = 0.01
 AROUND_HOLD = (1, -1, 2, -2, 3, -3, 5, -5, 8, -8, 16, -16, 32, -32)
 
 
-class _RecordedError(InputError):
-    """The error of a frame that is recorded as unreadable."""
+class _RecordedError(Exception):
+    """The cause of an error of a frame that is recorded as unreadable."""
 
 
 @dataclass
@@ -53,14 +53,14 @@ class UnreadableFrames:
             yield
             return
         if slot in self._reasons:
-            raise _RecordedError(self._reasons[slot])
+            raise InputError(self._reasons[slot]) from _RecordedError()
         try:
             yield
-        except _RecordedError:  # another frame, read for this one
-            raise
         except InputError as error:
+            if isinstance(error.__cause__, _RecordedError):  # another frame, read for this one
+                raise
             self._reasons[slot] = str(error)  # without what its traceback holds
-            raise _RecordedError(self._reasons[slot]) from error
+            raise InputError(self._reasons[slot]) from _RecordedError()
 
     def has(self, *slots: Slot) -> bool:
         """Return True if the frame of any of these slots is recorded."""
