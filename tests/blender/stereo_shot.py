@@ -23,8 +23,9 @@ from stage.blender import bpy
 from stage.files import is_whole
 from stage.motion import FPS
 from stage.options import count, size
+from things_list import ThingList
 
-SEED = 3
+SEED = 11
 STEP = 4
 EYES = 0.065
 """Metres between the cameras."""
@@ -42,7 +43,7 @@ def main() -> None:
     chosen = parser.parse_args()
     last = STEP * (chosen.keys - 1)
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    variety.build(SEED, last)
+    variety.script(SEED, ThingList(Path()), "Cycles").build(SEED, last)
     render.settle(chosen.resolution)
     _two_eyes()
     for name, step in (("keys", STEP), ("truth", 1)):

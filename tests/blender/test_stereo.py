@@ -18,7 +18,7 @@ SCRIPT = Path(__file__).with_name("stereo_shot")
 @pytest.fixture(scope="module")
 def shot(script, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("stereo")
-    done = script(SCRIPT, folder, "--resolution", "96x54", "--keys", 2)
+    done = script(SCRIPT, folder, "--resolution", "192x108", "--keys", 2)
     assert done.returncode == 0, done.stderr
     return folder
 
