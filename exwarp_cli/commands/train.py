@@ -228,6 +228,7 @@ def tile_policy(
     scores = train_tile_policy(found, output, settings, _say)
     model = output / SHIPPED_TILE_POLICY
     text = gain_card(scores, "E", scores["extrapolator_gain_db"])
+    text += f" Always S4, at half of the area, gains {scores['always_s4_percent']:.0f} %."
     _print_outcome("tile-policy", output, model, scores, text, as_json)
 
 

@@ -72,6 +72,7 @@ def comparison_document(result: Comparison, baseline: Comparison | None = None) 
     ``baseline`` is there only if there is one, compared with the same reference.
     """
     worst, frames = result.worst, result.frames
+    quality = _summarise_quality(frames)
     document: dict[str, Any] = to_plain(
         {
             "schema": SCHEMA,
@@ -83,7 +84,7 @@ def comparison_document(result: Comparison, baseline: Comparison | None = None) 
             "width": result.width,
             "height": result.height,
             "frames": len(frames),
-            "quality": _summarise_quality(frames),
+            "quality": quality,
             "worst": {
                 "frame": worst.test,
                 "reference_frame": worst.reference,
@@ -93,13 +94,14 @@ def comparison_document(result: Comparison, baseline: Comparison | None = None) 
             "metrics": list(result.measuring.measured),
             "preset": result.measuring.preset,
             "view_transform": result.measuring.view_transform,
-            "thresholds": _judge_limits(result),
+            "thresholds": _judge_limits(result, quality),
             "notes": list(result.notes),
         }
     )
     if baseline is not None:
-        quality = to_plain(_summarise_quality(baseline.frames))
-        document[BASELINE] = _describe_sequence(baseline.test) | {"quality": quality}
+        document[BASELINE] = _describe_sequence(baseline.test) | {
+            "quality": to_plain(_summarise_quality(baseline.frames))
+        }
     return document
 
 
@@ -158,15 +160,17 @@ def quality_rows(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
     }
 
 
-def _judge_limits(result: Comparison) -> list[dict[str, Any]]:
-    """Judge every limit of a comparison; ``value`` is None where it was not measured."""
-    quality, verdicts = _summarise_quality(result.frames), []
+def _judge_limits(result: Comparison, quality: dict[str, Any]) -> list[dict[str, Any]]:
+    """Judge every limit by a comparison's quality; ``value`` is None where it was not measured."""
+    verdicts = []
     for limit in result.measuring.thresholds:
         name = limit.metric.field
-        values = [getattr(frame.score, name) for frame in result.frames]
-        measured = [value for value in values if value is not None]
-        worst = max(measured, key=limit.metric.badness, default=None)
-        value = worst if limit.scope == "worst" else quality[limit.scope][name]
+        if limit.scope == "worst":
+            values = (getattr(frame.score, name) for frame in result.frames)
+            measured = (value for value in values if value is not None)
+            value = max(measured, key=limit.metric.badness, default=None)
+        else:
+            value = quality[limit.scope][name]
         verdicts.append(
             {
                 "name": limit.name,
@@ -187,8 +191,12 @@ def require_quality(result: Comparison) -> None:
     UsageError: a limit is on something that was not measured: nothing passes unseen. QualityError:
     a value is worse than its limit.
     """
-    verdicts = zip(result.measuring.thresholds, _judge_limits(result), strict=True)
-    failed = [(limit, verdict["value"]) for limit, verdict in verdicts if not verdict["passed"]]
+    verdicts = _judge_limits(result, _summarise_quality(result.frames))
+    failed = [
+        (limit, verdict["value"])
+        for limit, verdict in zip(result.measuring.thresholds, verdicts, strict=True)
+        if not verdict["passed"]
+    ]
     unmeasured = [limit.name for limit, value in failed if value is None]
     if unmeasured:
         why = f" ({'; '.join(result.notes)})" if result.notes else ""

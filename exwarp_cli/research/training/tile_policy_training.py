@@ -13,7 +13,7 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -209,7 +209,7 @@ class TileTable(TableOfTiles):
         say: Say,
         look: Look = PLAIN,  # as which it is delivered
         variants: Sequence[Variant] = VARIANTS,
-    ) -> TileTable:
+    ) -> Self:
         """Make the frames of all makers of a scene's key intervals, and measure their tiles.
 
         Of a scene that is not rendered to the end its first unbroken run of key frames counts.
@@ -238,6 +238,17 @@ class TileTable(TableOfTiles):
         return cls(scene.name, width, numbers, features, errors_of, network.checksum)
 
 
+def kept_table(
+    kind: type[Table], path: Path, network: NetworkModel, measure: Callable[[], Table]
+) -> Table:
+    """Return the table of a file, measured first if it is missing or of another network."""
+    table = kind.load(path) if path.exists() else None
+    if table is None or table.network != network.checksum:
+        measure().save(path)
+        table = kind.load(path)
+    return table
+
+
 def find_tile_tables(
     kind: type[Table],
     data: Path | None,
@@ -260,15 +271,12 @@ def find_tile_tables(
     make_folder(folder)
     scenes = find_scenes(data, BENCHMARK)
     network = kind.load_network(model)
-    found = []
-    for scene in scenes:
-        path = folder / f"{scene.name}.npz"
-        table = kind.load(path) if path.exists() else None
-        if table is None or table.network != network.checksum:
-            kind.measure(scene, network, say).save(path)
-            table = kind.load(path)
-        found.append(table)
-    return found
+    return [
+        kept_table(
+            kind, folder / f"{scene.name}.npz", network, partial(kind.measure, scene, network, say)
+        )
+        for scene in scenes
+    ]
 
 
 def train_tiles(tables: Sequence[Table], settings: TilePolicySettings) -> QuantisedMlp:
@@ -420,7 +428,4 @@ def gain_card(report: dict[str, Any], network: str, by_scene: Mapping[str, float
     titles = ["choice", *(f"{float(share):.0%} of the area" for share in shares)]
     rows = [[name, *(f"{gains[s]:.0f} %" for s in shares)] for name, gains in curves.items()]
     everywhere = ", ".join(f"{scene} {gain:+.2f}" for scene, gain in by_scene.items())
-    text = f"{markdown_table(titles, rows)}\n\n{network} everywhere gains, in dB: {everywhere}."
-    if "always_s4_percent" in report:
-        text += f" Always S4, at half of the area, gains {report['always_s4_percent']:.0f} %."
-    return text
+    return f"{markdown_table(titles, rows)}\n\n{network} everywhere gains, in dB: {everywhere}."
