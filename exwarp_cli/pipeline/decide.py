@@ -129,11 +129,16 @@ def ask_truth(
     return Plan(path, tuple(decisions))
 
 
+def priced_kernel(policy: PolicyFile, effort: float) -> MlpKernel:
+    """Return a policy of tiles that asks the price of an effort for each tile."""
+    return MlpKernel(apply_price(policy.network, policy.price(effort)))
+
+
 def make_chooser(policy: PolicyFile | None, effort: float) -> TileChooser | None:
     """Return what chooses the tiles between key frames that a network makes; None for all."""
     if policy is None:
         return None
-    return partial(choose_tiles, MlpKernel(apply_price(policy.network, policy.price(effort))))
+    return partial(choose_tiles, priced_kernel(policy, effort))
 
 
 def make_selector(
@@ -153,8 +158,8 @@ def make_selector(
     if policy is None:
         return partial(ask_truth, method.judge, display)
     if policy.of_tiles:
-        tile_policy = MlpKernel(apply_price(policy.network, policy.price(effort)))
-        return partial(ask_tile_policy, tile_policy, {0.0: "S6", 1.0: "S3"}.get(effort))
+        fixed_path = {0.0: "S6", 1.0: "S3"}.get(effort)
+        return partial(ask_tile_policy, priced_kernel(policy, effort), fixed_path)
     observer = Observer(display, source.setting)
     return partial(ask_policy, MlpKernel(policy.network), observer)
 

@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 import OpenImageIO as oiio
@@ -89,9 +90,9 @@ def wait_result(future: Future[T]) -> T:
         return future.result()
 
 
-def run_with_core(task: Callable[[], T]) -> T:
-    """Run a task on a core."""
-    with hold_cores():
+def run_with_core(task: Callable[[], T], count: int = 1) -> T:
+    """Run a task on so many cores."""
+    with hold_cores(count):
         return task()
 
 
@@ -138,14 +139,10 @@ class ParallelSlots(AbstractContextManager["ParallelSlots"]):
         if not in_pool:
             yield from map(render, slots)
             return
-        pending = deque([self._pool.submit(self._run, render, slot) for slot in slots])
+        tasks = (partial(render, slot) for slot in slots)
+        pending = deque([self._pool.submit(run_with_core, task, self._share) for task in tasks])
         while pending:
             yield wait_result(pending.popleft())
-
-    def _run(self, render: Callable[[S], T], slot: S) -> T:
-        # Cores of slots are not left for others meanwhile.
-        with hold_cores(self._share):
-            return render(slot)
 
 
 class AsyncWriter(AbstractContextManager["AsyncWriter"]):

@@ -249,13 +249,17 @@ class KeyedPulses:
     """
 
     source: Source
-    # By slot, of key frames and new frames; whether a key frame of the same shot comes after it
-    _gradients: dict[Slot, tuple[float, bool]] = field(default_factory=dict)
+    _gradients: dict[Slot, float] = field(default_factory=dict)  # of key frames and new frames
+    _last_of_shot: set[int] = field(default_factory=set)  # indices of key frames
 
-    def add(self, slot: Slot, image: Image, followed: bool) -> None:
-        """Add a frame as its file has it; `followed` if a key frame of its shot comes after it."""
-        gradient = mean_gradient(image.on(self.source.keys.display).pixels)
-        self._gradients[slot] = gradient, followed
+    def add(self, slot: Slot, image: Image, followed: bool = True) -> None:
+        """Add a frame as its file has it.
+
+        `followed` is of a key frame: False if no key frame of the same shot comes after it.
+        """
+        self._gradients[slot] = mean_gradient(image.on(self.source.keys.display).pixels)
+        if not followed:
+            self._last_of_shot.add(slot.key)
 
     def complete(self, records: Sequence[FrameRecord]) -> Iterator[FrameRecord]:
         """Yield the records of a run, with the pulse of the new frames that were added."""
@@ -266,18 +270,18 @@ class KeyedPulses:
                 yield record
                 continue
             slot = slots[record.number]
-            (gradient, followed), following = self._gradients[slot], Slot(slot.key + 1, 0)
-            if followed and following not in self._gradients:  # of another chunk
-                number = timeline.numbers[following.key]
-                # A causal method makes its frames without it, so a damaged one is no error.
-                with suppress(InputError):
-                    image = read_sequence_picture(keys.sequence, number, keys.view)
-                    self.add(following, image, followed=True)
-            (before, _), after = self._gradients[Slot(slot.key, 0)], None
-            if followed and following in self._gradients:
-                after, _ = self._gradients[following]
+            following, after = Slot(slot.key + 1, 0), None
+            if slot.key not in self._last_of_shot:
+                if following not in self._gradients:  # of another chunk
+                    number = timeline.numbers[following.key]
+                    # A causal method makes its frames without it, so a damaged one is no error.
+                    with suppress(InputError):
+                        image = read_sequence_picture(keys.sequence, number, keys.view)
+                        self.add(following, image)
+                after = self._gradients.get(following)
+            before = self._gradients[Slot(slot.key, 0)]
             expected = interpolate_gradient(before, after, float(timeline.time(slot)))
-            yield replace(record, key_pulse=pulse(gradient, expected))
+            yield replace(record, key_pulse=pulse(self._gradients[slot], expected))
 
 
 @dataclass

@@ -104,7 +104,7 @@ class SlotRenderer:
             as_written = replace(image, pixels=quantise_picture(image.pixels, template))
             if pulses is not None:
                 with record_time(timing, "pulse"):
-                    pulses.add(slot, as_written, inputs.followed)
+                    pulses.add(slot, as_written)
         predicted = replace(predicted, kind=kind)
         record = self._new_record(slot, prepared, inputs, predicted, part, mask, timing)
         if in_pool:
@@ -153,7 +153,7 @@ class SlotRenderer:
         pulses = self._pulses_of(record.kind, slot, inputs)
         image = writer.read(number) if scored or pulses is not None else None
         if image is not None and pulses is not None:
-            pulses.add(slot, image, inputs.followed)
+            pulses.add(slot, image)
         mask = None if interval is None or not (scored or masked) else self._mask(interval, slot)
         return RenderedSlot(record, image, mask)
 

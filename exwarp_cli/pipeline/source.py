@@ -190,7 +190,7 @@ def _with_motion(
 ) -> Source:
     """Return a source with what its vectors mean, and depth as they say it grows."""
     keys, slots, slot_number = source.keys, source.slots, source.slot_number
-    shot, colours = slots or keys, None
+    shot, colours = source.geometry, None
     comparable = {Role.COLOUR, Role.POSITION} & set(shot.layout.roles)
     if slots is not None and not comparable and keys.display.shape == slots.display.shape:
         # Key frames to measure slots' vectors by, as these have no colour.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -52,6 +52,12 @@ class Outcome(StrEnum):
     SKIPPED = "skipped"
 
 
+def worst_outcome(outcomes: Iterable[Outcome]) -> Outcome:
+    """Return the worst outcome; what was left out counts as good."""
+    present = set(outcomes)
+    return next((o for o in (Outcome.FAILED, Outcome.WARNING) if o in present), Outcome.OK)
+
+
 @dataclass(frozen=True)
 class Finding:
     """Something that is not as it should be."""
@@ -87,8 +93,7 @@ class CheckResult:
         """The worst of its remarks."""
         if self.skipped:
             return Outcome.SKIPPED
-        outcomes = {remark.outcome for remark in self.remarks}
-        return next((o for o in (Outcome.FAILED, Outcome.WARNING) if o in outcomes), Outcome.OK)
+        return worst_outcome(remark.outcome for remark in self.remarks)
 
 
 @dataclass(frozen=True)
@@ -105,8 +110,7 @@ class DoctorReport:
     @property
     def outcome(self) -> Outcome:
         """The worst of all."""
-        outcomes = {check.outcome for check in self.checks.values()}
-        return next((o for o in (Outcome.FAILED, Outcome.WARNING) if o in outcomes), Outcome.OK)
+        return worst_outcome(check.outcome for check in self.checks.values())
 
     def as_dict(self) -> dict[str, Any]:
         """Return what `exwarp doctor --json` prints."""
