@@ -35,7 +35,7 @@ BRADFORD: Float64 = np.array(
     [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
 )
 
-HALF_MAX = 65504.0  # replaces infinity before channels are mixed
+HALF_MAX = 65504.0  # largest half float; replaces infinity before channels are mixed
 
 # Matrices of Y'CbCr as files are labelled, with the names that the filter ``scale`` has.
 MATRICES = {

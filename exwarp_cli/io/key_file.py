@@ -108,7 +108,7 @@ class KeyFile:
             rest = rest[len(piece) :]
             if not rest:
                 return True
-        return not rest
+        return False
 
     def digest(self) -> str:
         """Return the checksum of the file, hexadecimal; see `exwarp_cli.io.files`."""

@@ -176,8 +176,8 @@ def find_aov_set(
     aov_set = sets[0] if sets else AovSet(leader, {})
     names = needed(aov_set) if sets and needed is not None else aov_set.aovs
     aovs = {name: member for name, member in aov_set.aovs.items() if name in names}
-    colour = aov_set.colour if aovs else leader
-    leading = aovs.values() if colour is None else (colour,)
+    aov_set = AovSet(aov_set.leader if aovs else leader, aovs)
+    leading = aovs.values() if aov_set.colour is None else (aov_set.leader,)
     numbers = sorted({number for sequence in leading for number in sequence.files})
     if gaps:
         numbers = list(fill_gaps(numbers))
@@ -187,9 +187,8 @@ def find_aov_set(
                 f"frame {ranges(absent)} of the AOV {name} is missing from {member.pattern}; "
                 "render it, or move that frame's other files elsewhere"
             )
-    leader = colour or aov_set.leader
     aovs = {name: member.over(numbers) for name, member in aovs.items()}
-    return AovSet(leader.over(numbers), aovs)
+    return AovSet(aov_set.leader.over(numbers), aovs)
 
 
 def neighbouring_sequences(sequence: Sequence) -> dict[str, Sequence]:

@@ -26,6 +26,7 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.colour import FILM, LINEAR, SRGB, TransferCurve
 from exwarp_cli.domain.frame import Float32, Image, Window, require_size
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
+from exwarp_cli.io.display_colour import HALF_MAX
 from exwarp_cli.io.exr.header import MAGIC, PNG
 from exwarp_cli.io.exr.writer import Buffer
 from exwarp_cli.io.files import (
@@ -83,6 +84,11 @@ class StillTemplate:
     def has_alpha(self) -> bool:
         """Whether there is an alpha channel."""
         return self.channels in (2, 4)
+
+    @property
+    def is_divided(self) -> bool:
+        """Whether colour is divided by alpha where the curve is applied."""
+        return self.has_alpha and not (self.premultiplied and self.curve is LINEAR)
 
 
 def read_still(path: Path) -> tuple[Image, StillTemplate]:
@@ -271,11 +277,10 @@ def _to_light(codes: np.ndarray, template: StillTemplate) -> Float32:
     if codes.dtype.kind == "u":
         values /= np.float32(np.iinfo(codes.dtype).max)
     colour, alpha = np.split(values, [values.shape[-1] - template.has_alpha], axis=-1)
-    is_divided = template.has_alpha and not (template.premultiplied and template.curve is LINEAR)
-    if is_divided and template.premultiplied:
+    if template.is_divided and template.premultiplied:
         colour = _unpremultiply(colour, alpha)
     light = template.curve.to_linear(colour)
-    if is_divided:
+    if template.is_divided:
         light = light * alpha
     return np.concatenate([np.broadcast_to(light, (*codes.shape[:2], 3)), alpha], axis=-1)
 
@@ -298,12 +303,12 @@ def _widen_grey(pixels: Float32, template: StillTemplate) -> StillTemplate:
 
 def _to_codes(pixels: Float32, template: StillTemplate) -> np.ndarray:
     """Invert `_to_light`, rounding half up."""
-    finite = np.nan_to_num(pixels, nan=0.0, posinf=65504.0, neginf=0.0)
+    finite = np.nan_to_num(pixels, nan=0.0, posinf=HALF_MAX, neginf=0.0)
     colour: Float32 = finite[..., : 3 if template.channels > 2 else 1]
     alpha = finite[..., 3:4] if pixels.shape[-1] > 3 else np.ones_like(finite[..., :1])
-    is_divided = template.has_alpha and not (template.premultiplied and template.curve is LINEAR)
-    values = template.curve.to_code(_unpremultiply(colour, alpha) if is_divided else colour)
-    if is_divided and template.premultiplied:
+    values = _unpremultiply(colour, alpha) if template.is_divided else colour
+    values = template.curve.to_code(values)
+    if template.is_divided and template.premultiplied:
         values = values * alpha
     if template.has_alpha:
         values = np.concatenate([values, alpha], axis=-1)

@@ -41,9 +41,6 @@ MAX_REPEATED = 0.5  # share of the packets whose repeated times are mended
 # Frames that may be shown between a frame's decoding and its showing; H.264 buffers 16.
 MAX_REORDERED = 16
 
-# Frames after one that it may build on, where the order of decoding is unknown, as in AVI.
-UNORDERED_AHEAD = 4
-
 # Up to as many frames are all tested for fields; of longer videos the key frames are.
 EVERY_FRAME = 300
 
@@ -82,7 +79,7 @@ class Packets:
     stamps: tuple[int, ...] = ()
     # Index of the first frame whose time is mended or ambiguous; None if there is none
     mended: int | None = None
-    # Places in the file, which is the order of decoding; () where it is that of showing, or unknown
+    # Places in the file, which is the order of decoding; () where no times are known
     positions: tuple[int, ...] = ()
 
     def time(self, index: int) -> Fraction:
@@ -108,8 +105,6 @@ class Packets:
 
     def last_needed(self, index: int) -> int:
         """Return the last frame in the order of showing that one may build on, or itself."""
-        if not self.positions:
-            return min(index + UNORDERED_AHEAD, self.count - 1)
         ahead = range(min(index + MAX_REORDERED, self.count - 1), index, -1)
         return next((i for i in ahead if self.is_decoded_before(i, index)), index)
 

@@ -130,6 +130,7 @@ def parse_header(path: Path, file: BinaryIO) -> FileHeader:
             attributes = raw.typed
         by_part = zip(raw.by_part(), layouts, attributes, strict=True)
         for index, (values, layout, own) in enumerate(by_part):
+            # `typed` leaves out a list of views that is no UTF-8: OpenImageIO reads it then.
             if layout is None or (b"multiView" in values and "multiView" not in own):
                 return header
             windows = layout.window, window_of(values, b"displayWindow")

@@ -35,7 +35,6 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 import OpenEXR
 from isal import isal_zlib
 
@@ -49,8 +48,6 @@ from exwarp_cli.io.layers import Layer, LayerKind
 from exwarp_cli.io.views import list_views, view_channels
 from exwarp_cli.kernels.exr_filters import predict, round_to_half
 from exwarp_cli.runtime.frame_pool import pool
-
-U16 = npt.NDArray[np.uint16]
 
 # OpenEXR's constants, as headers have them, by name.
 COMPRESSIONS: dict[str, Any] = {
