@@ -210,9 +210,14 @@ def fit(
 def projection_errors(camera: F64, points: F64, pixels: F64) -> F64:
     """Return by how many pixels points [N, 4] miss, float64 [N]; infinite behind the camera."""
     image = points @ camera.T
+    return np.asarray(np.where(image[:, 2] > 0, _distances(image, pixels), np.inf))
+
+
+def _distances(image: F64, pixels: F64) -> F64:
+    """Return how far homogeneous points [..., N, 3] are from pixels [N, 2]; inf if unknown."""
     with np.errstate(all="ignore"):  # points behind the camera, and at infinity
-        errors = np.linalg.norm(image[:, :2] / image[:, 2:] - pixels, axis=1)
-    return np.asarray(np.where((image[:, 2] > 0) & np.isfinite(errors), errors, np.inf))
+        distances = np.linalg.norm(image[..., :2] / image[..., 2:] - pixels, axis=-1)
+    return np.asarray(np.where(np.isfinite(distances), distances, np.inf))
 
 
 def _least_median_weights(points: F64, pixels: F64) -> F64:
@@ -228,10 +233,7 @@ def _least_median_weights(points: F64, pixels: F64) -> F64:
     judges = slice(None, None, max(1, len(points) // JUDGES))
 
     def errors(matrix: F64, samples: slice) -> F64:
-        image = points[samples] @ matrix.swapaxes(-1, -2)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            miss = np.linalg.norm(image[..., :2] / image[..., 2:] - pixels[samples], axis=-1)
-        return np.asarray(np.where(np.isfinite(miss), miss, np.inf))
+        return _distances(points[samples] @ matrix.swapaxes(-1, -2), pixels[samples])
 
     medians = np.median(errors(matrices, judges), axis=-1)
     best = int(np.argmin(medians))

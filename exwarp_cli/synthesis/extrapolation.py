@@ -96,14 +96,13 @@ class SlotInputs:
             history[4 * k + 3] = frame.visible[place]
         for pixels, colour in colours:
             colour[:] = np.moveaxis(pixels[place][..., :3], -1, 0)
-            for line in colour:  # contiguous, as numpy's curves are slow else
-                encode(line, out=line)
+            encode(colour, out=colour)
         inside["mask"][0] = history[3]
         np.multiply(history[:3], history[3], out=warped[:3])
         features[:3] = 0
         if surface.normal is not None:
-            normal = surface.normal[place].clip(-1, 1)
-            normal[~np.isfinite(surface.normal[place])] = 0
+            normal = surface.normal[place]
+            normal = np.where(np.isfinite(normal), normal.clip(-1, 1), np.float32(0))
             features[:3] = np.moveaxis(normal, -1, 0)
         depth, roughness, metallic = (
             None if values is None else values[place]

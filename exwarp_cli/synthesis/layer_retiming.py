@@ -205,8 +205,8 @@ class LayerMotion:
 class LayerRetimer:
     """Makes the layers of one slot.
 
-    With `warp` or `mixer` from moved key frames. Without, key frames are not moved: colour is that
-    of both cross-faded, the rest that of the one nearer in time.
+    With `warp` or `mixer`, key frames are moved. Without, they are not: colour is that of both
+    cross-faded, or the key frame's at time 0, and the rest is that of the one nearer in time.
     """
 
     time: float  # of the slot, in key intervals after the key frame; 0 where that is repeated

@@ -57,7 +57,7 @@ class Tiles:
 
     @property
     def columns(self) -> int:
-        """Number of columns of tiles; rows are `ROWS`."""
+        """Number of columns of tiles; rows are `TILE_ROWS`."""
         return count_columns(self.display.width, self.display.height)
 
     def sample(self, values: np.ndarray) -> np.ndarray:
