@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 
 from exwarp_cli import cli, errors
+from exwarp_cli.config import every_command
 
 PAGE = Path(__file__).parent / "settings.md"
 INTRODUCTION = """# Settings and exit codes
@@ -48,20 +49,6 @@ farms do. `exwarp doctor` shows the settings in force.
 """
 
 
-def leaf_commands(group: click.Group, name: str) -> list[tuple[str, click.Command]]:
-    """Return the commands below a group by their full names, in the order of the help page."""
-    context = click.Context(group, info_name=name)
-    commands: list[tuple[str, click.Command]] = []
-    for child in group.list_commands(context):
-        _, command, _ = group.resolve_command(context, [child])
-        assert command is not None
-        if isinstance(command, click.Group):
-            commands += leaf_commands(command, f"{name} {child}")
-        else:
-            commands.append((f"{name} {child}", command))
-    return commands
-
-
 def option_row(option: click.Option, context: click.Context) -> str:
     """Return the table row of an option: its names and value, and its help."""
     record = option.get_help_record(context)
@@ -71,9 +58,9 @@ def option_row(option: click.Option, context: click.Context) -> str:
     return f"| `{names}` | {text} |"
 
 
-def command_section(name: str, command: click.Command) -> str:
+def command_section(context: click.Context) -> str:
     """Return the section of a command: its purpose, its usage and its options."""
-    context = click.Context(command, info_name=name)
+    name, command = context.command_path, context.command
     usage = " ".join(command.collect_usage_pieces(context))
     purpose = (command.help or "").split("\n\n")[0].replace("\n", " ").replace("\x08", "")
     rows = [
@@ -100,9 +87,8 @@ def exit_codes() -> str:
 
 def settings_page() -> str:
     """Return the whole page as Markdown."""
-    sections = [
-        command_section(name, command) for name, command in leaf_commands(cli.exwarp, "exwarp")
-    ]
+    root = click.Context(cli.exwarp, info_name="exwarp")
+    sections = [command_section(context) for context in every_command(root)]
     text = "\n".join([INTRODUCTION, exit_codes(), *sections])
     return text.replace(str(Path.home()), "~")
 

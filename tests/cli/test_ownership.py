@@ -17,7 +17,6 @@ from tests.cli.street import Street
 from tests.matrix import spread
 
 HOW = ("-m", "softsplat", *shots.FORWARD)
-ATTRIBUTE = b"exwarp:keyFrames\0string\0"
 
 
 @pytest.fixture

@@ -6,9 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.kernels import gather, point_motion
-from exwarp_cli.synthesis.extrapolation import MovedFrame, SlotInputs
 from tests.unit import kernel_calls as calls
 from tests.unit import kernel_cases as cases
 from tests.unit.kernel_calls import Arrays, build
@@ -54,23 +52,6 @@ def taken_over(
         field, planes[0], flat[0], planes[1], flat[1], rest, blanks
     )
     return (*made, *mixed, rest)
-
-
-def spread(
-    frames: tuple[Frame, Frame, Frame],
-    filled: np.ndarray,
-    parts: tuple[np.ndarray | None, ...],
-    median: float,
-    rows: slice,
-    columns: slice,
-) -> np.ndarray:
-    """Return the planes [25, h, w] of a part of a slot's inputs."""
-    height, width, _ = filled.shape
-    names = "depth", "normal", "roughness", "metallic"
-    surface = GBuffer(Window(0, 0, width, height), **dict(zip(names, parts, strict=True)))
-    moved = tuple(MovedFrame(*frame) for frame in frames)
-    pictures = SlotInputs(moved, filled, surface, median, 0.5).part(rows, columns).pictures
-    return np.concatenate(list(pictures.values()))
 
 
 def bounds_raised(

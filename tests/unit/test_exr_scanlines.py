@@ -51,8 +51,6 @@ from tests.unit.exr_reading import (
 COMPRESSIONS = ["ZIPS", "ZIP"]
 """What is decoded here, in OpenEXR's spelling."""
 
-Planes = dict[str, np.ndarray]
-
 
 def compression(name: str) -> Any:
     return getattr(OpenEXR, f"{name}_COMPRESSION")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +15,6 @@ from tests.unit import kernel_calls as calls
 from tests.unit import kernel_cases as cases
 from tests.unit.all_kernel_cases import CASES, run_all
 from tests.unit.interpreted import same_when_interpreted
-
-ROOT = Path(__file__).parents[2]
 
 
 def test_every_kernel_with_threads_has_a_case():

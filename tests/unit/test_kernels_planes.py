@@ -6,12 +6,35 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window
-from exwarp_cli.synthesis.extrapolation import BRIGHTEST, DARKEST, demodulated
+from exwarp_cli.synthesis.extrapolation import (
+    BRIGHTEST,
+    DARKEST,
+    MovedFrame,
+    SlotInputs,
+    demodulated,
+)
 from tests.reference import slot_planes as naive
 from tests.unit import slot_kernel_calls as calls
 from tests.unit.kernel_cases import SHAPE
 
 PARTS = [(slice(0, SHAPE[0]), slice(0, SHAPE[1])), (slice(-3, 9), slice(8, SHAPE[1] + 6))]
+
+
+def spread(
+    frames: tuple[calls.Frame, calls.Frame, calls.Frame],
+    filled: np.ndarray,
+    parts: tuple[np.ndarray | None, ...],
+    median: float,
+    rows: slice,
+    columns: slice,
+) -> np.ndarray:
+    """Return the planes [25, h, w] of a part of a slot's inputs."""
+    height, width, _ = filled.shape
+    names = "depth", "normal", "roughness", "metallic"
+    surface = GBuffer(Window(0, 0, width, height), **dict(zip(names, parts, strict=True)))
+    moved = tuple(MovedFrame(*frame) for frame in frames)
+    pictures = SlotInputs(moved, filled, surface, median, 0.5).part(rows, columns).pictures
+    return np.concatenate(list(pictures.values()))
 
 
 @pytest.mark.parametrize("part", PARTS)
@@ -20,7 +43,7 @@ def test_planes_are_those_of_the_naive_twin(known, part):
     frames, filled = tuple(calls.frame(seed) for seed in (1, 2, 3)), calls.frame(4)[0]
     given = calls.parts(5)
     given = given if known else (None,) * 4
-    found = calls.spread(frames, filled, given, 2.5, *part)
+    found = spread(frames, filled, given, 2.5, *part)
     expected = naive.spread(frames, filled, given, 2.5, *part, (0.5, 0.5, 0.0))
     for first in (0, 3, 13, 17, 21):
         colour = expected[first : first + 3]
@@ -31,7 +54,7 @@ def test_planes_are_those_of_the_naive_twin(known, part):
 def test_what_is_not_shown_keeps_the_sign_of_its_nothing():
     """As a product with 0 has it: what reaches the network does not depend on how it is made."""
     frames, filled = tuple(calls.frame(seed) for seed in (1, 2, 3)), calls.frame(4)[0]
-    found = calls.spread(frames, filled, calls.parts(5), 2.5, *PARTS[0])
+    found = spread(frames, filled, calls.parts(5), 2.5, *PARTS[0])
     pixels, seen = frames[0]
     hidden = np.signbit(pixels[..., :3])[~seen]
     assert (found[:3][:, ~seen] == 0).all()

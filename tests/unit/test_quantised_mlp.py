@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from tests.reference.mlp import infer, infer_many
 from tests.unit.interpreted import same_when_interpreted
 from tests.unit.mlp_cases import edges, network, parts, run_all, states
 
-ROOT = Path(__file__).parents[2]
 SIZES = st.lists(st.integers(1, 40), min_size=1, max_size=4).map(lambda sizes: (*sizes, 2))
 
 

@@ -11,7 +11,6 @@ from onnx import TensorProto, helper, numpy_helper
 
 from exwarp_cli.domain.network_api import EXTRAPOLATOR_INTERFACE, TIME_INPUT
 
-Shape = Sequence[int | str]
 OPSET = 17
 IR = 8
 
