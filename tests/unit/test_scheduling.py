@@ -21,7 +21,9 @@ from exwarp_cli.pipeline.scheduling import (
     fits_pool,
     prefetch,
     read_depth,
+    run_with_core,
 )
+from exwarp_cli.runtime import cores
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.motion_fields import reproject
@@ -248,6 +250,29 @@ class TestParallelSlots:
             rendered = pool.render(lambda slot: slot, range(slots), in_pool=True)
             assert list(rendered) == list(range(slots))
         assert shares and set(shares) == {share}
+
+    def test_a_slot_holds_the_cores_of_its_share(self):
+        """While two slots have two of four cores each, there is none for anything else."""
+        cores.set_count(4, 8)
+        rendering, gate, began = threading.Semaphore(0), threading.Event(), threading.Event()
+
+        def render(slot: int) -> int:
+            rendering.release()
+            assert gate.wait(SOON)
+            return slot
+
+        with ParallelSlots(4, 2) as slots:
+            stream = slots.render(render, (1, 2), in_pool=True)
+            taking = threading.Thread(target=lambda: list(stream))
+            taking.start()
+            assert rendering.acquire(timeout=SOON) and rendering.acquire(timeout=SOON)
+            other = threading.Thread(target=run_with_core, args=(began.set,))
+            other.start()
+            assert not began.wait(0.1)
+            gate.set()
+            assert began.wait(SOON)
+            taking.join(SOON)
+            other.join(SOON)
 
     @pytest.mark.parametrize("in_pool", [False, True])
     def test_an_error_comes_where_its_slot_is_due(self, in_pool):
