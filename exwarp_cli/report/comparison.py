@@ -16,37 +16,9 @@ from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.view_transform import find_display_look, find_view_transform
 from exwarp_cli.pipeline.evaluation import ComparedFrame, Comparison
 from exwarp_cli.pipeline.ground_truth import read_display
+from exwarp_cli.report import html, schema
 from exwarp_cli.report.gallery import Album
-from exwarp_cli.report.html import (
-    BY_FIELD,
-    Block,
-    Cell,
-    Number,
-    Page,
-    Section,
-    Table,
-    file_name,
-    measured_metrics,
-    metric_plots,
-    metric_text,
-    quality_numbers,
-    quality_table,
-    score_facts,
-    worst_tables,
-)
 from exwarp_cli.report.plots import Labels, draw_lines
-from exwarp_cli.report.schema import (
-    FIRST_SCORES,
-    LATER_COLUMNS,
-    LATER_HOLE_SCORES,
-    LATER_SCORES,
-    escape_formula,
-    format_csv,
-    mean_scores,
-    score_cells,
-    score_values,
-    to_plain,
-)
 from exwarp_cli.report.sentences import format_percent
 
 SCHEMA = "exwarp.compare/1"
@@ -59,9 +31,9 @@ BASELINE = "baseline"
 
 # Of frames.csv; `frame` is the test's number, `kind` and `made_by` are from its header.
 COLUMNS = (
-    *("frame", "reference_frame", "file", "hole_fraction", *FIRST_SCORES),
-    *(f"{name}_holes" for name in FIRST_SCORES),
-    *LATER_COLUMNS,
+    *("frame", "reference_frame", "file", "hole_fraction", *schema.FIRST_SCORES),
+    *(f"{name}_holes" for name in schema.FIRST_SCORES),
+    *schema.LATER_COLUMNS,
     *("kind", "made_by", "pulse"),
 )
 
@@ -73,7 +45,7 @@ def comparison_document(result: Comparison, baseline: Comparison | None = None) 
     """
     worst, frames = result.worst, result.frames
     quality = _summarise_quality(frames)
-    document: dict[str, Any] = to_plain(
+    document: dict[str, Any] = schema.to_plain(
         {
             "schema": SCHEMA,
             "version": __version__,
@@ -89,7 +61,7 @@ def comparison_document(result: Comparison, baseline: Comparison | None = None) 
                 "frame": worst.test,
                 "reference_frame": worst.reference,
                 "file": worst.file,
-                **score_values(worst.score),
+                **schema.score_values(worst.score),
             },
             "metrics": list(result.measuring.measured),
             "preset": result.measuring.preset,
@@ -100,21 +72,21 @@ def comparison_document(result: Comparison, baseline: Comparison | None = None) 
     )
     if baseline is not None:
         document[BASELINE] = _describe_sequence(baseline.test) | {
-            "quality": to_plain(_summarise_quality(baseline.frames))
+            "quality": schema.to_plain(_summarise_quality(baseline.frames))
         }
     return document
 
 
 def _summarise_quality(frames: tuple[ComparedFrame, ...]) -> dict[str, Any]:
     return {
-        "all": mean_scores(frame.score for frame in frames),
-        GENERATED: mean_scores(f.score for f in frames if f.origin.generated),
-        "dropped": mean_scores(f.score for f in frames if f.origin.dropped),
+        "all": schema.mean_scores(frame.score for frame in frames),
+        GENERATED: schema.mean_scores(f.score for f in frames if f.origin.generated),
+        "dropped": schema.mean_scores(f.score for f in frames if f.origin.dropped),
         "by_decision": {
-            choice: mean_scores(f.score for f in frames if f.origin.choice == choice)
+            choice: schema.mean_scores(f.score for f in frames if f.origin.choice == choice)
             for choice in CHOICES
         },
-        "holes": mean_scores(frame.hole_score for frame in frames),
+        "holes": schema.mean_scores(frame.hole_score for frame in frames),
     }
 
 
@@ -127,17 +99,20 @@ def format_comparison_csv(result: Comparison) -> str:
     """Write a row for every compared frame as CSV text."""
     rows = (
         (
-            *(frame.test, frame.reference, escape_formula(frame.file), frame.hole_fraction),
-            *score_cells(frame.score, FIRST_SCORES),
-            *score_cells(frame.hole_score, FIRST_SCORES),
-            *score_cells(frame.score, LATER_SCORES),
-            *score_cells(frame.hole_score, LATER_HOLE_SCORES),
-            *(escape_formula(frame.origin.kind), escape_formula(frame.origin.made_by)),
+            *(frame.test, frame.reference, schema.escape_formula(frame.file), frame.hole_fraction),
+            *schema.score_cells(frame.score, schema.FIRST_SCORES),
+            *schema.score_cells(frame.hole_score, schema.FIRST_SCORES),
+            *schema.score_cells(frame.score, schema.LATER_SCORES),
+            *schema.score_cells(frame.hole_score, schema.LATER_HOLE_SCORES),
+            *(
+                schema.escape_formula(frame.origin.kind),
+                schema.escape_formula(frame.origin.made_by),
+            ),
             frame.score.pulse,
         )
         for frame in result.frames
     )
-    return format_csv(COLUMNS, rows)
+    return schema.format_csv(COLUMNS, rows)
 
 
 def quality_rows(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -240,7 +215,7 @@ def compare_page(
     document: dict[str, Any],
     album: Album,
     baseline: Comparison | None = None,
-) -> Page:
+) -> html.Page:
     """Build the page of a comparison.
 
     `document` is what `comparison_document` returned: tables and headline. `album` has pictures of
@@ -249,8 +224,8 @@ def compare_page(
     base_scores = {f.reference: f.score for f in baseline.frames} if baseline else {}
     album.fps = result.fps
     for frame in result.frames:
-        facts = score_facts(frame.score, frame.hole_score)
-        base = score_facts(base_scores.get(frame.reference), None)
+        facts = html.score_facts(frame.score, frame.hole_score)
+        base = html.score_facts(base_scores.get(frame.reference), None)
         facts |= {f"{name} of the {BASELINE}": text for name, text in base.items()}
         if frame.reference != frame.test:
             facts["reference frame"] = str(frame.reference)
@@ -259,34 +234,49 @@ def compare_page(
         album.set_facts(frame.test, "", facts)
     test, reference = document["test"]["pattern"], document["reference"]["pattern"]
     numbers = [
-        Number("Frames", f"{document['frames']:,}", f"matched by {document['matched_by']}"),
-        *quality_numbers(document["quality"]["all"]),
+        html.Number("Frames", f"{document['frames']:,}", f"matched by {document['matched_by']}"),
+        *html.quality_numbers(document["quality"]["all"]),
     ]
     if document["thresholds"]:
         failed = [limit["name"] for limit in document["thresholds"] if not limit["passed"]]
         note = ", ".join(failed) or "all of them"
-        numbers.insert(0, Number("Limits", "failed" if failed else "passed", note))
+        numbers.insert(0, html.Number("Limits", "failed" if failed else "passed", note))
     generated = document["quality"]["generated"]
     if generated["frames"] != document["frames"]:
         # The mean over all frames flatters: the first metric, and pulse, which limits on generated
         # frames are set on.
         note = f"of {generated['frames']:,} frames alone"
         numbers += [
-            Number(f"{metric.name}, generated", metric.with_unit(generated[metric.field]), note)
-            for i, metric in enumerate(measured_metrics(generated))
+            html.Number(
+                f"{metric.name}, generated", metric.with_unit(generated[metric.field]), note
+            )
+            for i, metric in enumerate(html.measured_metrics(generated))
             if i == 0 or metric.signed
         ]
+    rows: list[list[html.Cell]] = [
+        [name, sequence["pattern"], f"{sequence['first']}-{sequence['last']}"]
+        for name in ("reference", BASELINE, "test", "masks")
+        if (sequence := document.get(name)) is not None
+    ]
+    view = document["view_transform"]
+    settings = {
+        "size": f"{document['width']}x{document['height']}",
+        "preset": document["preset"],
+        "pictures shown by": None if view == SRGB_VIEW else view,
+        "ExWarp": document["version"],
+    }
+    rows += [[name, text, ""] for name, text in settings.items() if text is not None]
     subtitle = f"{test} against {reference}"
     if baseline is not None:
         subtitle += f", with {baseline.test.pattern} as the {BASELINE}"
-    return Page(
-        f"{file_name(test)} against {file_name(reference)}",
+    return html.Page(
+        f"{html.file_name(test)} against {html.file_name(reference)}",
         subtitle,
         numbers,
         (
-            Section("frames", "Frames", [album] if album.frames else []),
-            Section("quality", "Quality", _quality(result, document, album, base_scores)),
-            Section("input", "Input", [_input(document)]),
+            html.Section("frames", "Frames", [album] if album.frames else []),
+            html.Section("quality", "Quality", _quality(result, document, album, base_scores)),
+            html.Section("input", "Input", [html.Table("", ("", "", "frames"), rows)]),
         ),
     )
 
@@ -296,7 +286,7 @@ def _quality(
     document: dict[str, Any],
     album: Album,
     base_scores: Mapping[int, Score],
-) -> list[Block]:
+) -> list[html.Block]:
     """Write tables and plots; `base_scores` are the baseline's by the reference's number."""
     numbers = [frame.test for frame in result.frames]
     scores = [frame.score for frame in result.frames]
@@ -305,18 +295,18 @@ def _quality(
         for name, block in quality_rows(document).items()
         if block["frames"] or not name.endswith("holes")
     }
-    blocks: list[Block] = [quality_table("Means over the frames", parts)]
-    rows: list[list[Cell]] = []
+    blocks: list[html.Block] = [html.quality_table("Means over the frames", parts)]
+    rows: list[list[html.Cell]] = []
     for limit in document["thresholds"]:
-        metric = BY_FIELD[limit["metric"]]
+        metric = html.BY_FIELD[limit["metric"]]
         fails = f"fails {limit['fails']} {'±' if metric.signed else ''}{limit['limit']:g}"
         verdict = "passed" if limit["passed"] else "failed"
-        rows.append([limit["name"], metric_text(metric, limit["value"]), fails, verdict])
+        rows.append([limit["name"], html.metric_text(metric, limit["value"]), fails, verdict])
     if rows:
-        blocks.append(Table("Limits", ("", "value", "limit", ""), rows))
-    blocks += worst_tables(numbers, scores, album)
+        blocks.append(html.Table("Limits", ("", "value", "limit", ""), rows))
+    blocks += html.worst_tables(numbers, scores, album)
     beside = [base_scores.get(frame.reference) for frame in result.frames] if base_scores else []
-    blocks += metric_plots(numbers, scores, names=(TEST, BASELINE), beside=beside)
+    blocks += html.metric_plots(numbers, scores, names=(TEST, BASELINE), beside=beside)
     blocks += document["notes"]
     holes = [None if f.hole_fraction is None else 100 * f.hole_fraction for f in result.frames]
     if len(holes) > 1 and any(share is not None for share in holes):
@@ -325,18 +315,3 @@ def _quality(
         )
         blocks.append(draw_lines(labels, numbers, {"holes": holes}))
     return blocks
-
-
-def _input(document: dict[str, Any]) -> Table:
-    rows: list[list[Cell]] = []
-    for name in ("reference", BASELINE, "test", "masks"):
-        sequence = document.get(name)
-        if sequence is not None:
-            rows.append([name, sequence["pattern"], f"{sequence['first']}-{sequence['last']}"])
-    rows.append(["size", f"{document['width']}x{document['height']}", ""])
-    if document["preset"] is not None:
-        rows.append(["preset", document["preset"], ""])
-    if document["view_transform"] != SRGB_VIEW:
-        rows.append(["pictures shown by", document["view_transform"], ""])
-    rows.append(["ExWarp", document["version"], ""])
-    return Table("", ("", "", "frames"), rows)

@@ -13,7 +13,7 @@ those of `exwarp_cli.domain.results.RunSummary` and the dataclasses in it.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import is_dataclass
 from functools import cache
 from hashlib import sha256
@@ -133,9 +133,11 @@ def write_report(folder: Path, run: RunSummary, album: Album) -> None:
         RUN_FILE: format_run(run, report),
         ALBUM_FILE: to_json(album.to_plain(), compact=True),
         PAGE_FILE: page,
-        REPORT_FILE: report,
+        REPORT_FILE: report,  # last, as it marks a complete report
     }
-    _write_files(folder, texts)
+    make_folder(folder)
+    for name, text in texts.items():
+        atomic_write_text(folder / name, text)
 
 
 def write_comparison(
@@ -144,15 +146,10 @@ def write_comparison(
     """Write the files of a comparison; as `write_report` does."""
     document = comparison_document(result, baseline)
     page = render(compare_page(result, document, album, baseline))
-    table = format_comparison_csv(result)
-    _write_files(folder, {FRAMES_FILE: table, PAGE_FILE: page, REPORT_FILE: to_json(document)})
-
-
-def _write_files(folder: Path, texts: Mapping[str, str]) -> None:
-    """Write files in their order; report.json last, as it marks a complete report."""
     make_folder(folder)
-    for name, text in texts.items():
-        atomic_write_text(folder / name, text)
+    atomic_write_text(folder / FRAMES_FILE, format_comparison_csv(result))
+    atomic_write_text(folder / PAGE_FILE, page)
+    atomic_write_text(folder / REPORT_FILE, to_json(document))
 
 
 def format_run(run: RunSummary, report: str) -> str:

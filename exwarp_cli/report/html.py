@@ -196,12 +196,6 @@ def _series_by_metric(scores: Sequence[Score | None]) -> dict[Metric, Values]:
     return {m: [row[m.field] for row in rows] for m in measured_metrics(*rows)}
 
 
-def _worst_first(values: Values, metric: Metric) -> list[int]:
-    """Return the indices of the values that are there, the worst first."""
-    measured = [i for i, value in enumerate(values) if value is not None]
-    return sorted(measured, key=lambda i: -metric.badness(values[i] or 0.0))
-
-
 def metric_plots(
     numbers: Sequence[int],
     scores: Sequence[Score | None],
@@ -220,7 +214,8 @@ def metric_plots(
     for metric, values in _series_by_metric(scores).items():
         if metric.field in skip:
             continue
-        worst = _worst_first(values, metric)[0]
+        measured = [i for i, value in enumerate(values) if value is not None]
+        worst = max(measured, key=lambda i: metric.badness(values[i] or 0.0))
         labels = Labels(
             f"{metric.name} per frame",
             "frame",
@@ -251,7 +246,8 @@ def worst_tables(
         return []
     metric, values = next(iter(series.items()))
     rows: list[list[Cell]] = []
-    for i in _worst_first(values, metric)[:MAX_WORST]:
+    measured = [i for i, value in enumerate(values) if value is not None]
+    for i in sorted(measured, key=lambda i: -metric.badness(values[i] or 0.0))[:MAX_WORST]:
         cells = [metric_text(m, column[i]) for m, column in series.items()]
         rows.append([frame_cell(numbers[i], album), *cells, *makers[i : i + 1]])
     columns = ["frame", *(m.title for m in series), *(["made by"] if makers else [])]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain.colour import PEAK, SRGB, encode_display
-from exwarp_cli.domain.frame import Bool, Float32, UInt8
+from exwarp_cli.domain.frame import Bool, Float32
 
 # Media types of colour and errors, and of masks.
 WEBP, PNG = "image/webp", "image/png"
@@ -72,7 +72,7 @@ class Picture:
         with Image.open(io.BytesIO(self.data)) as image:
             small = image.convert("RGB")
             small.thumbnail((longest, longest), Image.Resampling.BOX)
-            return _encode_webp(np.asarray(small), room, self.peak)
+            return _encode_webp(np.asarray(small, np.float32) / np.float32(255), room, self.peak)
 
 
 def shrink(pixels: Float32, longest: int = LONGEST) -> Float32:
@@ -105,7 +105,7 @@ def tone_curve(linear: Float32, peak: int) -> Float32:
 
 def encode_colour(pixels: Float32, peak: int, room: int) -> Picture:
     """Encode what `shrink` returned, in at most about `room` bytes."""
-    return _encode_webp(_to_bytes(tone_curve(pixels, peak)), room, peak)
+    return _encode_webp(tone_curve(pixels, peak), room, peak)
 
 
 def encode_error(reference: Float32, test: Float32, room: int, longest: int = LONGEST) -> Picture:
@@ -118,7 +118,7 @@ def encode_error(reference: Float32, test: Float32, room: int, longest: int = LO
     apart = np.abs(encode_display(reference) - encode_display(test)).mean(axis=-1) / np.float32(
         PEAK
     )
-    grey = _to_bytes(np.sqrt(_shrink_plane(apart, longest)))
+    grey = np.sqrt(_shrink_plane(apart, longest))
     return _encode_webp(np.repeat(grey[..., None], 3, axis=-1), room, 0)
 
 
@@ -147,16 +147,12 @@ def _shrink_plane(plane: Float32, longest: int) -> Float32:
     return np.asarray(small, np.float32)
 
 
-def _to_bytes(values: Float32) -> UInt8:
-    scaled = values.clip(0, 1) * np.float32(255)
-    return np.asarray(np.floor(scaled + np.float32(0.5)), np.uint8)
-
-
-def _encode_webp(pixels: UInt8, room: int, peak: int) -> Picture:
-    """Encode 8-bit pixels [H, W, 3]; below the lowest quality only fewer pixels help."""
+def _encode_webp(pixels: Float32, room: int, peak: int) -> Picture:
+    """Encode pixels [H, W, 3], 0 to 1; below the lowest quality only fewer pixels help."""
     from PIL import Image
 
-    image = Image.fromarray(pixels)
+    codes = np.floor(pixels.clip(0, 1) * np.float32(255) + np.float32(0.5))
+    image = Image.fromarray(codes.astype(np.uint8))
     while True:
         for quality in QUALITIES:
             file = io.BytesIO()

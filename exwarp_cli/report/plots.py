@@ -306,13 +306,17 @@ def draw_timeline(
     colour is the most frequent, and its hint counts the others. `kinds` are those that appear, for
     the legend.
     """
-    shared = columns
+    shared = [list(column) for column in columns]
     if len(columns) > TIMELINE_COLUMNS:
+        shared = [[] for _ in range(TIMELINE_COLUMNS)]
         bounds = [i * len(columns) // TIMELINE_COLUMNS for i in range(TIMELINE_COLUMNS + 1)]
-        shared = [
-            [_most_frequent([column[r] for column in columns[a:b]]) for r in range(len(rows))]
-            for a, b in pairwise(bounds)
-        ]
+        for column, (start, stop) in zip(shared, pairwise(bounds), strict=True):
+            for cells in zip(*columns[start:stop], strict=True):
+                filled = [cell for cell in cells if cell is not None]
+                counts = Counter(cell.kind for cell in filled).most_common()
+                listed = ", ".join(f"{kind} {count}" for kind, count in counts)
+                hint = f"{filled[0].hint} and {len(filled) - 1} more: {listed}" if filled else ""
+                column.append(TimelineCell(counts[0][0], hint) if filled else None)
     step = TIMELINE_WIDTH / max(len(shared), 1)
     gap = 0.6 if step > 3 else 0
     height = ROW * len(rows)
@@ -330,23 +334,13 @@ def draw_timeline(
             f'<text class="name" x="{LEFT - 6}" y="{y + ROW * 0.68:g}">{escape(name)}</text>'
         )
         for c, column in enumerate(shared):
-            cell = column[r]
-            if cell is not None:
+            if (cell := column[r]) is not None:
                 parts.append(
                     f'<rect x="{LEFT + c * step:.2f}" y="{y + 1}" width="{step - gap:.2f}" '
                     f'height="{ROW - 2}" class="k-{kind_role(cell.kind)}">'
                     f"<title>{escape(cell.hint)}</title></rect>"
                 )
     return Figure(labels, "".join(parts) + "</svg>")
-
-
-def _most_frequent(cells: Sequence[TimelineCell | None]) -> TimelineCell | None:
-    filled = [cell for cell in cells if cell is not None]
-    if not filled:
-        return None
-    counts = Counter(cell.kind for cell in filled).most_common()
-    kinds = ", ".join(f"{kind} {count}" for kind, count in counts)
-    return TimelineCell(counts[0][0], f"{filled[0].hint} and {len(filled) - 1} more: {kinds}")
 
 
 def thin_out(values: Values) -> list[int]:

@@ -123,7 +123,14 @@ def places_of_frame(frame: FrameRecord, size: tuple[int, int]) -> list[Place]:
     bad = {tile for tile, level in enumerate(levels) if level >= threshold}
     places = []
     while bad:
-        group = _connected_tiles(bad, risk.columns)
+        # The first tile, and all that are connected to it along a side.
+        group, border = set[int](), {min(bad)}
+        while border:
+            group |= border
+            neighbours = {tile + step for tile in border for step in (-risk.columns, risk.columns)}
+            neighbours |= {tile - 1 for tile in border if tile % risk.columns}
+            neighbours |= {tile + 1 for tile in border if (tile + 1) % risk.columns}
+            border = (neighbours & bad) - group
         bad -= group
         rows, columns = zip(*(divmod(tile, risk.columns) for tile in group), strict=True)
         x, y = across[min(columns)], down[min(rows)]
@@ -142,19 +149,6 @@ def places_of_frame(frame: FrameRecord, size: tuple[int, int]) -> list[Place]:
             )
         )
     return sorted(places, key=lambda place: -place.error)[:MAX_PLACES_OF_FRAME]
-
-
-def _connected_tiles(tiles: set[int], columns: int) -> set[int]:
-    """Return the first of the tiles, and all that are connected to it along a side."""
-    group: set[int] = set()
-    border = {min(tiles)}
-    while border:
-        group |= border
-        neighbours = {tile + step for tile in border for step in (-columns, columns)}
-        neighbours |= {tile - 1 for tile in border if tile % columns}
-        neighbours |= {tile + 1 for tile in border if (tile + 1) % columns}
-        border = (neighbours & tiles) - group
-    return group
 
 
 def summarise_review(run: RunSummary) -> dict[str, Any] | None:

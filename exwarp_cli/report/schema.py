@@ -89,6 +89,19 @@ def run_document(run: RunSummary) -> dict[str, Any]:
     """
     between = tuple(frame for frame in run.frames if frame.slot)
     source = run.input
+    # Frames by key frame, without groups that lack a slot (the last one without tail).
+    intervals = [list(frames) for _, frames in groupby(run.frames, lambda frame: frame.key)]
+    least = math.floor(run.factor)  # of 2.5, intervals show two or three
+    complete = [frames for frames in intervals if len({f.slot for f in frames}) >= least]
+    holes: dict[str, Any] = dict.fromkeys(("mean_fraction", "p95_fraction", "histogram"))
+    fractions = [f.hole_fraction for f in between if f.has_holes and f.hole_fraction is not None]
+    fractions = [fraction for fraction in fractions if math.isfinite(fraction)]
+    if fractions:
+        edges = [i / HOLE_BINS for i in range(HOLE_BINS + 1)]
+        counts, _ = np.histogram(fractions, bins=edges)
+        holes["mean_fraction"] = mean(fractions)
+        holes["p95_fraction"] = float(np.percentile(fractions, 95))
+        holes["histogram"] = {"edges": edges, "counts": counts.tolist()}
     document = {
         "schema": SCHEMA,
         "version": run.version,
@@ -108,9 +121,9 @@ def run_document(run: RunSummary) -> dict[str, Any]:
             "step": source.step,
             "selected": ranges(run.selected) or None,
         },
-        **_count_frames(run),
-        "holes": _summarise_holes(between),
-        "decisions": _summarise_decisions(run),
+        **_count_frames(run, complete),
+        "holes": holes,
+        "decisions": _summarise_decisions(run, complete),
         **_summarise_quality(run.decides, between),
         "review": summarise_review(run),
         "timing_ms": {
@@ -196,24 +209,13 @@ def timed_steps(frames: tuple[FrameRecord, ...]) -> list[str]:
     return [*STEPS, *sorted(others)]
 
 
-def _complete_intervals(run: RunSummary) -> list[list[FrameRecord]]:
-    """Group frames by key frame, without groups that lack a slot (the last one without tail)."""
-    intervals = [list(frames) for _, frames in groupby(run.frames, lambda frame: frame.key)]
-    least = math.floor(run.factor)  # of 2.5, intervals show two or three
-    return [frames for frames in intervals if len({f.slot for f in frames}) >= least]
-
-
-def _count_frames(run: RunSummary) -> dict[str, Any]:
-    """Return the blocks ``frames`` and ``fps``."""
+def _count_frames(run: RunSummary, complete: Sequence[Sequence[FrameRecord]]) -> dict[str, Any]:
+    """Return the blocks ``frames`` and ``fps``; `complete` are key intervals with all slots."""
     resumed, replaced = sum(f.resumed for f in run.frames), sum(f.replaced for f in run.frames)
     kinds = [frame.kind for frame in run.frames]
     # A repeated frame is not new. At the paper's factor this is base x (1 + mean number of
     # generated frames per key interval).
-    new = mean(
-        frame.kind is not FrameKind.DROPPED
-        for interval in _complete_intervals(run)
-        for frame in interval
-    )
+    new = mean(f.kind is not FrameKind.DROPPED for interval in complete for f in interval)
     fresh = len(kinds) - resumed
     return {
         "frames": {
@@ -239,21 +241,9 @@ def _count_frames(run: RunSummary) -> dict[str, Any]:
     }
 
 
-def _summarise_holes(between: tuple[FrameRecord, ...]) -> dict[str, Any]:
-    fractions = [f.hole_fraction for f in between if f.has_holes and f.hole_fraction is not None]
-    fractions = [fraction for fraction in fractions if math.isfinite(fraction)]
-    if not fractions:
-        return {"mean_fraction": None, "p95_fraction": None, "histogram": None}
-    edges = [i / HOLE_BINS for i in range(HOLE_BINS + 1)]
-    counts, _ = np.histogram(fractions, bins=edges)
-    return {
-        "mean_fraction": mean(fractions),
-        "p95_fraction": float(np.percentile(fractions, 95)),
-        "histogram": {"edges": edges, "counts": counts.tolist()},
-    }
-
-
-def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
+def _summarise_decisions(
+    run: RunSummary, complete: Sequence[Sequence[FrameRecord]]
+) -> dict[str, Any]:
     """Count decisions, and state what the gate decided and what the network computed.
 
     ``gate``: each trial with the key intervals that it decided for; ``look_ahead``: the frames that
@@ -264,7 +254,7 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
     tiles = {f.number: f.tiles for f in run.frames if f.tiles and not f.tiles.looks_ahead}
     decides = run.decides or bool(tiles)
     paths: list[str] = []
-    for interval in _complete_intervals(run) if decides else ():
+    for interval in complete if decides else ():
         taken = [frame.path for frame in interval if frame.path]
         by_slot = {f.slot: tiles[f.number] for f in interval if f.number in tiles}
         if taken:

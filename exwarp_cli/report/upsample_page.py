@@ -12,47 +12,10 @@ from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.settings import SRGB_VIEW
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import pluralise
+from exwarp_cli.report import html, plots, sentences
 from exwarp_cli.report.gallery import Album, worst_frame
-from exwarp_cli.report.html import (
-    BY_FIELD,
-    Block,
-    Cell,
-    Number,
-    Page,
-    Section,
-    Table,
-    better,
-    file_name,
-    frame_cell,
-    metric_plots,
-    quality_numbers,
-    quality_table,
-    score_facts,
-    worst_tables,
-)
-from exwarp_cli.report.plots import (
-    Figure,
-    Labels,
-    TimelineCell,
-    draw_histogram,
-    draw_lines,
-    draw_points,
-    draw_series_panels,
-    draw_stacked_bars,
-    draw_timeline,
-)
 from exwarp_cli.report.review import places_worth_a_look
 from exwarp_cli.report.schema import mean
-from exwarp_cli.report.sentences import (
-    describe_cuts,
-    describe_holds,
-    describe_nonfinite,
-    describe_review,
-    format_number,
-    format_percent,
-    format_rendered,
-    format_time,
-)
 
 PREDICTED = (
     "How wrong each new frame is expected to be, without ground truth. It is a forecast by how "
@@ -97,7 +60,7 @@ MAX_PLACES = 20  # of the list on the page; review.csv has more
 MAX_ROWS = 200  # of a table on the page; report.json has them all
 
 
-def upsample_page(run: RunSummary, document: dict[str, Any], album: Album) -> Page:
+def upsample_page(run: RunSummary, document: dict[str, Any], album: Album) -> html.Page:
     """Build the page of a run.
 
     `document` is what `schema.run_document` returned: tables and headline. `album` has pictures of
@@ -109,34 +72,34 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album) -> Pa
             facts["path"] = frame.path
         if frame.decision is not None:
             facts["decision"] = f"{frame.decision.node} = {frame.decision.choice}"
-        facts |= score_facts(frame.score, frame.hole_score)
+        facts |= html.score_facts(frame.score, frame.hole_score)
         if frame.key_pulse is not None:
-            metric = BY_FIELD["pulse"]
+            metric = html.BY_FIELD["pulse"]
             facts[f"{metric.name} against {KEY_FRAMES}"] = metric.with_unit(frame.key_pulse)
         if frame.risk is not None:
             facts["predicted error"] = f"{frame.risk.error:.1f} of 255"
         if frame.has_holes:
-            facts["holes"] = format_percent(frame.hole_fraction or 0.0)
+            facts["holes"] = sentences.format_percent(frame.hole_fraction or 0.0)
         album.set_facts(frame.number, frame_maker(frame), facts, frame.risk)
     # VMAF and flicker are known only now.
     if (worst := worst_frame(run.frames)) in album.frames:
         album.start = worst
     album.fps = document["fps"]["output"]
     source = document["input"]
-    return Page(
-        file_name(source["pattern"]),
+    return html.Page(
+        html.file_name(source["pattern"]),
         f"{run.method} on {source['pattern']}: {document['frames']['written']} frames, "
         f"{source['width']}x{source['height']}",
         headline(document),
         (
-            Section("frames", "Frames", [album] if album.frames else []),
-            Section("review", "Worth a look", _review(run, document, album)),
-            Section("quality", "Quality", _quality(run, document, album)),
-            Section("decisions", "Decisions", _decisions(run, document["decisions"])),
-            Section("holes", "Holes and features", _holes_and_features(run, document)),
-            Section("timing", "Time", _timing(run, document["timing_ms"])),
+            html.Section("frames", "Frames", [album] if album.frames else []),
+            html.Section("review", "Worth a look", _review(run, document, album)),
+            html.Section("quality", "Quality", _quality(run, document, album)),
+            html.Section("decisions", "Decisions", _decisions(run, document["decisions"])),
+            html.Section("holes", "Holes and features", _holes_and_features(run, document)),
+            html.Section("timing", "Time", _timing(run, document["timing_ms"])),
             *_unused_input(document),
-            Section("input", "Input and settings", [_settings(document)]),
+            html.Section("input", "Input and settings", [_settings(document)]),
         ),
     )
 
@@ -150,61 +113,65 @@ def frame_maker(frame: FrameRecord) -> str:
     return frame.made_by or frame.method
 
 
-def headline(document: dict[str, Any]) -> list[Number]:
+def headline(document: dict[str, Any]) -> list[html.Number]:
     """Return the numbers on top: the saved time first, where the headers state it."""
     frames, fps, holes = document["frames"], document["fps"], document["holes"]
     decisions, pulse = document["decisions"], document["pulse"]
     numbers = []
     if (saved := document["render_time"]) is not None:
-        share = f"{format_percent(saved['saved_share'], 0)} of rendering all"
+        share = f"{sentences.format_percent(saved['saved_share'], 0)} of rendering all"
         for label, value, note in (
             ("Render time saved", saved["saved_s"], share),
             ("Rendered frame", saved["key_frame_s"], "by the headers, on average"),
             ("Generated frame", saved["generated_frame_s"], "reading and writing included"),
         ):
-            numbers.append(Number(label, str(format_time(value)), note))
-    kinds = f"{format_rendered(frames)}, {frames['generated']} generated"
+            numbers.append(html.Number(label, str(sentences.format_time(value)), note))
+    kinds = f"{sentences.format_rendered(frames)}, {frames['generated']} generated"
     if frames["dropped"]:
         kinds += f", {frames['dropped']} repeated"
-    numbers.append(Number("Frames", f"{frames['written']:,}", kinds))
-    numbers.append(Number("Frame rate", f"{fps['base']:g} → {fps['output']:g} fps", fps["source"]))
+    numbers.append(html.Number("Frames", f"{frames['written']:,}", kinds))
+    numbers.append(
+        html.Number("Frame rate", f"{fps['base']:g} → {fps['output']:g} fps", fps["source"])
+    )
     if fps["effective"] is not None:
-        numbers.append(Number("Effective", f"{fps['effective']:.1f} fps", "new frames alone"))
-    numbers += quality_numbers(document["quality"]["all"])
+        numbers.append(html.Number("Effective", f"{fps['effective']:.1f} fps", "new frames alone"))
+    numbers += html.quality_numbers(document["quality"]["all"])
     if pulse is not None and pulse["against"] == KEY_FRAMES:
-        metric = BY_FIELD["pulse"]
-        note = f"{better(metric)}; against {KEY_FRAMES}"
-        numbers.append(Number(metric.name, metric.with_unit(pulse["mean"]), note))
+        metric = html.BY_FIELD["pulse"]
+        note = f"{html.better(metric)}; against {KEY_FRAMES}"
+        numbers.append(html.Number(metric.name, metric.with_unit(pulse["mean"]), note))
     for key, label, note in (
         ("frames", "Left out", "frames whose input cannot be used"),
         ("rendered", "Not used", "rendered frames, which are generated"),
         ("scores", "Not scored", "frames whose ground truth cannot be used"),
     ):
         if count := sum(len(interval[key]) for interval in document["left_out"]):
-            numbers.append(Number(label, f"{count:,}", note))
+            numbers.append(html.Number(label, f"{count:,}", note))
     if document["input"]["motion"]["source"] == "estimated":
         note = "from colour by optical flow, far less exact than a renderer's vectors"
-        numbers.append(Number("Motion", "estimated", note))
+        numbers.append(html.Number("Motion", "estimated", note))
     if holes["mean_fraction"] is not None:
         note = (
             f"of the pixels of {pluralise(sum(holes['histogram']['counts']), 'frame')}, on average"
         )
-        numbers.append(Number("Holes", format_percent(holes["mean_fraction"]), note))
+        numbers.append(html.Number("Holes", sentences.format_percent(holes["mean_fraction"]), note))
     if decisions["warp_share"] is not None:
         note = "of decisions" if decisions["cost"] is None else "of the area"
-        numbers.append(Number("Warps", format_percent(decisions["warp_share"], 0), note))
+        numbers.append(
+            html.Number("Warps", sentences.format_percent(decisions["warp_share"], 0), note)
+        )
     if fps["throughput"]:
-        time = format_time(1 / fps["throughput"])
-        numbers.append(Number("Time", str(time), "per written frame, all threads"))
+        time = sentences.format_time(1 / fps["throughput"])
+        numbers.append(html.Number("Time", str(time), "per written frame, all threads"))
     return numbers
 
 
-def _review(run: RunSummary, document: dict[str, Any], album: Album) -> list[Block]:
+def _review(run: RunSummary, document: dict[str, Any], album: Album) -> list[html.Block]:
     """List what is most worth a look, and draw the predicted error of the new frames."""
     review = document["review"]
     if review is None:
         return []
-    blocks: list[Block] = [f"{PREDICTED} {describe_review(review).capitalize()}."]
+    blocks: list[html.Block] = [f"{PREDICTED} {sentences.describe_review(review).capitalize()}."]
     errors = [(frame, frame.risk.error) for frame in run.frames if frame.risk is not None]
     if len(errors) > 1:
         numbers = [frame.number for frame, _ in errors]
@@ -212,16 +179,16 @@ def _review(run: RunSummary, document: dict[str, Any], album: Album) -> list[Blo
         psnr = [None if frame.score is None else frame.score.psnr_db for frame, _ in errors]
         if any(db is not None for db in psnr):
             series["measured"] = [None if db is None else PEAK / 10 ** (db / 20) for db in psnr]
-        labels = Labels(
+        labels = plots.Labels(
             "Predicted error per frame", "frame", "RMS of 255 levels",
             "How wrong each new frame is expected to be; lower is better.",
         )  # fmt: skip
         worst = numbers.index(review["predicted_error"]["worst_frame"])
-        blocks.append(draw_lines(labels, numbers, series, worst, _after_cuts(run)))
+        blocks.append(plots.draw_lines(labels, numbers, series, worst, _after_cuts(run)))
     if places := places_worth_a_look(run)[:MAX_PLACES]:
-        rows: list[list[Cell]] = [
+        rows: list[list[html.Cell]] = [
             [
-                frame_cell(place.frame, album),
+                html.frame_cell(place.frame, album),
                 f"{place.error:.1f}",
                 f"{place.width}x{place.height} at {place.x},{place.y}",
                 place.reason,
@@ -229,7 +196,7 @@ def _review(run: RunSummary, document: dict[str, Any], album: Album) -> list[Blo
             for place in places
         ]
         columns = ("frame", "predicted error", "pixels", "why")
-        blocks.append(Table("Places worth a look", columns, rows, PLACES_NOTE))
+        blocks.append(html.Table("Places worth a look", columns, rows, PLACES_NOTE))
     return blocks
 
 
@@ -239,19 +206,19 @@ def _after_cuts(run: RunSummary) -> list[int]:
     return [first[cut.number] for cut in run.cuts or () if cut.number in first]
 
 
-def _quality(run: RunSummary, document: dict[str, Any], album: Album) -> list[Block]:
-    blocks: list[Block] = []
+def _quality(run: RunSummary, document: dict[str, Any], album: Album) -> list[html.Block]:
+    blocks: list[html.Block] = []
     scored = [frame for frame in run.frames if frame.score is not None]
     if scored:
         numbers, scores = [f.number for f in scored], [f.score for f in scored]
         makers, cuts = [frame_maker(f) for f in scored], _after_cuts(run)
         psnr = [None if score is None else score.psnr_db for score in scores]
         if len(scored) > 1 and any(value is not None for value in psnr):
-            labels = Labels(
+            labels = plots.Labels(
                 "PSNR per frame", "frame", "PSNR dB",
                 "PSNR of every scored frame, coloured by what made it; higher is better.",
             )  # fmt: skip
-            blocks.append(draw_points(labels, numbers, psnr, makers, cuts))
+            blocks.append(plots.draw_points(labels, numbers, psnr, makers, cuts))
         quality = document["quality"]
         parts = {"holes only": quality["holes"]}
         parts |= {f"made by {name}": part for name, part in quality["by_decision"].items()}
@@ -259,33 +226,33 @@ def _quality(run: RunSummary, document: dict[str, Any], album: Album) -> list[Bl
         parts = {name: part for name, part in parts.items() if part["frames"]}
         note = "Means over the frames between key frames."
         all_parts = {"all pixels": quality["all"], **parts}
-        blocks.append(quality_table("Against ground truth", all_parts, note))
-        blocks += metric_plots(numbers, scores, skip=("psnr_db",), cuts=cuts)
-        blocks += worst_tables(numbers, scores, album, makers)
+        blocks.append(html.quality_table("Against ground truth", all_parts, note))
+        blocks += html.metric_plots(numbers, scores, skip=("psnr_db",), cuts=cuts)
+        blocks += html.worst_tables(numbers, scores, album, makers)
     blocks += _slot_plots(scored or run.frames)
 
-    pulse, metric = document["pulse"], BY_FIELD["pulse"]
+    pulse, metric = document["pulse"], html.BY_FIELD["pulse"]
     if pulse is not None and pulse["against"] == KEY_FRAMES:
         pulses = [(f.number, f.key_pulse) for f in run.frames if f.key_pulse is not None]
         if len(pulses) > 1:
-            labels = Labels(f"{metric.name} per frame", "frame", metric.title, PULSE_NOTE)
+            labels = plots.Labels(f"{metric.name} per frame", "frame", metric.title, PULSE_NOTE)
             numbers = [number for number, _ in pulses]
             series = {metric.title: [value for _, value in pulses]}
             worst = numbers.index(pulse["worst_frame"])
-            blocks.append(draw_lines(labels, numbers, series, worst, _after_cuts(run)))
+            blocks.append(plots.draw_lines(labels, numbers, series, worst, _after_cuts(run)))
         rows = (
             ("mean of the new frames", metric.text(pulse["mean"])),
             (f"worst, frame {pulse['worst_frame']}", metric.text(pulse["worst"])),
         )
-        blocks.append(Table("Sharpness", ("", metric.title), rows, PULSE_NOTE))
+        blocks.append(html.Table("Sharpness", ("", metric.title), rows, PULSE_NOTE))
     return blocks
 
 
-def _slot_plots(frames: Sequence[FrameRecord]) -> list[Figure]:
+def _slot_plots(frames: Sequence[FrameRecord]) -> list[plots.Figure]:
     """Draw sharpness and flicker by slot: the mean, lowest and highest of the key intervals."""
     figures = []
     for field, (title, note) in SLOT_PLOTS.items():
-        metric = BY_FIELD[field]
+        metric = html.BY_FIELD[field]
         values: dict[int, list[float]] = {}
         for frame in frames:
             source = frame if field == "pulse" else frame.score
@@ -305,15 +272,31 @@ def _slot_plots(frames: Sequence[FrameRecord]) -> list[Figure]:
             slots = [0, *slots, slots[-1] + 1]
             series = {name: [0.0, *row, 0.0] for name, row in series.items()}
             x_label = f"slot, with the key frames at 0 and {slots[-1]}"
-        labels = Labels(title, x_label, metric.title, f"{metric.title} by slot. {note}", note)
-        figures.append(draw_lines(labels, slots, series))
+        labels = plots.Labels(title, x_label, metric.title, f"{metric.title} by slot. {note}", note)
+        figures.append(plots.draw_lines(labels, slots, series))
     return figures
 
 
-def _decisions(run: RunSummary, decisions: dict[str, Any]) -> list[Block]:
-    if not any(frame.slot for frame in run.frames):
+def _decisions(run: RunSummary, decisions: dict[str, Any]) -> list[html.Block]:
+    count = max((frame.slot for frame in run.frames), default=0)
+    if not count:
         return []
-    blocks: list[Block] = [_timeline(run.frames)]
+    intervals: dict[int, list[plots.TimelineCell | None]] = {}
+    for frame in run.frames:
+        column = intervals.setdefault(frame.key, [None] * count)
+        if frame.slot:
+            decision = frame.decision
+            why = "" if decision is None else f", {decision.node} = {decision.choice}"
+            path = "" if frame.path is None else f", path {frame.path}"
+            hint = f"frame {frame.number}: {frame_maker(frame)}{why}{path}"
+            column[frame.slot - 1] = plots.TimelineCell(frame_maker(frame), hint)
+    labels = plots.Labels(
+        "What made each frame",
+        description="A column a key interval and a row a slot, coloured by what made the frame.",
+    )
+    kinds = dict.fromkeys(frame_maker(frame) for frame in run.frames if frame.slot)
+    slots, cells = [f"slot {i + 1}" for i in range(count)], list(intervals.values())
+    blocks: list[html.Block] = [plots.draw_timeline(labels, slots, cells, list(kinds))]
     by_methods: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for trial in decisions["gate"] or ():
         by_methods.setdefault(tuple(n for n in trial if n.endswith("_db")), []).append(trial)
@@ -321,8 +304,8 @@ def _decisions(run: RunSummary, decisions: dict[str, Any]) -> list[Block]:
         rows = [
             (
                 "none" if trial["frame"] is None else str(trial["frame"]),
-                format_number(trial[cheap], 2),
-                format_number(trial[dear], 2),
+                sentences.format_number(trial[cheap], 2),
+                sentences.format_number(trial[dear], 2),
                 trial["used"],
                 ranges(trial["keys"]),
             )
@@ -331,72 +314,52 @@ def _decisions(run: RunSummary, decisions: dict[str, Any]) -> list[Block]:
         names = [name.removesuffix("_db") for name in (cheap, dear)]
         columns = ("key frame", *(f"{name}, dB" for name in names), "used", "intervals")
         title = f"{' and '.join(names)} on the shot's own key frames"
-        blocks.append(Table(title, columns, rows, TRIALS_NOTE))
+        blocks.append(html.Table(title, columns, rows, TRIALS_NOTE))
     if ahead := decisions["look_ahead"]:
-        made = [(name, format_number(ahead[kind], 1)) for name, kind in LOOK_AHEAD_KINDS]
-        blocks.append(Table("Between key frames", ("method", "frames"), made, TILES_NOTE))
+        made = [(name, sentences.format_number(ahead[kind], 1)) for name, kind in LOOK_AHEAD_KINDS]
+        blocks.append(html.Table("Between key frames", ("method", "frames"), made, TILES_NOTE))
     if any(decisions["paths"].values()):
+        counts = decisions["nodes"]
         nodes = [
-            [node, *(format_number(decisions["nodes"][node][choice], 0) for choice in CHOICES)]
+            [node, *(sentences.format_number(counts[node][choice], 0) for choice in CHOICES)]
             for node in NODES
         ]
-        blocks.append(Table("Decisions by node", ("node", *CHOICES), nodes))
-        paths = [(name, format_number(count, 0)) for name, count in decisions["paths"].items()]
+        blocks.append(html.Table("Decisions by node", ("node", *CHOICES), nodes))
+        paths = [(path, sentences.format_number(n, 0)) for path, n in decisions["paths"].items()]
         title, unit = "key intervals", "intervals"
         if decisions["cost"] is not None:
             title = unit = "tiles"
-        blocks.append(Table(f"Paths of the {title}", ("path", unit), paths))
+        blocks.append(html.Table(f"Paths of the {title}", ("path", unit), paths))
     return blocks
 
 
-def _timeline(frames: tuple[FrameRecord, ...]) -> Figure:
-    """Draw what made each slot: key intervals from left to right, slots below each other."""
-    intervals: dict[int, list[TimelineCell | None]] = {}
-    count = max(frame.slot for frame in frames)
-    for frame in frames:
-        column = intervals.setdefault(frame.key, [None] * count)
-        if frame.slot:
-            decision = frame.decision
-            why = "" if decision is None else f", {decision.node} = {decision.choice}"
-            path = "" if frame.path is None else f", path {frame.path}"
-            hint = f"frame {frame.number}: {frame_maker(frame)}{why}{path}"
-            column[frame.slot - 1] = TimelineCell(frame_maker(frame), hint)
-    labels = Labels(
-        "What made each frame",
-        description="A column a key interval and a row a slot, coloured by what made the frame.",
-    )
-    kinds = dict.fromkeys(frame_maker(frame) for frame in frames if frame.slot)
-    rows = [f"slot {i + 1}" for i in range(count)]
-    return draw_timeline(labels, rows, list(intervals.values()), list(kinds))
-
-
-def _holes_and_features(run: RunSummary, document: dict[str, Any]) -> list[Block]:
-    blocks: list[Block] = []
+def _holes_and_features(run: RunSummary, document: dict[str, Any]) -> list[html.Block]:
+    blocks: list[html.Block] = []
     holes = [frame for frame in run.frames if frame.has_holes]
     if len(holes) > 1:
-        labels = Labels(
+        labels = plots.Labels(
             "Hole share per frame", "frame", "holes, % of pixels",
             "Share of pixels that the warp from the key frame cannot see.",
         )  # fmt: skip
         shares = [100 * (frame.hole_fraction or 0.0) for frame in holes]
         numbers = [frame.number for frame in holes]
-        blocks.append(draw_lines(labels, numbers, {"holes": shares}, cuts=_after_cuts(run)))
+        blocks.append(plots.draw_lines(labels, numbers, {"holes": shares}, cuts=_after_cuts(run)))
         if histogram := document["holes"]["histogram"]:
             # As the paper's Figure 2, up to the last bin with frames.
             edges, counts = histogram["edges"], histogram["counts"]
             bins = max(i + 1 for i, count in enumerate(counts) if count)
-            p95 = format_percent(document["holes"]["p95_fraction"])
-            labels = Labels(
+            p95 = sentences.format_percent(document["holes"]["p95_fraction"])
+            labels = plots.Labels(
                 "Frames by hole share", "holes, % of pixels", "frames",
                 f"Histogram of the hole share; 95 % of the frames have at most {p95}.",
             )  # fmt: skip
             percents = [100 * edge for edge in edges[: bins + 1]]
-            blocks.append(draw_histogram(labels, percents, counts[:bins]))
+            blocks.append(plots.draw_histogram(labels, percents, counts[:bins]))
     features = [
         (f.number, f.decision.features) for f in run.frames if f.decision and f.decision.features
     ]
     if features:
-        labels = Labels(
+        labels = plots.Labels(
             "Features that the policy sees", "frame",
             description="The features of each decision's instant, per slot.",
         )  # fmt: skip
@@ -405,11 +368,11 @@ def _holes_and_features(run: RunSummary, document: dict[str, Any]) -> list[Block
             for i, name in enumerate(FEATURES)
             if name != "R"
         }
-        blocks.append(draw_series_panels(labels, [number for number, _ in features], series))
+        blocks.append(plots.draw_series_panels(labels, [number for number, _ in features], series))
     return blocks
 
 
-def _timing(run: RunSummary, timing_ms: dict[str, float | None]) -> list[Block]:
+def _timing(run: RunSummary, timing_ms: dict[str, float | None]) -> list[html.Block]:
     steps = [step for step, ms in timing_ms.items() if ms is not None]
     if not steps:
         return []
@@ -421,22 +384,22 @@ def _timing(run: RunSummary, timing_ms: dict[str, float | None]) -> list[Block]:
         step: [mean(f.timing_ms.get(step, 0.0) for f in group) for group in groups.values()]
         for step in steps
     }
-    labels = Labels(
+    labels = plots.Labels(
         "Time per frame by what made it", "ms",
         description="Mean milliseconds of each step for each kind of frame, end to end.",
         note="Steps overlap on several threads: reading runs ahead and writing behind.",
     )  # fmt: skip
-    rows = [(step, format_number(timing_ms[step])) for step in steps]
+    rows = [(step, sentences.format_number(timing_ms[step])) for step in steps]
     return [
-        draw_stacked_bars(labels, list(groups), parts),
-        Table("Mean of the frames that had the step", ("step", "ms"), rows),
+        plots.draw_stacked_bars(labels, list(groups), parts),
+        html.Table("Mean of the frames that had the step", ("step", "ms"), rows),
     ]
 
 
-def _unused_input(document: dict[str, Any]) -> Iterator[Section]:
+def _unused_input(document: dict[str, Any]) -> Iterator[html.Section]:
     """Yield the sections of what was left out, and of what is not finite, if there is any."""
     if left_out := document["left_out"]:
-        rows: list[list[Cell]] = [
+        rows: list[list[html.Cell]] = [
             [
                 str(interval["key"]),
                 *(ranges(interval[name]) for name in ("frames", "scores", "rendered")),
@@ -450,29 +413,29 @@ def _unused_input(document: dict[str, Any]) -> Iterator[Section]:
         elif any(interval["rendered"] for interval in left_out):
             title = "Rendered frames that are not used"
         columns = ("key frame", "frames", "not scored", "rendered, not used", "why")
-        yield Section("left-out", "Left out", [Table(title, columns, rows)])
+        yield html.Section("left-out", "Left out", [html.Table(title, columns, rows)])
     if nonfinite := document["nonfinite"]:
         view = ("view",) if nonfinite[0]["view"] else ()
         rows = [
             [*(str(entry[name]) for name in ("key", "slot", *view, "channels")),
-             format_number(entry["pixels"], 0)]
+             sentences.format_number(entry["pixels"], 0)]
             for entry in nonfinite[:MAX_ROWS]
         ]  # fmt: skip
         columns = ("key frame", "slot", *view, "channels", "pixels")
-        note = describe_nonfinite(nonfinite)
-        table = Table("Not finite in the input", columns, rows, note)
-        yield Section("nonfinite", "NaN and infinities", [table])
+        note = sentences.describe_nonfinite(nonfinite)
+        table = html.Table("Not finite in the input", columns, rows, note)
+        yield html.Section("nonfinite", "NaN and infinities", [table])
 
 
-def _settings(document: dict[str, Any]) -> Table:
+def _settings(document: dict[str, Any]) -> html.Table:
     source, fps = document["input"], document["fps"]
     geometry = {"key": "for the key frames", "slot": "for every slot"}[document["setting"]]
     if source["motion"]["source"] == "estimated":
         geometry = "none with vectors"
     cuts = "not looked for"
     if document["cuts"] is not None:
-        cuts = describe_cuts(document["cuts"]) if document["cuts"] else "none"
-    rows: list[list[Cell]] = [
+        cuts = sentences.describe_cuts(document["cuts"]) if document["cuts"] else "none"
+    rows: list[list[html.Cell]] = [
         ["sequence", source["pattern"]],
         ["key frames", f"{source['first']}-{source['last']}"],
         ["size", f"{source['width']}x{source['height']}"],
@@ -484,7 +447,7 @@ def _settings(document: dict[str, Any]) -> Table:
         ["depth", source["depth"]],
         ["moving by name", ", ".join(source["dynamic"]) if source["dynamic"] else None],
         ["cuts", cuts],
-        ["holds", describe_holds(document["held"]) if document["held"] else None],
+        ["holds", sentences.describe_holds(document["held"]) if document["held"] else None],
         ["method", document["method"]],
         ["uses the next key frame", "yes" if document["lookahead"] else "no"],
     ]
@@ -501,4 +464,4 @@ def _settings(document: dict[str, Any]) -> Table:
     if document["verified"] is not None:
         rows.append(["files read back, all as written", str(document["verified"])])
     rows.append(["ExWarp", document["version"]])
-    return Table("", ("", ""), rows)
+    return html.Table("", ("", ""), rows)

@@ -20,18 +20,7 @@ from exwarp_cli.domain.decision import EXTRAPOLATE, FIRST_NODE, HOLD, PATHS, WAR
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.policy.outcomes import clocked_returns
 from exwarp_cli.report.schema import count_decisions, mean
-from exwarp_cli.research.bench import paper
-from exwarp_cli.research.bench.systems import (
-    BEST_PSNR,
-    BEST_RETURN,
-    FIXED,
-    MEASURED,
-    POLICY,
-    SLOTS,
-    TABLE_AS,
-    TABLE_PIXELS,
-    picture_at,
-)
+from exwarp_cli.research.bench import paper, systems
 
 REFRESH_HZ = 120  # slots a second: the paper's display
 BASE_FPS = REFRESH_HZ / FACTOR  # key frames a second
@@ -44,7 +33,7 @@ BY_PATH, LATE, BUSY = "by path", "late", "busy"
 REASONS = (BY_PATH, LATE, BUSY)
 
 # Systems that the clock runs, where they were measured: all with our W and E.
-CLOCKED_SYSTEMS = (POLICY, *FIXED, BEST_PSNR, BEST_RETURN)
+CLOCKED_SYSTEMS = (systems.POLICY, *systems.FIXED, systems.BEST_PSNR, systems.BEST_RETURN)
 
 F64 = npt.NDArray[np.float64]
 
@@ -127,7 +116,7 @@ def table_latencies(pixels: int) -> Latencies:
     W is G-buffer generation and warping, E all four steps. Means over the applications of each size
     are interpolated by pixels; smaller frames count as 480p, larger ones in proportion to 1080p.
     """
-    sizes = [TABLE_PIXELS[size] for size in paper.RUNTIME_APPS]
+    sizes = [systems.TABLE_PIXELS[size] for size in paper.RUNTIME_APPS]
     steps = [
         np.mean([paper.RUNTIME[app] for app in apps], axis=0)
         for apps in paper.RUNTIME_APPS.values()
@@ -158,25 +147,27 @@ def clocked_row(
     clock: str,
 ) -> dict[str, Any]:
     """Return what a sequence shows under a clock; arguments as in `benchmark.Measured`."""
-    if clock == MEASURED:
+    if clock == systems.MEASURED:
         latencies = measured_latencies(steps_ms)
     else:
         pixels = about["width"] * about["height"]
-        latencies = table_latencies(TABLE_PIXELS[TABLE_AS[clock]] if clock in TABLE_AS else pixels)
+        latencies = table_latencies(
+            systems.TABLE_PIXELS[systems.TABLE_AS[clock]] if clock in systems.TABLE_AS else pixels
+        )
     # What each path shows in an interval that begins with a free engine.
     schedules = {path: play_interval(path, latencies) for path in PATHS}
-    taken = {name: [name.upper()] * len(parts) for name in FIXED}
-    taken[POLICY] = [part["paths"][POLICY] for part in parts]
+    taken = {name: [name.upper()] * len(parts) for name in systems.FIXED}
+    taken[systems.POLICY] = [part["paths"][systems.POLICY] for part in parts]
     returns: F64 | None = None  # sums of rewards, float64 [intervals, 6]
     if parts[0]["returns"] is not None:  # else nothing was extrapolated
         quality = np.array(
             [[_shown_quality(part, each) for each in schedules.values()] for part in parts]
         )
-        dropped = [len(SLOTS) - each.generated for each in schedules.values()]
+        dropped = [len(systems.SLOTS) - each.generated for each in schedules.values()]
         returns = np.array([clocked_returns(of_paths, dropped) for of_paths in quality])
         # Oracles know the clock and the truth; of equal paths they take the last, which warps more.
         backwards = list(PATHS)[::-1]
-        judged = {BEST_PSNR: quality[..., 0].mean(axis=-1), BEST_RETURN: returns}
+        judged = {systems.BEST_PSNR: quality[..., 0].mean(axis=-1), systems.BEST_RETURN: returns}
         for name, values in judged.items():
             taken[name] = [backwards[i] for i in np.argmax(values[:, ::-1], axis=1).tolist()]
     return {
@@ -197,7 +188,7 @@ def clocked_row(
 def _shown_quality(part: Mapping[str, Any], interval: ClockedInterval) -> list[list[float]]:
     """Return PSNR and SSIM of what slots 1 to 3 of a key interval show."""
     scores = part["slot_scores"]
-    return [scores[picture_at(interval.made_by, slot)][slot - 1] for slot in SLOTS]
+    return [scores[systems.picture_at(interval.made_by, slot)][slot - 1] for slot in systems.SLOTS]
 
 
 def _clocked_system(

@@ -35,18 +35,7 @@ from exwarp_cli.pipeline.interval_builder import IntervalBuilder
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader
 from exwarp_cli.pipeline.job import require_state
 from exwarp_cli.pipeline.source import open_source
-from exwarp_cli.research.bench.systems import (
-    CHOOSERS,
-    EXTRANET,
-    EXTRANET_FAST,
-    FIXED,
-    IMPORTED,
-    MINTERPOLATE,
-    ONNX,
-    REPEATED,
-    SLOTS,
-    BenchSettings,
-)
+from exwarp_cli.research.bench import systems
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS, DecisionSource, Method, predict_path
 
@@ -69,7 +58,9 @@ class Subject:
     unseen: bool | None = None  # True if that policy was trained without this scene
 
 
-def find_subjects(settings: BenchSettings, say: Callable[[str], None]) -> tuple[Subject, ...]:
+def find_subjects(
+    settings: systems.BenchSettings, say: Callable[[str], None]
+) -> tuple[Subject, ...]:
     """Return what is measured, in the order of the inputs.
 
     `say` receives a line on each scene that is left out, as hardly anything of it is rendered.
@@ -108,7 +99,7 @@ def find_subjects(settings: BenchSettings, say: Callable[[str], None]) -> tuple[
 
 
 def _subjects_of_data_set(
-    data: str, settings: BenchSettings, say: Callable[[str], None]
+    data: str, settings: systems.BenchSettings, say: Callable[[str], None]
 ) -> list[Subject]:
     try:
         scenes = find_scenes(data, None if settings.scenes else BENCHMARK, settings.scenes)
@@ -165,14 +156,14 @@ class Networks:
         return checksums
 
 
-def load_networks(settings: BenchSettings, threads: int | None) -> Networks:
+def load_networks(settings: systems.BenchSettings, threads: int | None) -> Networks:
     """Load what the systems run on.
 
     InputError or MissingExtraError: a network cannot be used. UsageError: two interpolators have
     one name.
     """
     own = imported = look_ahead = None
-    if any(name in CHOOSERS or name in FIXED[:-1] for name in settings.systems):
+    if any(name in systems.CHOOSERS or name in systems.FIXED[:-1] for name in settings.systems):
         own = load_extrapolator(settings.extrapolator, threads, settings.device)
     if settings.extranet is not None:
         imported = load_extrapolator(settings.extranet, threads, settings.device)
@@ -181,7 +172,7 @@ def load_networks(settings: BenchSettings, threads: int | None) -> Networks:
     interpolators: dict[str, OnnxInterpolator] = {}
     for path in settings.interpolators:
         network = load_interpolator(path, threads, settings.device)
-        name = f"{ONNX}{network.name}"
+        name = f"{systems.ONNX}{network.name}"
         if name in interpolators:
             raise UsageError(
                 f"two networks of --interpolator are called {network.name}; name one of them "
@@ -211,11 +202,11 @@ class SystemFrames(dict[str, Float32]):
 
     def _make(self, name: str) -> Float32:
         interval = self._interval
-        if name.startswith(IMPORTED):
-            interval, name = self._foreign, name.removeprefix(IMPORTED)
+        if name.startswith(systems.IMPORTED):
+            interval, name = self._foreign, name.removeprefix(systems.IMPORTED)
         if name == "W(E2)":
             return predict_path("S4", interval, FACTOR - 1).pixels
-        if name == REPEATED:
+        if name == systems.REPEATED:
             system, slot = HOLD, 1
         elif " " in name:
             system, number = name.rsplit(" ", 1)
@@ -225,7 +216,7 @@ class SystemFrames(dict[str, Float32]):
             if name[0] == "E":
                 return interval.extrapolated(slot)
             return predict_path("S6", interval, slot).pixels
-        if system == MINTERPOLATE:
+        if system == systems.MINTERPOLATE:
             if interval.following is not None:
                 return self._interpolated_by_ffmpeg[slot - 1]
             system = HOLD  # before a cut, where ffmpeg repeats the frame as well
@@ -255,9 +246,11 @@ class OpenedSubject:
     ExwarpError: the sequence cannot be used.
     """
 
-    def __init__(self, subject: Subject, settings: BenchSettings, networks: Networks) -> None:
+    def __init__(
+        self, subject: Subject, settings: systems.BenchSettings, networks: Networks
+    ) -> None:
         self.subject, self.settings, self.networks = subject, settings, networks
-        extranet = () if networks.imported is None else (EXTRANET, EXTRANET_FAST)
+        extranet = () if networks.imported is None else (systems.EXTRANET, systems.EXTRANET_FAST)
         # Names of all systems that are compared: those that options add come last.
         self.systems = (*settings.systems, *extranet, *networks.interpolators)
         self.source = open_source(subject.source)
@@ -272,7 +265,7 @@ class OpenedSubject:
         usable = [
             key
             for key in timeline.select(settings.frames)
-            if key < last and self.truth_numbers(key).keys() >= set(SLOTS)
+            if key < last and self.truth_numbers(key).keys() >= set(systems.SLOTS)
         ]
         if not usable:
             raise MissingFrameError(
@@ -312,6 +305,6 @@ class OpenedSubject:
         canvas = interval.key.image.data_window
         return {
             slot: np.asarray(place_on_canvas(mask, canvas, self.display))
-            for slot in SLOTS
+            for slot in systems.SLOTS
             if (mask := interval.hole_mask(slot)) is not None
         }
