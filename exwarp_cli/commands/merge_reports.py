@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
@@ -18,9 +18,6 @@ from exwarp_cli.commands.options import (
     summary_of_files,
 )
 from exwarp_cli.domain.wording import pluralise
-
-if TYPE_CHECKING:
-    from exwarp_cli.report.merge import Merged
 
 # Folders that a line names at most.
 MOST_NAMED = 3
@@ -55,34 +52,35 @@ def command(
     from exwarp_cli.report.merge import merge_reports
 
     with reporting(progress, results_on_stdout=as_json):
-        merged = merge_reports(folders, output, overwrite)
+        document = merge_reports(folders, output, overwrite)
     if as_json:
-        print_json(merged.document)
+        print_json(document)
     else:
         with summary_of_files():
-            _print_summary(merged, output or folders[0])
+            _print_summary(document, output or folders[0])
 
 
-def _print_summary(merged: Merged, output: Path) -> None:
+def _print_summary(document: dict[str, Any], output: Path) -> None:
     from exwarp_cli.report.sentences import format_time
 
-    document = merged.document
+    merged, wall_s = document["merged"], document["wall_s"]
     if document["frames"]["written"]:
         for line in summary_lines(document):
             show(line)
-    joined = pluralise(merged.reports, "report")
-    click.echo(f"{joined} joined, {format_time(document['wall_s'])} of work")
-    if merged.missing is not None:
-        click.echo(f"key frames of the sequence that are in no report: {merged.missing}")
-    if merged.superseded:
-        names = _list_folders(merged.superseded)
+    # NaN or infinite in a run.json is None here.
+    work = "time of the work not known" if wall_s is None else f"{format_time(wall_s)} of work"
+    click.echo(f"{pluralise(merged['reports'], 'report')} joined, {work}")
+    if merged["missing"] is not None:
+        click.echo(f"key frames of the sequence that are in no report: {merged['missing']}")
+    if merged["superseded"]:
+        names = _list_folders(merged["superseded"])
         show(f"older reports, of key frames that newer ones tell of: {names}")
-    if merged.unseen:
-        names = _list_folders(merged.unseen)
+    if merged["without_pictures"]:
+        names = _list_folders(merged["without_pictures"])
         show(f"without pictures, as album.json is not there or cannot be read: {names}")
     show(f"report in {output}")
 
 
-def _list_folders(folders: Sequence[Path]) -> str:
+def _list_folders(folders: Sequence[str]) -> str:
     more = f" and {len(folders) - MOST_NAMED} more" if len(folders) > MOST_NAMED else ""
-    return f"{', '.join(map(str, folders[:MOST_NAMED]))}{more}"
+    return f"{', '.join(folders[:MOST_NAMED])}{more}"

@@ -162,8 +162,8 @@ def format_run(run: RunSummary, report: str) -> str:
 def parse_run(text: str, report: str) -> RunSummary:
     """Read run.json back.
 
-    ValueError, TypeError, LookupError, AttributeError or RecursionError: it holds something else,
-    or belongs to another report.json than `report`.
+    ArithmeticError, AttributeError, LookupError, RecursionError, TypeError or ValueError: it holds
+    something else, or belongs to another report.json than `report`.
     """
     document = json.loads(text)
     digest = sha256(report.encode()).hexdigest()

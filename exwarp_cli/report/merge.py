@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
@@ -39,40 +39,26 @@ MAX_VALUE = 120
 _AGAIN = "do its key frames again with --report, or leave it out"
 
 # What reading a report raises that holds something else.
-_NO_RUN = (AttributeError, LookupError, RecursionError, TypeError, ValueError)
-
-
-@dataclass(frozen=True)
-class Merged:
-    """What came of merging."""
-
-    run: RunSummary
-    reports: int  # how many were merged
-    missing: str | None  # range of the sequence's key frames that are in none of them
-    unseen: tuple[Path, ...]  # folders whose pictures are not in the page
-    superseded: tuple[Path, ...] = ()  # folders with key frames of which newer reports count
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """What report.json holds, and as ``merged`` facts about the merging."""
-        merged = {
-            "reports": self.reports,
-            "missing": self.missing,
-            "without_pictures": [str(folder) for folder in self.unseen],
-            "superseded": [str(folder) for folder in self.superseded],
-        }
-        return run_document(self.run) | {"merged": merged}
+_NO_RUN = (
+    *(ArithmeticError, AttributeError, LookupError, RecursionError, TypeError),
+    ValueError,
+)
 
 
 def merge_reports(
     folders: Sequence[Path], output: Path | None = None, replace: bool = False
-) -> Merged:
+) -> dict[str, Any]:
     """Merge reports into one, and write it.
 
     `folders` are those of reports, or what chunks reported to: a folder without a report of its own
     stands for those in its ``chunks``, of which the newest count. `output` is the folder to write
     to; None for the only one of `folders`, whose ``chunks`` are merged. `replace` is True if a
     report in it may be replaced.
+
+    Return what its report.json holds, and as ``merged`` facts about the merging: ``reports``, how
+    many were merged; ``missing``, the range of the sequence's key frames that are in none of them,
+    or None; ``without_pictures``, folders whose pictures are not in the page; and ``superseded``,
+    folders with key frames of which newer reports count.
 
     UsageError: nothing says where to write. InputError: a report cannot be read, or they do not
     belong together. OutputError: the report cannot be written; OutputExistsError: there is one.
@@ -114,8 +100,13 @@ def merge_reports(
     numbers = [{frame.number for frame in part.frames} for part in runs.values()]
     album, unreadable = merge_albums([folder / ALBUM_FILE for folder in runs], numbers, run)
     write_report(target, run, album)
-    unseen = tuple(path.parent for path in unreadable)
-    return Merged(run, len(runs), ranges(missing_keys(run)) or None, unseen, tuple(superseded))
+    merged = {
+        "reports": len(runs),
+        "missing": ranges(sorted(set(run.input.numbers) - set(run.selected))) or None,
+        "without_pictures": [str(path.parent) for path in unreadable],
+        "superseded": [str(folder) for folder in superseded],
+    }
+    return run_document(run) | {"merged": merged}
 
 
 # Of each report, the key frames that are taken from it; None for all.
@@ -235,11 +226,6 @@ def part_of_run(run: RunSummary, keys: Collection[int]) -> RunSummary:
         verified=None if run.verified is None else len(files),
         nonfinite=tuple(pixels for pixels in run.nonfinite if pixels.key in keys),
     )
-
-
-def missing_keys(run: RunSummary) -> list[int]:
-    """Return the input numbers of the key frames of its sequence that a run is not for."""
-    return sorted(set(run.input.numbers) - set(run.selected))
 
 
 def merge_runs(runs: Mapping[str, RunSummary]) -> RunSummary:

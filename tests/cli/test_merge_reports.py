@@ -211,6 +211,22 @@ def test_chunks_are_joined_where_they_lie(exwarp, chunks):
     assert exwarp("merge-reports", report, "--overwrite").out == result.out
 
 
+def change_run(folder: Path, name: str, value: object) -> None:
+    """Change a field of the run in a report's run.json."""
+    document = json.loads((folder / "run.json").read_text())
+    document["run"][name] = value
+    (folder / "run.json").write_text(json.dumps(document))
+
+
+@pytest.mark.parametrize("seconds", ["inf", "nan"])
+def test_a_time_that_is_not_known_is_named_so(exwarp, chunks, seconds):
+    report, folders = chunks
+    change_run(folders[1], "wall_seconds", seconds)
+    result = exwarp("merge-reports", report)
+    assert result.code == 0 and result.err == ""
+    assert "3 reports joined, time of the work not known" in result.out.splitlines()
+
+
 def test_json_is_the_document_and_the_facts_of_the_merging(exwarp, chunks, tmp_path):
     report, folders = chunks
     (folders[1] / "album.json").unlink()
@@ -300,6 +316,11 @@ class TestRefusals:
         (folders[2] / name).write_bytes(b"\xff\xfe")
         result = exwarp("merge-reports", report)
         result.refused(3, f"{folders[2] / name} is damaged", "do its key frames again")
+
+    def test_a_factor_that_is_no_number(self, exwarp, chunks):
+        report, folders = chunks
+        change_run(folders[2], "factor", "1/0")
+        exwarp("merge-reports", report).refused(3, str(folders[2]), "do its key frames again")
 
     def test_files_of_two_runs(self, exwarp, chunks):
         report, folders = chunks

@@ -18,7 +18,7 @@ from exwarp_cli.domain.results import (
 )
 from exwarp_cli.domain.timeline import Cut
 from exwarp_cli.errors import InputError
-from exwarp_cli.report.merge import merge_runs, missing_keys
+from exwarp_cli.report.merge import merge_runs
 from tests.unit.sample_runs import path_run
 
 NETWORK = NetworkSummary("/a/e.onnx", "0" * 64, "cpu", demodulated=True)
@@ -79,15 +79,15 @@ def test_parts_without_frames_count_as_done() -> None:
     kept = part(one, *range(1001, 1008))
     bare = replace(part(one, 1008), frames=())
     found = merged([bare, kept])
-    assert found.frames == kept.frames and missing_keys(found) == []
+    assert found.frames == kept.frames and list(found.selected) == list(found.input.numbers)
 
 
-def test_missing_key_frames_are_found_by_the_sequence_s_steps() -> None:
+def test_key_frames_of_the_sequence_go_by_its_steps() -> None:
     one = part(whole(), 1001, 1005)
-    assert missing_keys(one) == [1002, 1003, 1004, 1006, 1007, 1008]
+    assert list(one.input.numbers) == list(range(1001, 1009)) and one.selected == (1001, 1005)
     stepped = replace(one, input=replace(one.input, first=1001, last=1009, step=4))
-    assert missing_keys(stepped) == [1009]
-    assert missing_keys(replace(stepped, keys=())) == [1009], "known from the frames"
+    assert list(stepped.input.numbers) == [1001, 1005, 1009]
+    assert replace(stepped, keys=()).selected == (1001, 1005), "known from the frames"
 
 
 def test_a_frame_twice_is_refused_by_the_names_of_both() -> None:
