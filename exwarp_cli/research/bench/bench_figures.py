@@ -2,34 +2,93 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
+from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.report.plots import (
-    Figure,
-    Labels,
-    draw_bars,
-    draw_scatter,
-    draw_stacked_bars,
-)
-from exwarp_cli.research.bench.bench_document import (
-    HOLE_EDGES,
-    VARYING_FEATURES,
-    Document,
-    feature_points,
-)
+from exwarp_cli.report.plots import Figure, Labels, draw_bars, draw_scatter, draw_stacked_bars
+from exwarp_cli.research.bench.bench_document import VARYING_FEATURES, Document, feature_points
+from exwarp_cli.research.bench.bench_tables import PAPER, SLOT_KINDS, SOURCE, BenchTable
 from exwarp_cli.research.bench.benchmark import Benchmark
 from exwarp_cli.research.bench.systems import BEST_RETURN, CHOOSERS, FIXED, POLICY, SYSTEMS
-
-# Systems in the figure of Table VII, of those that are always measured.
-COMPARED = ("exwarp", "s1", "s6", "softsplat", "minterpolate")
 
 # Systems in the figures of the effective rate.
 RATED = (POLICY, "s1", "s2", "s3")
 
 # Sequences that bars can stand beside each other for at every share of holes.
 MAX_BARS = 3
+
+
+@dataclass(frozen=True)
+class BenchFigure:
+    """What is drawn of a table: bars for each sequence, or one that is made of parts."""
+
+    labels: Labels
+    # Keys of the columns by their names in the figure; "" stands for the names of the systems.
+    columns: Mapping[str, str]
+    # Of tables with a row for each system, those that are drawn, with all that options add.
+    systems: tuple[str, ...] = ()
+    is_stacked: bool = False
+    kinds: bool = False  # parts are named and coloured by what makes a frame
+
+
+# By the table that each stands before.
+FIGURES = {
+    "comparison": BenchFigure(
+        Labels("Causal and look-ahead systems", "", "PSNR dB", "Mean PSNR of slots 1 to 3."),
+        {"": "psnr_db"},
+        ("exwarp", "s1", "s6", "softsplat", "minterpolate"),
+    ),
+    "paths_psnr": BenchFigure(
+        Labels(
+            "PSNR of every decision path", "", "PSNR dB",
+            "Mean PSNR of slots 1 to 3; a line across a bar is the paper's figure.",
+        ),
+        {name: name for name in (*FIXED, POLICY)},
+    ),
+    "decisions": BenchFigure(
+        Labels(
+            "Decisions of the policy", "% of the decisions",
+            description="Share of warping and of extrapolating among all decisions.",
+        ),
+        {kind: kind for kind in (WARP, EXTRAPOLATE)}, (POLICY,), is_stacked=True, kinds=True,
+    ),
+    "fps": BenchFigure(
+        Labels(
+            "Effective rate", "", "frames per second",
+            f"Base rate and new frames; at most {FACTOR} times the base rate.",
+        ),
+        {name: name for name in RATED},
+    ),
+    "real_time_fps": BenchFigure(
+        Labels(
+            "Effective rate in real time", "", "frames per second",
+            "Base rate and the new frames that are ready at their slots.",
+        ),
+        {name: name for name in (*RATED, BEST_RETURN)},
+    ),
+    # Oracles that know the clock decide otherwise.
+    "real_time_decisions": BenchFigure(
+        Labels(
+            "Share of warping in real time", "", "% of the decisions",
+            "Of the policy, and of oracles that know the clock.",
+        ),
+        {"": "warp"}, CHOOSERS,
+    ),
+    "real_time_slots": BenchFigure(
+        Labels(
+            "Slots of the policy in real time", "% of the slots",
+            description="New frames by what makes them, and repeats by their reason.",
+        ),
+        {kind: kind for kind in SLOT_KINDS}, (POLICY,), is_stacked=True,
+    ),
+    "runtime": BenchFigure(
+        Labels("Run time of a frame", "ms", description="Milliseconds of each step of the work."),
+        {"warping": "warping_ms", "hole marking": "hole_marking_ms", "network": "inference_ms"},
+        is_stacked=True,
+    ),
+}  # fmt: skip
 
 
 def sequence_labels(document: Document) -> list[str]:
@@ -50,26 +109,50 @@ def sequence_labels(document: Document) -> list[str]:
     return labels
 
 
-def draw_run_times(document: Document) -> Figure | None:
-    """Draw Table III: the steps of a frame that the paper names."""
-    keys = {"warping": "warping_ms", "hole marking": "hole_marking_ms", "network": "inference_ms"}
-    labels = Labels(
-        "Run time of a frame", "ms", description="Milliseconds of each step of the work."
-    )
-    parts = {name: [row[key] for row in document["runtime"]] for name, key in keys.items()}
-    return draw_stacked_bars(labels, sequence_labels(document), parts)
+def draw_figure(table: BenchTable, names: Sequence[str]) -> Figure | None:
+    """Draw the figure that stands before a table, if there is one; `names` are the sequences'."""
+    if table.name == "holes":
+        return draw_holes(table, names)
+    if table.name not in FIGURES:
+        return None
+    figure = FIGURES[table.name]
+    shares = {column.key for column in table.columns if column.style.endswith("%")}
+    cells, printed = [], []
+    for rows in table.by_sequence():
+        values = {}
+        for row in rows:
+            system, is_paper = row.get("system", ""), row.get(SOURCE.key) == PAPER
+            if not is_paper and (system in ("", *figure.systems) or system not in SYSTEMS):
+                for name, key in figure.columns.items():
+                    is_share = key in shares and row[key] is not None
+                    values[name or system] = 100 * row[key] if is_share else row.get(key)
+        cells.append(values)
+        printed.append(next((row for row in rows if row.get(SOURCE.key) == PAPER), {}))
+    if not all(cells):
+        return None
+    series = {name: [values.get(name) for values in cells] for name in cells[0]}
+    if figure.is_stacked:
+        return draw_stacked_bars(figure.labels, names, series, figure.kinds)
+    series = {name: bars for name, bars in series.items() if any(bar is not None for bar in bars)}
+    if not series:
+        return None
+    references = None
+    if SOURCE in table.columns and "" not in figure.columns:
+        references = {name: [row.get(figure.columns[name]) for row in printed] for name in series}
+    return draw_bars(figure.labels, names, series, references)
 
 
-def draw_holes(document: Document) -> Figure | None:
+def draw_holes(table: BenchTable, names: Sequence[str]) -> Figure | None:
     """Draw Figure 2: how many frames have how many holes."""
-    shares = {}
-    for label, row in zip(sequence_labels(document), document["holes"], strict=True):
-        if row["histogram"]:
-            counts = row["histogram"]["counts"]
-            shares[label] = [100 * count / sum(counts) for count in counts]
+    bins = [column for column in table.columns if column.key.startswith("from_")]
+    shares = {
+        name: [100 * row[column.key] for column in bins]
+        for name, row in zip(names, table.rows, strict=True)
+        if bins and row[bins[0].key] is not None
+    }
     if not shares:
         return None
-    groups = [f"{100 * low:g}-{100 * high:g} %" for low, high in pairwise(HOLE_EDGES)]
+    groups = [column.title for column in bins]
     description = "How many frames have how many holes."
     if len(shares) > MAX_BARS:
         title = "Share of the frame that is unseen"
@@ -90,117 +173,3 @@ def draw_features(benchmark: Benchmark) -> Figure:
     )  # fmt: skip
     panels = {name: [point[name] for point in points] for name in VARYING_FEATURES}
     return draw_scatter(labels, panels, psnr)
-
-
-def draw_paths(document: Document) -> Figure | None:
-    """Draw Table VI: every path's PSNR, with the paper's across the bars."""
-    rows = document["quality"]
-    names = [name for name in (*FIXED, POLICY) if name in rows[0]["systems"]]
-    if not names:
-        return None
-    labels = Labels(
-        "PSNR of every decision path", "", "PSNR dB",
-        "Mean PSNR of slots 1 to 3; a line across a bar is the paper's figure.",
-    )  # fmt: skip
-    values: dict[str, list[float | None]] = {}
-    printed: dict[str, list[float | None]] = {}
-    for name in names:
-        systems = [row["systems"].get(name) for row in rows]
-        values[name] = [system and system["all"]["psnr_db"] for system in systems]
-        printed[name] = [row["paper"] and row["paper"][name]["psnr_db"] for row in rows]
-    return draw_bars(labels, sequence_labels(document), values, printed)
-
-
-def _draw_systems(
-    document: Document, labels: Labels, names: Iterable[str], rows: Sequence[Document]
-) -> Figure | None:
-    """Draw a group of bars for each sequence: a bar for each system of the first one in `names`.
-
-    `rows` have what is drawn, by system, for each sequence.
-    """
-    values = {name: [row.get(name) for row in rows] for name in names if name in rows[0]}
-    return draw_bars(labels, sequence_labels(document), values) if values else None
-
-
-def draw_comparison(document: Document) -> Figure | None:
-    """Draw Table VII: the PSNR of causal and look-ahead systems."""
-    labels = Labels("Causal and look-ahead systems", "", "PSNR dB", "Mean PSNR of slots 1 to 3.")
-    rows = [
-        {name: system["psnr_db"] for name, system in row["systems"].items()}
-        for row in document["comparison"]
-    ]
-    names = [name for name in rows[0] if name in COMPARED or name not in SYSTEMS]
-    return _draw_systems(document, labels, names, rows)
-
-
-def draw_decisions(document: Document) -> Figure | None:
-    """Draw Figure 9: what the policy decides."""
-    shares = [row.get(POLICY, {}).get("warp_share") for row in document["decisions"]]
-    labels = Labels(
-        "Decisions of the policy", "% of the decisions",
-        description="Share of warping and of extrapolating among all decisions.",
-    )  # fmt: skip
-    parts = {
-        "warp": [None if share is None else 100 * share for share in shares],
-        "extrapolate": [None if share is None else 100 * (1 - share) for share in shares],
-    }
-    return draw_stacked_bars(labels, sequence_labels(document), parts, kinds=True)
-
-
-def draw_clocked_slots(document: Document) -> Figure | None:
-    """Draw what comes of the policy's decisions under the clock."""
-    rows = [row["systems"].get(POLICY) for row in document["real_time"]["rows"]]
-    if None in rows:
-        return None
-    labels = Labels(
-        "Slots of the policy in real time", "% of the slots",
-        description="New frames by what makes them, and repeats by their reason.",
-    )  # fmt: skip
-    slots = [row["slots"] for row in rows]
-    parts = {kind: [100 * row[kind] / sum(row.values()) for row in slots] for kind in slots[0]}
-    return draw_stacked_bars(labels, sequence_labels(document), parts)
-
-
-# By the table that each stands before.
-FIGURES: dict[str, Callable[[Document], Figure | None]] = {
-    "comparison": draw_comparison,
-    "paths_psnr": draw_paths,
-    "decisions": draw_decisions,
-    "fps": lambda document: _draw_systems(
-        document,
-        Labels(
-            "Effective rate", "", "frames per second",
-            f"Base rate and new frames; at most {FACTOR} times the base rate.",
-        ),
-        RATED,
-        [row["effective"] for row in document["fps"]],
-    ),
-    "real_time_fps": lambda document: _draw_systems(
-        document,
-        Labels(
-            "Effective rate in real time", "", "frames per second",
-            "Base rate and the new frames that are ready at their slots.",
-        ),
-        (*RATED, BEST_RETURN),
-        [
-            {name: system["effective"] for name, system in row["systems"].items()}
-            for row in document["real_time"]["rows"]
-        ],
-    ),
-    # Oracles that know the clock decide otherwise.
-    "real_time_decisions": lambda document: _draw_systems(
-        document,
-        Labels(
-            "Share of warping in real time", "", "% of the decisions",
-            "Of the policy, and of oracles that know the clock.",
-        ),
-        CHOOSERS,
-        [
-            {name: 100 * each["decisions"]["warp_share"] for name, each in row["systems"].items()}
-            for row in document["real_time"]["rows"]
-        ],
-    ),
-    "real_time_slots": draw_clocked_slots,
-    "holes": draw_holes,
-    "runtime": draw_run_times,
-}  # fmt: skip

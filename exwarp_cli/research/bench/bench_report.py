@@ -25,10 +25,9 @@ from exwarp_cli.research.bench.bench_document import (
     feature_points,
     identify,
 )
-from exwarp_cli.research.bench.bench_figures import FIGURES, draw_features, sequence_labels
+from exwarp_cli.research.bench.bench_figures import draw_features, draw_figure, sequence_labels
 from exwarp_cli.research.bench.bench_tables import (
     NOTHING,
-    PAPER,
     SEQUENCE,
     SOURCE,
     BenchTable,
@@ -78,17 +77,21 @@ def write_benchmark(
     make_folder(folder)
     remove_leftovers(folder)
     document = bench_document(benchmark, schedule(MacArray(), PAPER_SIZES), clock_hz)
-    for table in make_tables(document):
-        text = _format_rows([column.key for column in table.columns], table.rows)
-        atomic_write_text(folder / f"{table.name}.csv", text)
     # What Figure 4 draws: a row a slot.
-    points = [
+    points: list[Row] = [
         {"scene": row.subject.name, "size": identify(row)["size"], "setting": row.subject.setting}
         | point
         for row in benchmark.measured
         for point in feature_points(row)
     ]
-    atomic_write_text(folder / "features.csv", _format_rows(list(points[0]), points))
+    files = {
+        table.name: ([column.key for column in table.columns], table.rows)
+        for table in make_tables(document)
+    }
+    for name, (header, rows) in (files | {"features": (list(points[0]), tuple(points))}).items():
+        cells = ([row.get(key) for key in header] for row in rows)
+        escaped = ([escape_formula(c) if isinstance(c, str) else c for c in row] for row in cells)
+        atomic_write_text(folder / f"{name}.csv", format_csv(header, escaped))
     atomic_write_text(folder / MARKDOWN_FILE, format_markdown(document))
     progress.message("making frames for the page")
     page = bench_page(benchmark, document, _make_albums(benchmark))
@@ -96,12 +99,6 @@ def write_benchmark(
     # The document last, as it marks a complete benchmark.
     atomic_write_text(folder / JSON_FILE, to_json(document))
     return document
-
-
-def _format_rows(header: Sequence[str], rows: Sequence[Row]) -> str:
-    cells = ([row.get(key) for key in header] for row in rows)
-    escaped = ([escape_formula(c) if isinstance(c, str) else c for c in row] for row in cells)
-    return format_csv(header, escaped)
 
 
 def format_markdown(document: Document) -> str:
@@ -155,24 +152,16 @@ def _blocks(benchmark: Benchmark, document: Document, table: BenchTable) -> list
     if not table.rows:
         return []
     blocks: list[Block] = []
-    if table.name in FIGURES and (figure := FIGURES[table.name](document)) is not None:
+    labels = sequence_labels(document)
+    if (figure := draw_figure(table, labels)) is not None:
         blocks.append(figure)
     if table.name == "correlation":
         blocks.append(draw_features(benchmark))
-    labels = sequence_labels(document)
     if table.name not in LONG or len(labels) == 1:
         return [*blocks, _page_table(table.title, table, table.rows, table.note)]
     blocks.append(f"{table.title}. {table.note}")
-    groups: list[list[Row]] = []
-    before = None
-    for row in table.rows:
-        sequence = tuple(row[column.key] for column in SEQUENCE)
-        # The paper's rows follow those that they stand beside.
-        if row.get(SOURCE.key) != PAPER and sequence != before:
-            groups.append([])
-            before = sequence
-        groups[-1].append(row)
-    return blocks + [_page_table(n, table, rows) for n, rows in zip(labels, groups, strict=True)]
+    groups = zip(labels, table.by_sequence(), strict=True)
+    return blocks + [_page_table(name, table, rows) for name, rows in groups]
 
 
 def _page_table(title: str, table: BenchTable, rows: Sequence[Row], note: str = "") -> Table:

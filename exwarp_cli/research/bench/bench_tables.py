@@ -63,6 +63,18 @@ class BenchTable:
         """The columns in which anything was measured."""
         return [c for c in self.columns if any(row[c.key] is not None for row in self.rows)]
 
+    def by_sequence(self) -> list[list[Row]]:
+        """Return the rows of each sequence; the paper's follow those that they stand beside."""
+        groups: list[list[Row]] = []
+        before = None
+        for row in self.rows:
+            sequence = tuple(row[column.key] for column in SEQUENCE)
+            if row.get(SOURCE.key) != PAPER and sequence != before:
+                groups.append([])
+                before = sequence
+            groups[-1].append(row)
+        return groups
+
 
 SEQUENCE = (
     Column("scene", "scene", path=("name",)),
@@ -519,21 +531,18 @@ def make_tables(document: Document) -> tuple[BenchTable, ...]:
     }
     tables = []
     for table in TABLES if clock is None else (*TABLES, *CLOCKED_TABLES):
-        rows = tuple(
-            {column.key: find_value(row, column.path or (column.key,)) for column in table.columns}
-            for row in table.find_rows(document)
-        )
+        rows: list[Row] = []
+        for row in table.find_rows(document):
+            cells: dict[str, Any] = {}
+            for column in table.columns:
+                value: Any = row
+                for key in column.path or (column.key,):
+                    value = None if value is None else value.get(key)
+                cells[column.key] = value
+            rows.append(cells)
         title, note = (text.format(**facts) for text in (table.title, table.note))
-        filled = replace(table, title=title, note=note, rows=rows)
+        filled = replace(table, title=title, note=note, rows=tuple(rows))
         measured = filled.measured_columns
         columns = tuple(c for c in table.columns if not c.optional or c in measured)
         tables.append(replace(filled, columns=columns))
     return tuple(tables)
-
-
-def find_value(row: Document, path: Iterable[str]) -> Any:
-    """Return what nested dictionaries hold under the keys of a path; None where one is missing."""
-    value: Any = row
-    for key in path:
-        value = None if value is None else value.get(key)
-    return value
