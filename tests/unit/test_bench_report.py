@@ -21,6 +21,7 @@ from exwarp_cli.research.bench.bench_document import (
     bench_document,
     describe_benchmark,
     feature_points,
+    identify,
     pearson,
     spearman,
 )
@@ -186,7 +187,7 @@ def test_every_row_of_every_table_has_only_known_columns(found):
     ],
 )  # fmt: skip
 def test_applications_of_the_paper(scene, height, app):
-    assert paper.app_of(scene, height) == app
+    assert identify(measured(scene, height=height))["app"] == app
 
 
 def test_the_papers_tables_have_its_own_statements():

@@ -15,7 +15,6 @@ from exwarp_cli.research.bench.real_time import (
     LATE,
     SLOT_MS,
     Latencies,
-    effective_fps,
     play,
     play_interval,
 )
@@ -62,21 +61,23 @@ def test_each_path_shows_what_is_ready(slots, path, expected):
     played = play_interval(path, latencies(slots))
     shown = tuple(d or m for m, d in zip(played.made_by, played.dropped, strict=True))
     assert shown == tuple(BY_PATH if maker == HOLD else maker for maker in expected)
-    assert played.generated == sum(maker in (W, E) for maker in expected)
+    assert played.dropped.count(None) == sum(maker in (W, E) for maker in expected)
     repeats = [maker == HOLD for maker in played.made_by]
     assert repeats == [maker not in (W, E) for maker in expected]
 
 
 @pytest.mark.parametrize(
-    ("slots", "fps"),
+    ("slots", "new"),
     [
-        (1, {"S1": 60, "S2": 90, "S3": 120, "S4": 120, "S5": 120, "S6": 120}),
-        (2, {"S1": 60, "S2": 90, "S3": 60, "S4": 90, "S5": 90, "S6": 120}),
-        (3, {"S1": 30, "S2": 60, "S3": 60, "S4": 90, "S5": 90, "S6": 120}),
+        (1, {"S1": 1, "S2": 2, "S3": 3, "S4": 3, "S5": 3, "S6": 3}),
+        (2, {"S1": 1, "S2": 2, "S3": 1, "S4": 2, "S5": 2, "S6": 3}),
+        (3, {"S1": 0, "S2": 1, "S3": 1, "S4": 2, "S5": 2, "S6": 3}),
     ],
 )
-def test_effective_rate_counts_new_frames(slots, fps):
-    assert {p: effective_fps(play([p] * 5, latencies(slots))) for p in PATHS} == fps
+def test_new_frames_of_intervals_that_follow_each_other(slots, new):
+    for path, count in new.items():
+        played = play([path] * 5, latencies(slots))
+        assert sum(each.dropped.count(None) for each in played) == 5 * count
 
 
 def test_extrapolating_first_is_the_only_way_to_have_two_slots():

@@ -103,13 +103,19 @@ def bench_document(benchmark: Benchmark, predictor: Schedule, clock_hz: float) -
 
 
 def identify(row: Measured) -> Document:
-    """Return how rows of all tables name a sequence."""
+    """Return how rows of all tables name a sequence.
+
+    ``app`` is the paper's abbreviation for a scene of its themes; None for another scene.
+    """
     about, subject = row.about, row.subject
+    app = paper.SCENES.get(subject.name)
+    if app is not None:
+        app += next(mark for least, mark in paper.SIZES if about["height"] >= least)
     return {
         "name": subject.name,
         "setting": subject.setting,
         "size": f"{about['width']}x{about['height']}",
-        "app": paper.app_of(subject.name, about["height"]),
+        "app": app,
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -215,21 +215,20 @@ def _read_kept(path: Path, identity: str) -> dict[str, Any] | None:
 
 def describe_subject(opened: OpenedSubject) -> dict[str, Any]:
     """Return size, rate, producer, policy and render times of a subject."""
-
-    def mean_render_seconds(paths: Iterable[Path]) -> float | None:
-        times = (render_seconds(read_headers(path)) for path in paths)
-        return mean(time[0] for time in times if time)
-
     source, network = opened.source, opened.networks.own
     display = source.keys.display
+    keys = source.keys.sequence.files
+    timed = {"key": [keys[opened.numbers[key]] for key in opened.keys], "gbuffer": []}
     # Of slot G-buffers only where those files hold nothing else: with colour in them, their time is
     # that of the whole frame.
-    gbuffer_s = None
     if source.slots is not None and Role.COLOUR not in source.slots.layout:
         files = source.slots.sequence.files
         numbers = [source.slot_number(Slot(key, slot)) for key in opened.keys for slot in SLOTS]
-        gbuffer_s = mean_render_seconds(files[n] for n in numbers if n is not None)
-    key_files = [source.keys.sequence.files[opened.numbers[key]] for key in opened.keys]
+        timed["gbuffer"] = [files[n] for n in numbers if n is not None]
+    render_s = {}
+    for kind, paths in timed.items():
+        stated = (render_seconds(read_headers(path)) for path in paths)
+        render_s[kind] = mean(seconds[0] for seconds in stated if seconds)
     return {
         "width": display.width,
         "height": display.height,
@@ -242,5 +241,5 @@ def describe_subject(opened: OpenedSubject) -> dict[str, Any]:
             # Says that the policy was trained for another network than the one that extrapolates.
             "note": None if network is None else other_extrapolator(opened.policy, network),
         },
-        "render_s": {"key": mean_render_seconds(key_files), "gbuffer": gbuffer_s},
+        "render_s": render_s,
     }

@@ -262,20 +262,16 @@ def time_subject(opened: OpenedSubject, report: Callable[[int], None]) -> dict[s
         for name, ms in interval_systems.items():
             systems[name].append(ms)
     opened.restart()
+    processor = platform.processor() or platform.machine()
+    with suppress(OSError):  # the name, as far as the system has it
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        models = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+        processor = next(models, processor)
     return {
         "steps_ms": {name: median(values) for name, values in steps.items()},
         "systems_ms": {name: median(values) for name, values in systems.items()},
-        "machine": {"processor": processor_name(), "cores": os.cpu_count()},
+        "machine": {"processor": processor, "cores": os.cpu_count()},
     }
-
-
-def processor_name() -> str:
-    """Return the name of the processor, as far as the system has it."""
-    with suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()
 
 
 def _time_interval(

@@ -12,9 +12,9 @@ from exwarp_cli.domain.decision import PATHS
 # Abbreviation by the name of our scene of the same theme.
 SCENES = {"lab": "LB", "tropical": "TR", "village": "VL", "town": "TN", "slum": "SL"}
 
-# Least height, and what is added to the abbreviation from there on.
+# Least height, and what is added to the abbreviation from there on. 240p is compared with 480p, the
+# paper's smallest; `RUNTIME` and `QUALITY` lack applications that it does not have at that size.
 SIZES = ((900, "3"), (600, "2"), (0, ""))
-
 
 # Table III, "Runtime (ms) breakdown of the ExtraNet model", by step: see `RUNTIME_STEPS`.
 RUNTIME = {
@@ -107,15 +107,3 @@ CORRELATION = "PSNR of warped frames falls as each feature rises"
 
 # Table "Overheads of the hardware predictor": Cadence Genus, TSMC 28 nm.
 AREA_MM2, POWER_MW, LATENCY_NS = 0.12, 9.12, 6.2
-
-
-def app_of(scene: str, height: int) -> str | None:
-    """Return the paper's abbreviation for a scene of its themes; None for another scene.
-
-    240p is compared with 480p, the paper's smallest. `RUNTIME` and `QUALITY` lack applications that
-    the paper does not have at that size.
-    """
-    if scene not in SCENES:
-        return None
-    suffix = next(mark for least, mark in SIZES if height >= least)
-    return SCENES[scene] + suffix

@@ -62,11 +62,6 @@ class ClockedInterval:
     dropped: tuple[str | None, ...]  # for each slot out of `REASONS`; None for a new frame
     busy_slots: float  # how long E's engine works on after the next key frame
 
-    @property
-    def generated(self) -> int:
-        """How many of the three frames are new."""
-        return self.dropped.count(None)
-
 
 def play_interval(path: str, latencies: Latencies, busy_slots: float = 0.0) -> ClockedInterval:
     """Run a decision path, S1 to S6, against the clock.
@@ -102,12 +97,6 @@ def play(paths: Iterable[str], latencies: Latencies) -> tuple[ClockedInterval, .
         busy = played[-1].busy_slots if played else 0.0
         played.append(play_interval(path, latencies, busy))
     return tuple(played)
-
-
-def effective_fps(played: Iterable[ClockedInterval]) -> float:
-    """Return key frames and new frames a second; repeats are no new frames."""
-    new = [interval.generated for interval in played]
-    return BASE_FPS * (1 + sum(new) / len(new))
 
 
 def table_latencies(pixels: int) -> Latencies:
@@ -160,10 +149,17 @@ def clocked_row(
     taken[systems.POLICY] = [part["paths"][systems.POLICY] for part in parts]
     returns: F64 | None = None  # sums of rewards, float64 [intervals, 6]
     if parts[0]["returns"] is not None:  # else nothing was extrapolated
-        quality = np.array(
-            [[_shown_quality(part, each) for each in schedules.values()] for part in parts]
+        shown = [
+            [systems.picture_at(each.made_by, slot) for slot in systems.SLOTS]
+            for each in schedules.values()
+        ]
+        quality = np.array(  # PSNR and SSIM, by key interval, path and slot
+            [
+                [[part["slot_scores"][name][i] for i, name in enumerate(names)] for names in shown]
+                for part in parts
+            ]
         )
-        dropped = [len(systems.SLOTS) - each.generated for each in schedules.values()]
+        dropped = [len(systems.SLOTS) - each.dropped.count(None) for each in schedules.values()]
         returns = np.array([clocked_returns(of_paths, dropped) for of_paths in quality])
         # Oracles know the clock and the truth; of equal paths they take the last, which warps more.
         backwards = list(PATHS)[::-1]
@@ -174,8 +170,8 @@ def clocked_row(
         "latency_ms": {WARP: latencies.warp_ms, EXTRAPOLATE: latencies.extrapolate_ms},
         "extrapolate_slots": latencies.extrapolate_slots,
         "paths": {
-            path: {"made_by": each.made_by, "dropped": each.dropped, "new": each.generated}
-            for path, each in schedules.items()
+            path: {"made_by": one.made_by, "dropped": one.dropped, "new": one.dropped.count(None)}
+            for path, one in schedules.items()
         },
         "systems": {
             name: _clocked_system(parts, taken[name], latencies, returns)
@@ -183,12 +179,6 @@ def clocked_row(
             if name in parts[0]["systems"]
         },
     }
-
-
-def _shown_quality(part: Mapping[str, Any], interval: ClockedInterval) -> list[list[float]]:
-    """Return PSNR and SSIM of what slots 1 to 3 of a key interval show."""
-    scores = part["slot_scores"]
-    return [scores[systems.picture_at(interval.made_by, slot)][slot - 1] for slot in systems.SLOTS]
 
 
 def _clocked_system(
@@ -202,16 +192,18 @@ def _clocked_system(
         for maker, reason in zip(interval.made_by, interval.dropped, strict=True)
     )
     quality = [
-        score
+        part["slot_scores"][systems.picture_at(interval.made_by, slot)][slot - 1]
         for part, interval in zip(parts, played, strict=True)
-        for score in _shown_quality(part, interval)
+        for slot in systems.SLOTS
     ]
+    new = [interval.dropped.count(None) for interval in played]
     gains = []
     if returns is not None:
         columns = [list(PATHS).index(path) for path in paths]
         gains = returns[np.arange(len(paths)), columns].tolist()
     return {
-        "effective": effective_fps(played),
+        # Repeats are no new frames.
+        "effective": BASE_FPS * (1 + sum(new) / len(new)),
         "slots": {kind: slots[kind] for kind in (WARP, EXTRAPOLATE, *REASONS)},
         "psnr_db": mean(psnr for psnr, _ in quality),
         "ssim": mean(ssim for _, ssim in quality),

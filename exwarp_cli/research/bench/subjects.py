@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -193,6 +192,7 @@ class SystemFrames(dict[str, Float32]):
         self._interval, self._networks = interval, opened.networks
         self._foreign = replace(interval, extrapolator=opened.networks.imported)
         self._template, self._display = inputs.template, opened.display
+        self._by_ffmpeg: Sequence[Float32] = ()
 
     def __missing__(self, name: str) -> Float32:
         pixels = quantise_picture(self._make(name), self._template)
@@ -218,7 +218,12 @@ class SystemFrames(dict[str, Float32]):
             return predict_path("S6", interval, slot).pixels
         if system == systems.MINTERPOLATE:
             if interval.following is not None:
-                return self._interpolated_by_ffmpeg[slot - 1]
+                before, after = interval.key.image.pixels, interval.following.image.pixels
+                if not self._by_ffmpeg:  # which makes all slots at once
+                    older = interval.past[0].frame.image.pixels if interval.past else None
+                    self._by_ffmpeg = minterpolate(older, before, after)
+                # Alpha, which ffmpeg does not make, and no score judges.
+                return np.concatenate([self._by_ffmpeg[slot - 1], before[..., 3:]], axis=-1)
             system = HOLD  # before a cut, where ffmpeg repeats the frame as well
         if system in self._networks.interpolators:
             interval = replace(interval, interpolator=self._networks.interpolators[system])
@@ -226,16 +231,6 @@ class SystemFrames(dict[str, Float32]):
         predict = METHODS[system].predict
         assert predict is not None
         return predict(interval, slot).pixels
-
-    @cached_property
-    def _interpolated_by_ffmpeg(self) -> list[Float32]:
-        interval = self._interval
-        assert interval.following is not None
-        older = interval.past[0].frame.image.pixels if interval.past else None
-        before, after = interval.key.image.pixels, interval.following.image.pixels
-        alpha = before[..., 3:]  # which ffmpeg does not make, and no score judges
-        frames = minterpolate(older, before, after)
-        return [np.concatenate([frame, alpha], axis=-1) for frame in frames]
 
 
 class OpenedSubject:
