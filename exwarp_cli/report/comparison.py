@@ -18,6 +18,7 @@ from exwarp_cli.pipeline.evaluation import ComparedFrame, Comparison
 from exwarp_cli.pipeline.ground_truth import read_display
 from exwarp_cli.report import html, schema
 from exwarp_cli.report.gallery import Album
+from exwarp_cli.report.pictures import encode_colour, encode_error, find_peak, shrink
 from exwarp_cli.report.plots import Labels, draw_lines
 from exwarp_cli.report.sentences import format_percent
 
@@ -205,7 +206,9 @@ def add_baseline(album: Album, result: Comparison, baseline: Comparison) -> None
                         *(looks, sequences, (same.reference, same.test)), strict=True
                     )
                 )
-                album.add_source(frame.test, BASELINE, pixels, truth)
+                shown, small = album.frames[frame.test], shrink(pixels, album.longest)
+                shown.pictures[BASELINE] = encode_colour(small, find_peak(small), album.room)
+                shown.errors[BASELINE] = encode_error(truth, pixels, album.room // 2, album.longest)
     finally:
         close_sequences(*sequences)
 

@@ -24,7 +24,6 @@ import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import cache
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -114,12 +113,6 @@ class Album:
         shown.holes = None if mask is None else encode_mask(mask, self.longest)
         self.frames[number] = shown
         return shown
-
-    def add_source(self, number: int, name: str, pixels: Float32, reference: Float32) -> None:
-        """Encode a further source of a frame that the album has, and its error, as `add` does."""
-        shown, small = self.frames[number], shrink(pixels, self.longest)
-        shown.pictures[name] = encode_colour(small, find_peak(small), self.room)
-        shown.errors[name] = encode_error(reference, pixels, self.room // 2, self.longest)
 
     def set_facts(
         self, number: int, kind: str, facts: Mapping[str, str], risk: Risk | None = None
@@ -290,7 +283,24 @@ def merge_albums(
         plain = json.loads(file.read_text(encoding="utf-8"))
         try:
             wanted = {number for number in chosen if file_of[number] == file}
-            frames |= {shown.number: shown for shown in _read_frames(plain, wanted, room, longest)}
+            shown = [frame for frame in plain["frames"] if frame["number"] in wanted]
+            # Each picture once, by its index and room; masks keep their size.
+            used = {(i, room) for frame in shown for i in frame["pictures"].values()}
+            used |= {(frame["holes"], room) for frame in shown if frame["holes"] is not None}
+            used |= {(i, room // 2) for frame in shown for i in frame["errors"].values()}
+            small = {
+                (i, most): Picture.from_plain(plain["images"][i]).within(most, longest)
+                for i, most in used
+            }
+            frames |= {
+                frame["number"]: Shown(
+                    frame["number"],
+                    pictures={name: small[i, room] for name, i in frame["pictures"].items()},
+                    errors={name: small[i, room // 2] for name, i in frame["errors"].items()},
+                    holes=None if frame["holes"] is None else small[frame["holes"], room],
+                )
+                for frame in shown
+            }
         except _NOT_AN_ALBUM:
             unreadable.append(file)
     has_truth = any(TRUTH in frame.pictures for frame in frames.values())
@@ -302,30 +312,6 @@ _NOT_AN_ALBUM = (
     *(ArithmeticError, AttributeError, LookupError, OSError, RecursionError, TypeError),
     ValueError,
 )
-
-
-def _read_frames(
-    plain: Mapping[str, Any], numbers: Collection[int], room: int, longest: int
-) -> list[Shown]:
-    """Read frames of an album, each picture once, of at most about `room` bytes, `longest` pixels.
-
-    Masks keep their size.
-    """
-
-    @cache
-    def picture(index: int, room: int) -> Picture:
-        return Picture.from_plain(plain["images"][index]).within(room, longest)
-
-    return [
-        Shown(
-            frame["number"],
-            pictures={name: picture(i, room) for name, i in frame["pictures"].items()},
-            errors={name: picture(i, room // 2) for name, i in frame["errors"].items()},
-            holes=None if frame["holes"] is None else picture(frame["holes"], room),
-        )
-        for frame in plain["frames"]
-        if frame["number"] in numbers
-    ]
 
 
 def worst_frame(frames: Iterable[FrameRecord]) -> int | None:

@@ -85,21 +85,20 @@ def frames_worth_rendering(frames: Iterable[FrameRecord]) -> list[int]:
                     away = abs(other.slot - frame.slot) / count
                     gains[frame.number][other.number] = max(GAIN_BESIDE - GAIN_FALLS * away, 0.0)
 
-    def value(number: int) -> float:
-        if squares[number] < RENDERED_FROM**2:
-            return 0.0
-        return sum(share * squares[frame] for frame, share in gains[number].items())
-
-    values = {number: value(number) for number in squares}
+    values, stale = dict[int, float](), set(squares)  # what rendering each frame takes away
     chosen: list[int] = []
     for _ in range(math.ceil(RENDERED_SHARE * len(ranked))):
+        for number in stale:
+            values[number] = 0.0
+            if squares[number] >= RENDERED_FROM**2:
+                values[number] = sum(s * squares[frame] for frame, s in gains[number].items())
         best = max(values, key=lambda number: (values[number], -number))
         if squares[best] < RENDERED_FROM**2:
             break
         chosen.append(best)
         for number, share in gains[best].items():
             squares[number] *= 1 - share
-        values |= {number: value(number) for number in gains[best]}
+        stale = set(gains[best])
     return sorted(chosen)
 
 

@@ -157,28 +157,25 @@ def _blocks(benchmark: Benchmark, document: Document, table: BenchTable) -> list
         blocks.append(figure)
     if table.name == "correlation":
         blocks.append(draw_features(benchmark))
-    if table.name not in LONG or len(labels) == 1:
-        return [*blocks, _page_table(table.title, table, table.rows, table.note)]
-    blocks.append(f"{table.title}. {table.note}")
-    groups = zip(labels, table.by_sequence(), strict=True)
-    return blocks + [_page_table(name, table, rows) for name, rows in groups]
-
-
-def _page_table(title: str, table: BenchTable, rows: Sequence[Row], note: str = "") -> Table:
-    """Lay out rows without columns that are equal in all of them: titles have these.
-
-    Rows still begin with a name: that of the sequence, or where it is left out, of the system.
-    """
+    parts = [(table.title, table.rows, table.note)]
+    if table.name in LONG and len(labels) > 1:
+        blocks.append(f"{table.title}. {table.note}")
+        groups = zip(labels, table.by_sequence(), strict=True)
+        parts = [(name, tuple(rows), "") for name, rows in groups]
+    # Columns that are equal in all rows are left out, as titles have these. Rows still begin with a
+    # name: that of the sequence, or where it is left out, of the system.
     spare = {column.key for column in (*SEQUENCE, SOURCE)}
     if not any(column.key == "system" for column in table.columns):
         spare.remove(SEQUENCE[0].key)
-    columns = [
-        column
-        for column in table.measured_columns
-        if column.key not in spare or len({row.get(column.key) for row in rows} - {None}) > 1
-    ]
-    cells = [[column.text(row) for column in columns] for row in rows]
-    return Table(title, [column.title for column in columns], cells, note)
+    for title, rows, note in parts:
+        columns = [
+            column
+            for column in table.measured_columns
+            if column.key not in spare or len({row.get(column.key) for row in rows} - {None}) > 1
+        ]
+        cells = [[column.text(row) for column in columns] for row in rows]
+        blocks.append(Table(title, [column.title for column in columns], cells, note))
+    return blocks
 
 
 def _numbers(document: Document) -> list[Number]:

@@ -149,8 +149,8 @@ SLOT_KINDS = {
 }
 
 
-def _paper_row(row: Document) -> Document:
-    return {"name": row["app"], "size": None, "setting": "slot", "source": PAPER}
+# Of a row of the paper, beside its application as name.
+PAPER_ROW = {"size": None, "setting": "slot", "source": PAPER}
 
 
 def _saving_rows(document: Document) -> Iterator[Document]:
@@ -165,7 +165,8 @@ def _runtime_rows(document: Document) -> Iterator[Document]:
     for row in document["runtime"]:
         yield row | {"source": OURS}
         if row["paper"] is not None:
-            yield _paper_row(row) | {f"{step}_ms": ms for step, ms in row["paper"].items()}
+            steps = {f"{step}_ms": ms for step, ms in row["paper"].items()}
+            yield PAPER_ROW | {"name": row["app"]} | steps
 
 
 def _hole_rows(document: Document) -> Iterator[Document]:
@@ -182,7 +183,7 @@ def _path_rows(metric: str, document: Document) -> Iterator[Document]:
             printed = {name: values[metric] for name, values in row["paper"].items()}
             best = max(FIXED, key=lambda path: printed[path])
             systems = {name: {"all": values} for name, values in row["paper"].items()}
-            yield _paper_row(row) | {"best_path": best, "systems": systems}
+            yield PAPER_ROW | {"name": row["app"]} | {"best_path": best, "systems": systems}
 
 
 def _comparison_rows(document: Document) -> Iterator[Document]:
@@ -193,11 +194,11 @@ def _comparison_rows(document: Document) -> Iterator[Document]:
             identity = {"source": OURS, "system": name, "kind": kind, "holes": holes}
             yield row | identity | values
         for name, values in (row["paper"] or {}).items():
-            yield _paper_row(row) | {"system": name, "kind": "look-ahead"} | values
+            yield PAPER_ROW | {"name": row["app"]} | {"system": name, "kind": "look-ahead"} | values
         if quality["paper"]:
             for name, label in (("s1", "ExtraNet (S1)"), ("exwarp", "ExWarp")):
                 identity = {"system": label, "kind": "causal"}
-                yield _paper_row(row) | identity | quality["paper"][name]
+                yield PAPER_ROW | {"name": row["app"]} | identity | quality["paper"][name]
 
 
 def _choice_rows(rows: Iterable[Document]) -> Iterator[Document]:
