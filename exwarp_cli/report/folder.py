@@ -27,21 +27,10 @@ from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import OutputExistsError
 from exwarp_cli.io.files import atomic_write_text, make_folder, path_exists, remove_leftovers
 from exwarp_cli.pipeline.evaluation import Comparison
-from exwarp_cli.report.comparison import (
-    SCHEMA,
-    compare_page,
-    comparison_document,
-    format_comparison_csv,
-)
+from exwarp_cli.report import comparison, schema
 from exwarp_cli.report.gallery import Album
 from exwarp_cli.report.html import render
 from exwarp_cli.report.review import places_worth_a_look
-from exwarp_cli.report.schema import (
-    format_frames_csv,
-    format_review_csv,
-    run_document,
-    to_json,
-)
 from exwarp_cli.report.upsample_page import upsample_page
 
 REPORT_FILE = "report.json"
@@ -106,7 +95,7 @@ def prepare_comparison(folder: Path) -> None:
     if path_exists(report):
         try:
             with report.open("rb") as file:
-                is_comparison = SCHEMA.encode() in file.read(200)
+                is_comparison = comparison.SCHEMA.encode() in file.read(200)
         except OSError:
             is_comparison = False
         if not is_comparison:
@@ -122,16 +111,16 @@ def write_report(folder: Path, run: RunSummary, album: Album) -> None:
 
     OutputError: the folder cannot be made or a file cannot be written.
     """
-    document = run_document(run)
+    document = schema.run_document(run)
     page = render(upsample_page(run, document, album))
-    report = to_json(document)
+    report = schema.to_json(document)
     render_list = document["review"]["render"] if document["review"] else ""
     texts = {
-        FRAMES_FILE: format_frames_csv(run.frames),
-        PLACES_FILE: format_review_csv(places_worth_a_look(run)),
+        FRAMES_FILE: schema.format_frames_csv(run.frames),
+        PLACES_FILE: schema.format_review_csv(places_worth_a_look(run)),
         RENDER_FILE: f"{render_list}\n" if render_list else "",
         RUN_FILE: format_run(run, report),
-        ALBUM_FILE: to_json(album.to_plain(), compact=True),
+        ALBUM_FILE: schema.to_json(album.to_plain(), compact=True),
         PAGE_FILE: page,
         REPORT_FILE: report,  # last, as it marks a complete report
     }
@@ -144,19 +133,19 @@ def write_comparison(
     folder: Path, result: Comparison, album: Album, baseline: Comparison | None = None
 ) -> None:
     """Write the files of a comparison; as `write_report` does."""
-    document = comparison_document(result, baseline)
-    page = render(compare_page(result, document, album, baseline))
+    document = comparison.comparison_document(result, baseline)
+    page = render(comparison.compare_page(result, document, album, baseline))
     make_folder(folder)
-    atomic_write_text(folder / FRAMES_FILE, format_comparison_csv(result))
+    atomic_write_text(folder / FRAMES_FILE, comparison.format_comparison_csv(result))
     atomic_write_text(folder / PAGE_FILE, page)
-    atomic_write_text(folder / REPORT_FILE, to_json(document))
+    atomic_write_text(folder / REPORT_FILE, schema.to_json(document))
 
 
 def format_run(run: RunSummary, report: str) -> str:
     """Write run.json; `report` is the text of the report.json beside it."""
     digest = sha256(report.encode()).hexdigest()
     document = {"schema": RUN_SCHEMA, "report_sha256": digest, "run": run}
-    return to_json(document, compact=True, lossless=True)
+    return schema.to_json(document, compact=True, lossless=True)
 
 
 def parse_run(text: str, report: str) -> RunSummary:

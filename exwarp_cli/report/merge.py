@@ -244,10 +244,14 @@ def merge_runs(runs: Mapping[str, RunSummary]) -> RunSummary:
     for name, run in parts[1:]:
         for fact, value in _common_facts(run).items():
             if value != common[fact]:
+                texts = []
+                for each in (common[fact], value):
+                    listed = ", ".join(map(str, each)) if isinstance(each, tuple) else each
+                    text = str(listed or "none")
+                    texts.append(text if len(text) <= MAX_VALUE else f"{text[: MAX_VALUE - 1]}…")
                 raise InputError(
-                    f"{first_name} and {name} are no parts of one run: the {fact} is "
-                    f"{_format_value(common[fact])} in the one and {_format_value(value)} in the "
-                    "other; join only what one command did in chunks"
+                    f"{first_name} and {name} are no parts of one run: the {fact} is {texts[0]} in "
+                    f"the one and {texts[1]} in the other; join only what one command did in chunks"
                 )
     frames = [(frame, name) for name, run in parts for frame in run.frames]
     frames.sort(key=lambda entry: entry[0].number)
@@ -272,13 +276,6 @@ def merge_runs(runs: Mapping[str, RunSummary]) -> RunSummary:
         verified=None if None in verified else sum(count or 0 for count in verified),
         nonfinite=tuple(pixels for run in ordered for pixels in run.nonfinite),
     )
-
-
-def _format_value(value: Any) -> str:
-    if isinstance(value, tuple):
-        value = ", ".join(map(str, value))
-    text = "none" if value is None or value == "" else str(value)
-    return text if len(text) <= MAX_VALUE else f"{text[: MAX_VALUE - 1]}…"
 
 
 def _common_facts(run: RunSummary) -> dict[str, Any]:

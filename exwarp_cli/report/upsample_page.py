@@ -81,6 +81,9 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album) -> ht
         if frame.has_holes:
             facts["holes"] = sentences.format_percent(frame.hole_fraction or 0.0)
         album.set_facts(frame.number, frame_maker(frame), facts, frame.risk)
+    # The first frame after each cut, as far as it was written.
+    first = {frame.key: frame.number for frame in reversed(run.frames)}
+    cuts = [first[cut.number] for cut in run.cuts or () if cut.number in first]
     # VMAF and flicker are known only now.
     if (worst := worst_frame(run.frames)) in album.frames:
         album.start = worst
@@ -93,10 +96,10 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album) -> ht
         headline(document),
         (
             html.Section("frames", "Frames", [album] if album.frames else []),
-            html.Section("review", "Worth a look", _review(run, document, album)),
-            html.Section("quality", "Quality", _quality(run, document, album)),
+            html.Section("review", "Worth a look", _review(run, document, album, cuts)),
+            html.Section("quality", "Quality", _quality(run, document, album, cuts)),
             html.Section("decisions", "Decisions", _decisions(run, document["decisions"])),
-            html.Section("holes", "Holes and features", _holes_and_features(run, document)),
+            html.Section("holes", "Holes and features", _holes_and_features(run, document, cuts)),
             html.Section("timing", "Time", _timing(run, document["timing_ms"])),
             *_unused_input(document),
             html.Section("input", "Input and settings", [_settings(document)]),
@@ -166,7 +169,9 @@ def headline(document: dict[str, Any]) -> list[html.Number]:
     return numbers
 
 
-def _review(run: RunSummary, document: dict[str, Any], album: Album) -> list[html.Block]:
+def _review(
+    run: RunSummary, document: dict[str, Any], album: Album, cuts: Sequence[int]
+) -> list[html.Block]:
     """List what is most worth a look, and draw the predicted error of the new frames."""
     review = document["review"]
     if review is None:
@@ -184,7 +189,7 @@ def _review(run: RunSummary, document: dict[str, Any], album: Album) -> list[htm
             "How wrong each new frame is expected to be; lower is better.",
         )  # fmt: skip
         worst = numbers.index(review["predicted_error"]["worst_frame"])
-        blocks.append(plots.draw_lines(labels, numbers, series, worst, _after_cuts(run)))
+        blocks.append(plots.draw_lines(labels, numbers, series, worst, cuts))
     if places := places_worth_a_look(run)[:MAX_PLACES]:
         rows: list[list[html.Cell]] = [
             [
@@ -200,18 +205,14 @@ def _review(run: RunSummary, document: dict[str, Any], album: Album) -> list[htm
     return blocks
 
 
-def _after_cuts(run: RunSummary) -> list[int]:
-    """Return the output number of the first frame after each cut, as far as it was written."""
-    first = {frame.key: frame.number for frame in reversed(run.frames)}
-    return [first[cut.number] for cut in run.cuts or () if cut.number in first]
-
-
-def _quality(run: RunSummary, document: dict[str, Any], album: Album) -> list[html.Block]:
+def _quality(
+    run: RunSummary, document: dict[str, Any], album: Album, cuts: Sequence[int]
+) -> list[html.Block]:
     blocks: list[html.Block] = []
     scored = [frame for frame in run.frames if frame.score is not None]
     if scored:
         numbers, scores = [f.number for f in scored], [f.score for f in scored]
-        makers, cuts = [frame_maker(f) for f in scored], _after_cuts(run)
+        makers = [frame_maker(frame) for frame in scored]
         psnr = [None if score is None else score.psnr_db for score in scores]
         if len(scored) > 1 and any(value is not None for value in psnr):
             labels = plots.Labels(
@@ -239,7 +240,7 @@ def _quality(run: RunSummary, document: dict[str, Any], album: Album) -> list[ht
             numbers = [number for number, _ in pulses]
             series = {metric.title: [value for _, value in pulses]}
             worst = numbers.index(pulse["worst_frame"])
-            blocks.append(plots.draw_lines(labels, numbers, series, worst, _after_cuts(run)))
+            blocks.append(plots.draw_lines(labels, numbers, series, worst, cuts))
         rows = (
             ("mean of the new frames", metric.text(pulse["mean"])),
             (f"worst, frame {pulse['worst_frame']}", metric.text(pulse["worst"])),
@@ -333,7 +334,9 @@ def _decisions(run: RunSummary, decisions: dict[str, Any]) -> list[html.Block]:
     return blocks
 
 
-def _holes_and_features(run: RunSummary, document: dict[str, Any]) -> list[html.Block]:
+def _holes_and_features(
+    run: RunSummary, document: dict[str, Any], cuts: Sequence[int]
+) -> list[html.Block]:
     blocks: list[html.Block] = []
     holes = [frame for frame in run.frames if frame.has_holes]
     if len(holes) > 1:
@@ -343,7 +346,7 @@ def _holes_and_features(run: RunSummary, document: dict[str, Any]) -> list[html.
         )  # fmt: skip
         shares = [100 * (frame.hole_fraction or 0.0) for frame in holes]
         numbers = [frame.number for frame in holes]
-        blocks.append(plots.draw_lines(labels, numbers, {"holes": shares}, cuts=_after_cuts(run)))
+        blocks.append(plots.draw_lines(labels, numbers, {"holes": shares}, cuts=cuts))
         if histogram := document["holes"]["histogram"]:
             # As the paper's Figure 2, up to the last bin with frames.
             edges, counts = histogram["edges"], histogram["counts"]

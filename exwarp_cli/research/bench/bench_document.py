@@ -17,17 +17,9 @@ from exwarp_cli.domain.decision import CHOICES, FEATURES, HOLD, PATHS
 from exwarp_cli.domain.results import Score
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.report.schema import count_decisions, mean, mean_scores, to_plain
-from exwarp_cli.research.bench import paper
+from exwarp_cli.research.bench import paper, systems
 from exwarp_cli.research.bench.benchmark import GBUFFERS_OF, Benchmark, Measured
 from exwarp_cli.research.bench.real_time import BASE_FPS, REFRESH_HZ, SLOT_MS, clocked_row
-from exwarp_cli.research.bench.systems import (
-    ABOUT,
-    CHOOSERS,
-    FIXED,
-    ONNX,
-    SLOTS,
-    is_lookahead,
-)
 
 SCHEMA = "exwarp.bench/1"
 
@@ -63,8 +55,8 @@ def bench_document(benchmark: Benchmark, predictor: Schedule, clock_hz: float) -
         "metrics": sorted(benchmark.settings.metrics),
         "systems": {
             name: {
-                "about": ABOUT.get(name, f"network {name.removeprefix(ONNX)}"),
-                "lookahead": is_lookahead(name),
+                "about": systems.ABOUT.get(name, f"network {name.removeprefix(systems.ONNX)}"),
+                "lookahead": systems.is_lookahead(name),
             }
             for name in benchmark.systems
         },
@@ -155,7 +147,7 @@ def _time_rows(row: Measured) -> Document:
         for name, seconds in generated.items():
             # Repeats cost time and save none, as they would not have been rendered.
             new = new_frames[name]
-            shares[name] = (new * rendered - len(SLOTS) * seconds) / ((1 + new) * rendered)
+            shares[name] = (new * rendered - len(systems.SLOTS) * seconds) / ((1 + new) * rendered)
     render_time = {
         "key_frame_s": rendered,
         "generated_frame_s": generated,
@@ -181,7 +173,7 @@ def _frame_rows(row: Measured) -> Document:
         }
     decisions = {
         chooser: count_decisions(part["paths"][chooser] for part in row.parts)
-        for chooser in CHOOSERS
+        for chooser in systems.CHOOSERS
         if chooser in row.parts[0]["paths"]
     }
     return {"holes": holes, "decisions": decisions | {"paper_warp_share": paper.WARP_SHARE}}
@@ -194,10 +186,10 @@ def _score_rows(row: Measured) -> Document:
     """
     app, first = identify(row)["app"], row.parts[0]
     interval_ms = 1e3 / row.about["fps"]
-    systems, comparison = {}, {}
+    quality, comparison = {}, {}
     for name in first["systems"]:
         frames = [frame for part in row.parts for frame in part["systems"][name]]
-        systems[name] = {
+        quality[name] = {
             "all": _mean_scores(frames),
             "holes": _mean_scores(frames, "holes"),
             "by_decision": {
@@ -207,22 +199,22 @@ def _score_rows(row: Measured) -> Document:
             "dropped": _mean_scores(f for f in frames if f["made_by"] == HOLD),
         }
         comparison[name] = {
-            "lookahead": is_lookahead(name),
-            "waits_ms": interval_ms if is_lookahead(name) else 0.0,
+            "lookahead": systems.is_lookahead(name),
+            "waits_ms": interval_ms if systems.is_lookahead(name) else 0.0,
             "frame_ms": row.timing["systems_ms"].get(name),
-            **systems[name]["all"],
+            **quality[name]["all"],
         }
     returns = None
     if first["returns"] is not None:
         gains = [dict(zip(PATHS, part["returns"], strict=True)) for part in row.parts]
         returns = {path.lower(): mean(each[path] for each in gains) for path in PATHS}
-        for chooser in CHOOSERS:
+        for chooser in systems.CHOOSERS:
             returns[chooser] = mean(
                 each[part["paths"][chooser]]
                 for each, part in zip(gains, row.parts, strict=True)
                 if chooser in part["paths"]
             )
-    psnr = {name: systems[name]["all"]["psnr_db"] for name in FIXED if name in systems}
+    psnr = {name: quality[name]["all"]["psnr_db"] for name in systems.FIXED if name in quality}
     extranet = {
         name: {
             metric: mean(part["extranet"][name][metric] for part in row.parts)
@@ -232,7 +224,7 @@ def _score_rows(row: Measured) -> Document:
     }
     return {
         "quality": {
-            "systems": systems,
+            "systems": quality,
             "returns": returns,
             "best_path": max(psnr, key=lambda name: psnr[name]) if psnr else None,
             "paper": paper.QUALITY.get(app),

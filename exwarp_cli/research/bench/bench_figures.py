@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.report.plots import Figure, Labels, draw_bars, draw_scatter, draw_stacked_bars
-from exwarp_cli.research.bench.bench_document import VARYING_FEATURES, Document, feature_points
+from exwarp_cli.research.bench.bench_document import (
+    HOLE_EDGES,
+    VARYING_FEATURES,
+    Document,
+    feature_points,
+)
 from exwarp_cli.research.bench.bench_tables import PAPER, SLOT_KINDS, SOURCE, BenchTable
 from exwarp_cli.research.bench.benchmark import Benchmark
 from exwarp_cli.research.bench.systems import BEST_RETURN, CHOOSERS, FIXED, POLICY, SYSTEMS
@@ -16,8 +22,9 @@ from exwarp_cli.research.bench.systems import BEST_RETURN, CHOOSERS, FIXED, POLI
 # Systems in the figures of the effective rate.
 RATED = (POLICY, "s1", "s2", "s3")
 
-# Sequences that bars can stand beside each other for at every share of holes.
+# Sequences that bars can stand beside each other for at every share of holes, and their figure.
 MAX_BARS = 3
+FEW_HOLES = Labels("Holes of warped frames", "share of the frame that is unseen", "% of the frames")
 
 
 @dataclass(frozen=True)
@@ -83,6 +90,14 @@ FIGURES = {
         ),
         {kind: kind for kind in SLOT_KINDS}, (POLICY,), is_stacked=True,
     ),
+    "holes": BenchFigure(
+        Labels(
+            "Share of the frame that is unseen", "% of the frames",
+            description="How many frames have how many holes.",
+        ),
+        {f"{100 * low:g}-{100 * high:g} %": f"from_{low:g}" for low, high in pairwise(HOLE_EDGES)},
+        is_stacked=True,
+    ),
     "runtime": BenchFigure(
         Labels("Run time of a frame", "ms", description="Milliseconds of each step of the work."),
         {"warping": "warping_ms", "hole marking": "hole_marking_ms", "network": "inference_ms"},
@@ -111,8 +126,6 @@ def sequence_labels(document: Document) -> list[str]:
 
 def draw_figure(table: BenchTable, names: Sequence[str]) -> Figure | None:
     """Draw the figure that stands before a table, if there is one; `names` are the sequences'."""
-    if table.name == "holes":
-        return draw_holes(table, names)
     if table.name not in FIGURES:
         return None
     figure = FIGURES[table.name]
@@ -128,7 +141,14 @@ def draw_figure(table: BenchTable, names: Sequence[str]) -> Figure | None:
                     values[name or system] = 100 * row[key] if is_share else row.get(key)
         cells.append(values)
         printed.append(next((row for row in rows if row.get(SOURCE.key) == PAPER), {}))
-    if not all(cells):
+    if table.name == "holes":  # which are not known of every sequence
+        known = {name: v for name, v in zip(names, cells, strict=True) if None not in v.values()}
+        names, cells = list(known), list(known.values())
+        if 0 < len(known) <= MAX_BARS:
+            labels = replace(FEW_HOLES, description=figure.labels.description)
+            bars = {name: list(values.values()) for name, values in known.items()}
+            return draw_bars(labels, list(figure.columns), bars)
+    if not cells or not all(cells):
         return None
     series = {name: [values.get(name) for values in cells] for name in cells[0]}
     if figure.is_stacked:
@@ -140,27 +160,6 @@ def draw_figure(table: BenchTable, names: Sequence[str]) -> Figure | None:
     if SOURCE in table.columns and "" not in figure.columns:
         references = {name: [row.get(figure.columns[name]) for row in printed] for name in series}
     return draw_bars(figure.labels, names, series, references)
-
-
-def draw_holes(table: BenchTable, names: Sequence[str]) -> Figure | None:
-    """Draw Figure 2: how many frames have how many holes."""
-    bins = [column for column in table.columns if column.key.startswith("from_")]
-    shares = {
-        name: [100 * row[column.key] for column in bins]
-        for name, row in zip(names, table.rows, strict=True)
-        if bins and row[bins[0].key] is not None
-    }
-    if not shares:
-        return None
-    groups = [column.title for column in bins]
-    description = "How many frames have how many holes."
-    if len(shares) > MAX_BARS:
-        title = "Share of the frame that is unseen"
-        labels = Labels(title, "% of the frames", description=description)
-        parts = {group: [row[i] for row in shares.values()] for i, group in enumerate(groups)}
-        return draw_stacked_bars(labels, list(shares), parts)
-    x, y = "share of the frame that is unseen", "% of the frames"
-    return draw_bars(Labels("Holes of warped frames", x, y, description), groups, shares)
 
 
 def draw_features(benchmark: Benchmark) -> Figure:

@@ -10,18 +10,9 @@ from typing import Any
 
 from exwarp_cli.domain.decision import EXTRAPOLATE, NODES, WARP
 from exwarp_cli.domain.metric import METRICS
-from exwarp_cli.research.bench import paper
+from exwarp_cli.research.bench import paper, systems
 from exwarp_cli.research.bench.bench_document import HOLE_EDGES, VARYING_FEATURES, Document
 from exwarp_cli.research.bench.real_time import BUSY, BY_PATH, CLOCKED_SYSTEMS, LATE
-from exwarp_cli.research.bench.systems import (
-    CHOOSERS,
-    FIXED,
-    MEASURED,
-    SLOTS,
-    SYSTEMS,
-    TABLE,
-    TABLE_AS,
-)
 
 OURS, PAPER = "measured", "paper"
 
@@ -91,7 +82,7 @@ CHOICE_COLUMNS = (
     Column("warp", "warp", ".1%", ("warp_share",)),
     Column("extrapolate", "extrapolate", ".1%"),
     *(Column(node, f"{node} warp", ".0%") for node in NODES),
-    *(Column(path, path.upper(), "d", ("paths", path.upper())) for path in FIXED),
+    *(Column(path, path.upper(), "d", ("paths", path.upper())) for path in systems.FIXED),
 )
 
 # Steps of a frame in bench.json and in the paper, and their titles.
@@ -107,7 +98,7 @@ OTHER_STEPS = (
 )
 
 PATH_COLUMNS = (
-    *((path, path.upper()) for path in FIXED),
+    *((path, path.upper()) for path in systems.FIXED),
     *(("exwarp", "ExWarp"), ("oracle", "oracle"), ("oracle-return", "oracle (return)")),
 )
 
@@ -131,12 +122,13 @@ FROM_TABLE = (
 )
 
 LATENCY_NOTES = {
-    TABLE: FROM_TABLE + "Between 480p, 720p and 1080p they are interpolated by pixels. Smaller "
-    "frames count as 480p, larger ones in proportion to 1080p.",
-    **{clock: f"{FROM_TABLE}All frames count as {size}." for clock, size in TABLE_AS.items()},
-    MEASURED: "Latencies are this machine's, from the table of run times: W is geometry, warping "
-    "and hole marking; E is these, the network's inputs and the network. Reading, features and "
-    "the decision do not count.",
+    clock: f"{FROM_TABLE}All frames count as {size}." for clock, size in systems.TABLE_AS.items()
+} | {
+    systems.TABLE: f"{FROM_TABLE}Between 480p, 720p and 1080p they are interpolated by pixels. "
+    "Smaller frames count as 480p, larger ones in proportion to 1080p.",
+    systems.MEASURED: "Latencies are this machine's, from the table of run times: W is geometry, "
+    "warping and hole marking; E is these, the network's inputs and the network. Reading, features "
+    "and the decision do not count.",
 }
 
 # What a slot shows under the clock.
@@ -156,7 +148,7 @@ PAPER_ROW = {"size": None, "setting": "slot", "source": PAPER}
 def _saving_rows(document: Document) -> Iterator[Document]:
     for row in document["render_time"]:
         for name, seconds in row["generated_frame_s"].items():
-            if name in SAVING or name not in SYSTEMS:
+            if name in SAVING or name not in systems.SYSTEMS:
                 saved = {key: (row[key] or {}).get(name) for key in ("saved_share", "times_faster")}
                 yield row | {"system": name, "generated_frame_s": seconds} | saved
 
@@ -181,9 +173,9 @@ def _path_rows(metric: str, document: Document) -> Iterator[Document]:
         yield row | {"source": OURS}
         if row["paper"] is not None:
             printed = {name: values[metric] for name, values in row["paper"].items()}
-            best = max(FIXED, key=lambda path: printed[path])
-            systems = {name: {"all": values} for name, values in row["paper"].items()}
-            yield PAPER_ROW | {"name": row["app"]} | {"best_path": best, "systems": systems}
+            best = max(systems.FIXED, key=lambda path: printed[path])
+            cells = {name: {"all": values} for name, values in row["paper"].items()}
+            yield PAPER_ROW | {"name": row["app"]} | {"best_path": best, "systems": cells}
 
 
 def _comparison_rows(document: Document) -> Iterator[Document]:
@@ -204,7 +196,7 @@ def _comparison_rows(document: Document) -> Iterator[Document]:
 def _choice_rows(rows: Iterable[Document]) -> Iterator[Document]:
     """Yield what `CHOICE_COLUMNS` show; rows have what systems decided by their names."""
     for row in rows:
-        for system in CHOOSERS:
+        for system in systems.CHOOSERS:
             if system in row:
                 decisions = row[system]
                 warp = decisions["warp_share"]
@@ -257,7 +249,7 @@ def _clocked_path_rows(document: Document) -> Iterable[Document]:
     rows: dict[str, Document] = {}
     for row in document["real_time"]["rows"]:
         for path, played in row["paths"].items():
-            pairs = zip(SLOTS, played["made_by"], played["dropped"], strict=True)
+            pairs = zip(systems.SLOTS, played["made_by"], played["dropped"], strict=True)
             slots = {f"slot_{slot}": SLOT_KINDS[reason or maker] for slot, maker, reason in pairs}
             fps = document["real_time"]["base"] * (1 + played["new"])
             cells = {"size": row["size"], "path": path, **slots, "new": played["new"], "fps": fps}
@@ -480,7 +472,7 @@ CLOCKED_TABLES = (
         (
             Column("size", "size"),
             Column("path", "path"),
-            *(Column(f"slot_{slot}", f"slot {slot}") for slot in SLOTS),
+            *(Column(f"slot_{slot}", f"slot {slot}") for slot in systems.SLOTS),
             Column("new", "new frames", "d"),
             Column("fps", "effective fps", "g"),
         ),

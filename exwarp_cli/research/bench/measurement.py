@@ -33,19 +33,8 @@ from exwarp_cli.pipeline.scoring import Steps, flicker_of, steps_of, vmaf_of
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
 from exwarp_cli.policy.outcomes import best_psnr, best_return, path_returns
 from exwarp_cli.policy.state import plan_slots
+from exwarp_cli.research.bench import systems
 from exwarp_cli.research.bench.subjects import OpenedSubject, SystemFrames
-from exwarp_cli.research.bench.systems import (
-    BEST_PSNR,
-    BEST_RETURN,
-    CHOOSERS,
-    FIRST_SLOTS,
-    FIXED_PATHS,
-    POLICY,
-    SLOTS,
-    makers_of,
-    picture_at,
-    pictures_of,
-)
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.motion_fields import find_holes
@@ -98,7 +87,7 @@ class IntervalScores:
         None stands before a picture's first slot. No other metric is computed.
         """
         by_picture: dict[str, list[list[float] | None]] = {}
-        for name, first in FIRST_SLOTS.items():
+        for name, first in systems.FIRST_SLOTS.items():
             if not extrapolates and "E" in name:
                 continue
             by_picture[name] = [None] * (first - 1)
@@ -109,29 +98,29 @@ class IntervalScores:
                 by_picture[name].append([getattr(frame, metric) for metric in JUDGED])
         return by_picture
 
-    def add_vmaf(self, systems: Sequence[tuple[str, ...]]) -> None:
-        """Add VMAF to the pictures of some systems, all in one run.
+    def add_vmaf(self, shown: Sequence[tuple[str, ...]]) -> None:
+        """Add VMAF to the pictures that systems show, all in one run.
 
         VMAF looks at a frame and at how the ground truth changes around it, so every picture is
         scored once, in whatever order pictures are strung together.
         """
-        columns = [sorted({names[slot - 1] for names in systems}) for slot in SLOTS]
+        columns = [sorted({names[slot - 1] for names in shown}) for slot in systems.SLOTS]
         most = max(map(len, columns))
         filled = [column + column[-1:] * (most - len(column)) for column in columns]
         rows = list(zip(*filled, strict=True))
         values = vmaf_of(self.truth, [[self.frames[name] for name in row] for row in rows])
         for row, row_values in zip(rows, values, strict=True):
-            for slot, name, vmaf in zip(SLOTS, row, row_values, strict=True):
+            for slot, name, vmaf in zip(systems.SLOTS, row, row_values, strict=True):
                 frame, holes = self.score(name, slot)
                 self._scores[name, slot] = replace(frame, vmaf=vmaf), holes
 
     def score_system(self, names: tuple[str, ...]) -> list[FrameScores]:
         """Return the scores of slots 1 to 3 of a system that shows these pictures."""
-        scores = [self.score(name, slot) for slot, name in zip(SLOTS, names, strict=True)]
+        scores = [self.score(name, slot) for slot, name in zip(systems.SLOTS, names, strict=True)]
         if self.steps is None:
             return scores
         errors = {}
-        for slot, name in zip(SLOTS, names, strict=True):
+        for slot, name in zip(systems.SLOTS, names, strict=True):
             if (name, slot) not in self._errors:
                 self._errors[name, slot] = temporal.display_error(
                     self.truth[slot], self.frames[name]
@@ -149,7 +138,7 @@ class IntervalScores:
         for node, choice in product(NODES, CHOICES):
             slot = NODE_SLOTS[node]
             path = next(path for path in PATHS.values() if path.choices.get(node) == choice)
-            frame, _ = self.score(picture_at(path.made_by, slot), slot)
+            frame, _ = self.score(systems.picture_at(path.made_by, slot), slot)
             rows.append([getattr(frame, name) for name in JUDGED])
         return np.array(rows, np.float64).reshape(len(NODES), len(CHOICES), len(JUDGED))
 
@@ -189,17 +178,17 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
     steps = steps_of(interval, display, inputs.followed) if "flicker" in metrics else None
     scores = IntervalScores(frames, truth, masks, steps, metrics)
 
-    paths = {name: path for name, path in FIXED_PATHS.items() if name in opened.systems}
-    paths[POLICY] = plan_slots(opened.chooser, surroundings).path
+    paths = {name: path for name, path in systems.FIXED_PATHS.items() if name in opened.systems}
+    paths[systems.POLICY] = plan_slots(opened.chooser, surroundings).path
     gains = None
     if opened.networks.own is not None:
         outcomes = scores.outcomes()
         names = tuple(PATHS)
-        paths[BEST_PSNR] = names[int(best_psnr(outcomes))]
-        paths[BEST_RETURN] = names[int(best_return(outcomes))]
+        paths[systems.BEST_PSNR] = names[int(best_psnr(outcomes))]
+        paths[systems.BEST_RETURN] = names[int(best_return(outcomes))]
         gains = [float(value) for value in path_returns(outcomes)]
 
-    shown = {name: pictures_of(name, paths.get(name)) for name in opened.systems}
+    shown = {name: systems.pictures_of(name, paths.get(name)) for name in opened.systems}
     if "vmaf" in metrics:
         scores.add_vmaf(list(shown.values()))
     # A path that has E's frame at slot 2 stands for ExtraNet.
@@ -207,16 +196,18 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
     by_extranet = {name: score_like_extranet(truth[MIDDLE], frames[name]) for name in middles}
     return {
         "key": opened.numbers[inputs.key],
-        "holes": [float(masks[slot].mean()) if slot in masks else None for slot in SLOTS],
+        "holes": [float(masks[slot].mean()) if slot in masks else None for slot in systems.SLOTS],
         "features": [[float(v) for v in astuple(features)] for features in surroundings.now],
-        "paths": {name: paths[name] for name in CHOOSERS if name in paths},
+        "paths": {name: paths[name] for name in systems.CHOOSERS if name in paths},
         "returns": gains,
-        "warp_psnr_db": [scores.score(f"W{slot}", slot)[0].psnr_db for slot in SLOTS],
+        "warp_psnr_db": [scores.score(f"W{slot}", slot)[0].psnr_db for slot in systems.SLOTS],
         "systems": {
             system: [
                 {"made_by": maker, "all": asdict(frame), "holes": holes and asdict(holes)}
                 for (frame, holes), maker in zip(
-                    scores.score_system(names), makers_of(system, paths.get(system)), strict=True
+                    scores.score_system(names),
+                    systems.makers_of(system, paths.get(system)),
+                    strict=True,
                 )
             ]
             for system, names in shown.items()
@@ -246,21 +237,19 @@ def time_subject(opened: OpenedSubject, report: Callable[[int], None]) -> dict[s
     ``systems_ms``, medians, milliseconds a generated frame; and ``machine``.
     """
     steps: dict[str, list[float]] = defaultdict(list)
-    systems: dict[str, list[float]] = defaultdict(list)
+    frames: dict[str, list[float]] = defaultdict(list)
     keys = timed_keys(opened)
     for count, key in enumerate(keys):
         check_stop()
         if count and key == keys[count - 1]:  # a lone interval is read again, with its features
             opened.restart()
-        inputs = opened.reader.read(key)
-        interval_steps, interval_systems = _time_interval(opened, inputs)
+        measured = _time_interval(opened, opened.reader.read(key))
         report(key)
         if count == 0:  # compiled the kernels, and read what the next intervals share with it
             continue
-        for name, ms in interval_steps.items():
-            steps[name].append(ms)
-        for name, ms in interval_systems.items():
-            systems[name].append(ms)
+        for values, times in zip((steps, frames), measured, strict=True):
+            for name, ms in times.items():
+                values[name].append(ms)
     opened.restart()
     processor = platform.processor() or platform.machine()
     with suppress(OSError):  # the name, as far as the system has it
@@ -269,7 +258,7 @@ def time_subject(opened: OpenedSubject, report: Callable[[int], None]) -> dict[s
         processor = next(models, processor)
     return {
         "steps_ms": {name: median(values) for name, values in steps.items()},
-        "systems_ms": {name: median(values) for name, values in systems.items()},
+        "systems_ms": {name: median(values) for name, values in frames.items()},
         "machine": {"processor": processor, "cores": os.cpu_count()},
     }
 
@@ -278,7 +267,7 @@ def _time_interval(
     opened: OpenedSubject, inputs: IntervalInputs
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Time the steps of one interval, and its systems; milliseconds a frame."""
-    count = len(SLOTS)
+    count = len(systems.SLOTS)
     geometry_ms, interval = _timed(lambda: opened.builder.build(inputs))
     features_ms, surroundings = _timed(lambda: opened.observer.of(inputs, interval))
     decide_ms, decided = _timed(lambda: plan_slots(opened.chooser, surroundings).path)
@@ -290,12 +279,14 @@ def _time_interval(
     }
     # What a warped and an extrapolated frame are made of.
     fresh, gbuffer, pixels = replace(interval), interval.key.gbuffer, interval.key.image.pixels
-    fields_ms, backs = _timed(lambda: {slot: fresh.back(slot) for slot in SLOTS})
-    warp_ms, _ = _timed(lambda: [Mover(backs[s]).warp_alone(pixels) for s in SLOTS])
+    fields_ms, backs = _timed(lambda: {slot: fresh.back(slot) for slot in systems.SLOTS})
+    warp_ms, _ = _timed(lambda: [Mover(back).warp_alone(pixels) for back in backs.values()])
     steps["warp"] = (fields_ms + warp_ms) / count
     if fresh.slots and gbuffer is not None:
         holes_ms, _ = _timed(
-            lambda: [find_holes(fresh.slots[s - 1], gbuffer, backs[s].field, s) for s in SLOTS]
+            lambda: [
+                find_holes(fresh.slots[s - 1], gbuffer, back.field, s) for s, back in backs.items()
+            ]
         )
         # Holes come with the motion fields, and are stated by themselves.
         steps["holes"] = holes_ms / count
@@ -306,22 +297,22 @@ def _time_interval(
         network_ms, _ = _timed(lambda: [network(p.inputs) for p in prepared])
         steps["inputs"] = inputs_ms / len(EXTRAPOLATED)
         steps["network"] = network_ms / len(EXTRAPOLATED)
-    paths = FIXED_PATHS | {POLICY: decided}
-    systems = {}
+    paths = systems.FIXED_PATHS | {systems.POLICY: decided}
+    systems_ms = {}
     for name in opened.systems:
         path = paths.get(name)
-        if path is None and name in CHOOSERS:
+        if path is None and name in systems.CHOOSERS:
             continue
         # A copy has none of the motion fields that were computed before.
         frames = SystemFrames(opened, inputs, replace(interval))
-        pictures = dict.fromkeys(pictures_of(name, path))
+        pictures = dict.fromkeys(systems.pictures_of(name, path))
         spent_ms, _ = _timed(partial(list, map(frames.__getitem__, pictures)))
-        systems[name] = spent_ms / count
-        if name == POLICY:
-            systems[name] += steps["features"] + steps["decide"]
+        systems_ms[name] = spent_ms / count
+        if name == systems.POLICY:
+            systems_ms[name] += steps["features"] + steps["decide"]
         if path is not None or name in MOVING:
-            systems[name] += steps["geometry"]
-    return steps, systems
+            systems_ms[name] += steps["geometry"]
+    return steps, systems_ms
 
 
 def _timed(work: Callable[[], Result]) -> tuple[float, Result]:
