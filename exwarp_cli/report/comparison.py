@@ -214,10 +214,7 @@ def add_baseline(album: Album, result: Comparison, baseline: Comparison) -> None
 
 
 def compare_page(
-    result: Comparison,
-    document: dict[str, Any],
-    album: Album,
-    baseline: Comparison | None = None,
+    result: Comparison, document: dict[str, Any], album: Album, baseline: Comparison | None = None
 ) -> html.Page:
     """Build the page of a comparison.
 
@@ -285,10 +282,7 @@ def compare_page(
 
 
 def _quality(
-    result: Comparison,
-    document: dict[str, Any],
-    album: Album,
-    base_scores: Mapping[int, Score],
+    result: Comparison, document: dict[str, Any], album: Album, base_scores: Mapping[int, Score]
 ) -> list[html.Block]:
     """Write tables and plots; `base_scores` are the baseline's by the reference's number."""
     numbers = [frame.test for frame in result.frames]

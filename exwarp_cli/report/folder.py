@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import is_dataclass
 from functools import cache
 from hashlib import sha256
@@ -91,17 +92,13 @@ def prepare_comparison(folder: Path) -> None:
 
     OutputExistsError: it holds a report of another kind. OutputError: it cannot be made.
     """
-    report = folder / REPORT_FILE
-    if path_exists(report):
-        try:
-            with report.open("rb") as file:
-                is_comparison = comparison.SCHEMA.encode() in file.read(200)
-        except OSError:
-            is_comparison = False
-        if not is_comparison:
-            raise OutputExistsError(
-                f"{folder} holds a report that is no comparison's; give another --report"
-            )
+    report, head = folder / REPORT_FILE, b""
+    with suppress(OSError), report.open("rb") as file:
+        head = file.read(200)
+    if comparison.SCHEMA.encode() not in head and path_exists(report):
+        raise OutputExistsError(
+            f"{folder} holds a report that is no comparison's; give another --report"
+        )
     make_folder(folder)
     remove_leftovers(folder)
 

@@ -178,8 +178,7 @@ class Gallery:
     ) -> None:
         self._output, self._truth, self._has_truth = output, truth, has_truth
         self._sources = sources
-        after = truth if has_truth else output
-        before = output if has_truth else KEY
+        before, after = (output, truth) if has_truth else (KEY, output)
         self.album = Album((output, truth, KEY), before, after)
         self._chosen: set[int] = set()
         self._worst: tuple[float, int] | None = None

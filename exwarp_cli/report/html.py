@@ -231,10 +231,7 @@ def metric_plots(
 
 
 def worst_tables(
-    numbers: Sequence[int],
-    scores: Sequence[Score | None],
-    album: Album,
-    makers: Sequence[str] = (),
+    numbers: Sequence[int], scores: Sequence[Score | None], album: Album, makers: Sequence[str] = ()
 ) -> list[Table]:
     """List the worst frames by the first metric that was measured; no table where none was.
 

@@ -39,10 +39,7 @@ MAX_VALUE = 120
 _AGAIN = "do its key frames again with --report, or leave it out"
 
 # What reading a report raises that holds something else.
-_NO_RUN = (
-    *(ArithmeticError, AttributeError, LookupError, RecursionError, TypeError),
-    ValueError,
-)
+_NO_RUN = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
 def merge_reports(

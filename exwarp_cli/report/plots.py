@@ -223,10 +223,7 @@ def draw_bars(
 
 
 def draw_stacked_bars(
-    labels: Labels,
-    groups: Sequence[str],
-    parts: Mapping[str, Values],
-    kinds: bool = False,
+    labels: Labels, groups: Sequence[str], parts: Mapping[str, Values], kinds: bool = False
 ) -> Figure:
     """Draw one horizontal bar a group, made of parts: a length for each group, None counts as 0.
 

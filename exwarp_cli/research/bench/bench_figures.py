@@ -9,12 +9,7 @@ from itertools import pairwise
 from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.report.plots import Figure, Labels, draw_bars, draw_scatter, draw_stacked_bars
-from exwarp_cli.research.bench.bench_document import (
-    HOLE_EDGES,
-    VARYING_FEATURES,
-    Document,
-    feature_points,
-)
+from exwarp_cli.research.bench import bench_document
 from exwarp_cli.research.bench.bench_tables import PAPER, SLOT_KINDS, SOURCE, BenchTable
 from exwarp_cli.research.bench.benchmark import Benchmark
 from exwarp_cli.research.bench.systems import BEST_RETURN, CHOOSERS, FIXED, POLICY, SYSTEMS
@@ -95,7 +90,10 @@ FIGURES = {
             "Share of the frame that is unseen", "% of the frames",
             description="How many frames have how many holes.",
         ),
-        {f"{100 * low:g}-{100 * high:g} %": f"from_{low:g}" for low, high in pairwise(HOLE_EDGES)},
+        {
+            f"{100 * low:g}-{100 * high:g} %": f"from_{low:g}"
+            for low, high in pairwise(bench_document.HOLE_EDGES)
+        },
         is_stacked=True,
     ),
     "runtime": BenchFigure(
@@ -106,7 +104,7 @@ FIGURES = {
 }  # fmt: skip
 
 
-def sequence_labels(document: Document) -> list[str]:
+def sequence_labels(document: bench_document.Document) -> list[str]:
     """Name the sequences shortly; size and setting only where they differ."""
     rows = document["sequences"]
     sizes, settings = ({row[key] for row in rows} for key in ("size", "setting"))
@@ -164,11 +162,11 @@ def draw_figure(table: BenchTable, names: Sequence[str]) -> Figure | None:
 
 def draw_features(benchmark: Benchmark) -> Figure:
     """Draw Figure 4: every feature against the PSNR of W."""
-    points = [point for row in benchmark.measured for point in feature_points(row)]
+    points = [point for row in benchmark.measured for point in bench_document.feature_points(row)]
     psnr = [point["warp_psnr_db"] for point in points]
     labels = Labels(
         "Features and the quality of W", y="PSNR of W dB",
         description="Each feature against the PSNR of warped frames, a point a slot.",
     )  # fmt: skip
-    panels = {name: [point[name] for point in points] for name in VARYING_FEATURES}
+    panels = {name: [point[name] for point in points] for name in bench_document.VARYING_FEATURES}
     return draw_scatter(labels, panels, psnr)

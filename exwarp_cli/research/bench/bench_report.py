@@ -18,6 +18,7 @@ from exwarp_cli.report.gallery import BUDGET, PICTURE_BYTES, TRUTH, Album
 from exwarp_cli.report.html import Block, Number, Page, Section, Table, render
 from exwarp_cli.report.schema import escape_formula, format_csv, mean, to_json
 from exwarp_cli.report.sentences import format_percent, format_time
+from exwarp_cli.research.bench import bench_tables
 from exwarp_cli.research.bench.bench_document import (
     Document,
     bench_document,
@@ -26,14 +27,6 @@ from exwarp_cli.research.bench.bench_document import (
     identify,
 )
 from exwarp_cli.research.bench.bench_figures import draw_features, draw_figure, sequence_labels
-from exwarp_cli.research.bench.bench_tables import (
-    NOTHING,
-    SEQUENCE,
-    SOURCE,
-    BenchTable,
-    Row,
-    make_tables,
-)
 from exwarp_cli.research.bench.benchmark import Benchmark, Measured
 from exwarp_cli.research.bench.subjects import OpenedSubject, SystemFrames
 from exwarp_cli.research.bench.systems import CHOOSERS, FIXED_PATHS, POLICY, SLOTS, pictures_of
@@ -78,7 +71,7 @@ def write_benchmark(
     remove_leftovers(folder)
     document = bench_document(benchmark, schedule(MacArray(), PAPER_SIZES), clock_hz)
     # What Figure 4 draws: a row a slot.
-    points: list[Row] = [
+    points = [
         {"scene": row.subject.name, "size": identify(row)["size"], "setting": row.subject.setting}
         | point
         for row in benchmark.measured
@@ -86,9 +79,10 @@ def write_benchmark(
     ]
     files = {
         table.name: ([column.key for column in table.columns], table.rows)
-        for table in make_tables(document)
+        for table in bench_tables.make_tables(document)
     }
-    for name, (header, rows) in (files | {"features": (list(points[0]), tuple(points))}).items():
+    files["features"] = (list(points[0]), tuple(points))
+    for name, (header, rows) in files.items():
         cells = ([row.get(key) for key in header] for row in rows)
         escaped = ([escape_formula(c) if isinstance(c, str) else c for c in row] for row in cells)
         atomic_write_text(folder / f"{name}.csv", format_csv(header, escaped))
@@ -104,7 +98,7 @@ def write_benchmark(
 def format_markdown(document: Document) -> str:
     """Write all tables for a wiki page; columns in which nothing was measured are left out."""
     parts = [f"# ExWarp benchmark\n\n{_escape(describe_benchmark(document))}\n"]
-    for table in make_tables(document):
+    for table in bench_tables.make_tables(document):
         if not table.rows:
             continue
         columns = table.measured_columns
@@ -113,7 +107,7 @@ def format_markdown(document: Document) -> str:
             "|" + "|".join("---:" if column.style else "---" for column in columns) + "|",
         ]
         for row in table.rows:
-            cells = (_escape(column.text(row) or NOTHING) for column in columns)
+            cells = (_escape(column.text(row) or bench_tables.NOTHING) for column in columns)
             lines.append("| " + " | ".join(cells) + " |")
         parts.append(f"## {table.title}\n\n{table.note}\n\n" + "\n".join(lines) + "\n")
     return "\n".join(parts)
@@ -128,7 +122,7 @@ def _escape(text: str) -> str:
 
 def bench_page(benchmark: Benchmark, document: Document, albums: Sequence[Album]) -> Page:
     """Lay a benchmark out as a page; `albums` are those of its sequences."""
-    tables = {table.name: table for table in make_tables(document)}
+    tables = {table.name: table for table in bench_tables.make_tables(document)}
     sections = []
     for title, names in SECTIONS.items():
         shown = (tables[name] for name in names if name in tables)
@@ -147,7 +141,9 @@ def bench_page(benchmark: Benchmark, document: Document, albums: Sequence[Album]
     )
 
 
-def _blocks(benchmark: Benchmark, document: Document, table: BenchTable) -> list[Block]:
+def _blocks(
+    benchmark: Benchmark, document: Document, table: bench_tables.BenchTable
+) -> list[Block]:
     """Return a table as the page takes it, with its figure before."""
     if not table.rows:
         return []
@@ -164,9 +160,9 @@ def _blocks(benchmark: Benchmark, document: Document, table: BenchTable) -> list
         parts = [(name, tuple(rows), "") for name, rows in groups]
     # Columns that are equal in all rows are left out, as titles have these. Rows still begin with a
     # name: that of the sequence, or where it is left out, of the system.
-    spare = {column.key for column in (*SEQUENCE, SOURCE)}
+    spare = {column.key for column in (*bench_tables.SEQUENCE, bench_tables.SOURCE)}
     if not any(column.key == "system" for column in table.columns):
-        spare.remove(SEQUENCE[0].key)
+        spare.remove(bench_tables.SEQUENCE[0].key)
     for title, rows, note in parts:
         columns = [
             column

@@ -415,11 +415,7 @@ TABLES = (
         "Counted on the paper's machine: 4 cores with ten 8-bit MACs. What is marked as measured "
         "is the Verilog of 'exwarp policy export --verilog', with 20 KB a core, in other "
         "technologies; power is the paper's alone.",
-        (
-            Column("parameter", ""),
-            Column("ours", "counted, or measured"),
-            Column("paper", "paper"),
-        ),
+        (Column("parameter", ""), Column("ours", "counted, or measured"), Column("paper", "paper")),
         _predictor_rows,
     ),
     BenchTable(

@@ -22,18 +22,8 @@ from exwarp_cli.pipeline.messages import other_extrapolator
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.scheduling import use_threads
 from exwarp_cli.report.schema import mean
-from exwarp_cli.research.bench.measurement import (
-    measure,
-    part_identity,
-    time_subject,
-    timed_keys,
-)
-from exwarp_cli.research.bench.subjects import (
-    OpenedSubject,
-    Subject,
-    find_subjects,
-    load_networks,
-)
+from exwarp_cli.research.bench.measurement import measure, part_identity, time_subject, timed_keys
+from exwarp_cli.research.bench.subjects import OpenedSubject, Subject, find_subjects, load_networks
 from exwarp_cli.research.bench.systems import SLOTS, BenchSettings
 from exwarp_cli.runtime.machine import processors
 from exwarp_cli.runtime.stop import check_stop

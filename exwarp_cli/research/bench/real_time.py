@@ -138,11 +138,10 @@ def clocked_row(
     """Return what a sequence shows under a clock; arguments as in `benchmark.Measured`."""
     if clock == systems.MEASURED:
         latencies = measured_latencies(steps_ms)
+    elif clock in systems.TABLE_AS:
+        latencies = table_latencies(systems.TABLE_PIXELS[systems.TABLE_AS[clock]])
     else:
-        pixels = about["width"] * about["height"]
-        latencies = table_latencies(
-            systems.TABLE_PIXELS[systems.TABLE_AS[clock]] if clock in systems.TABLE_AS else pixels
-        )
+        latencies = table_latencies(about["width"] * about["height"])
     # What each path shows in an interval that begins with a free engine.
     schedules = {path: play_interval(path, latencies) for path in PATHS}
     taken = {name: [name.upper()] * len(parts) for name in systems.FIXED}
