@@ -270,6 +270,15 @@ def test_the_page_has_a_comparison_for_each_sequence_with_the_papers_rows():
     assert first_cells(tables[1:]) == list(SYSTEMS) and tables[1].columns[0] == "system"
 
 
+def test_scenes_of_two_data_sets_may_have_one_name():
+    tables = tables_in(page_of(measured(), measured()), "quality")
+    assert [table.title for table in tables] == ["town", "town"]
+    assert tables[0].rows == tables[1].rows and len(tables[0].rows) > len(SYSTEMS)
+    for table in make_tables(document_of(benchmark_of(measured("pier"), measured("pier")))):
+        if table.name in bench_figures.FIGURES:
+            assert len(table.by_sequence()) == 2, table.name
+
+
 def test_the_page_leaves_out_columns_that_say_the_same_of_all_sequences():
     (table,) = tables_in(page_of(measured("quay"), measured("pier")), "paths")[:1]
     assert list(table.columns[:2]) == ["scene", "S1"]
@@ -296,6 +305,30 @@ def test_the_headline_begins_with_what_is_saved_where_headers_tell_it():
 def test_short_names_of_sequences(sizes, labels):
     rows = (measured(n, width=w, height=h) for n, (w, h) in zip("ab", sizes, strict=True))
     assert bench_figures.sequence_labels(document_of(benchmark_of(*rows))) == labels
+
+
+def test_figures_draw_what_was_measured_and_the_papers_values_across(found, monkeypatch):
+    drawn = {}
+
+    def keep(labels, groups, series, *more):
+        drawn[labels.title] = (list(groups), dict(series), *more)
+
+    monkeypatch.setattr(bench_figures, "draw_bars", keep)
+    monkeypatch.setattr(bench_figures, "draw_stacked_bars", keep)
+    for table in make_tables(found):
+        bench_figures.draw_figure(table, ["town", "pier"])
+    groups, paths, printed = drawn["PSNR of every decision path"]
+    assert groups == ["town", "pier"] and list(paths) == list(printed) == ["s1", "s6", "exwarp"]
+    assert paths["exwarp"] == pytest.approx([26, 26]) and printed["exwarp"] == [24.10, None]
+    _, systems, references = drawn["Causal and look-ahead systems"]
+    assert list(systems) == list(SYSTEMS) and references is None
+    assert systems["softsplat"] == pytest.approx([28, 28])
+    _, steps, kinds = drawn["Run time of a frame"]
+    assert steps == {"warping": [2, 2], "hole marking": [3, 3], "network": [4, 4]} and not kinds
+    _, shares, kinds = drawn["Decisions of the policy"]
+    assert shares["warp"] == [20, 20] and shares["extrapolate"] == [80, 80] and kinds
+    groups, holes = drawn["Holes of warped frames"]
+    assert groups[0] == "0-1 %" and sum(holes["town"]) == pytest.approx(100)
 
 
 def test_figures_without_anything_measured_are_left_out(found):

@@ -136,7 +136,7 @@ def draw_figure(table: BenchTable, names: Sequence[str]) -> Figure | None:
             if not is_paper and (system in ("", *figure.systems) or system not in SYSTEMS):
                 for name, key in figure.columns.items():
                     is_share = key in shares and row[key] is not None
-                    values[name or system] = 100 * row[key] if is_share else row.get(key)
+                    values[name or system] = 100 * row[key] if is_share else row[key]
         cells.append(values)
         printed.append(next((row for row in rows if row.get(SOURCE.key) == PAPER), {}))
     if table.name == "holes":  # which are not known of every sequence

@@ -58,11 +58,14 @@ class BenchTable:
         """Return the rows of each sequence; the paper's follow those that they stand beside."""
         groups: list[list[Row]] = []
         before = None
+        first_system = None
         for row in self.rows:
             sequence = tuple(row[column.key] for column in SEQUENCE)
-            if row.get(SOURCE.key) != PAPER and sequence != before:
+            system = row.get(SYSTEM.key)
+            # The first system again: scenes of two data sets may have one name, size and setting.
+            if row.get(SOURCE.key) != PAPER and (sequence != before or system == first_system):
                 groups.append([])
-                before = sequence
+                before, first_system = sequence, system
             groups[-1].append(row)
         return groups
 
@@ -175,7 +178,7 @@ def _path_rows(metric: str, document: Document) -> Iterator[Document]:
             printed = {name: values[metric] for name, values in row["paper"].items()}
             best = max(systems.FIXED, key=lambda path: printed[path])
             cells = {name: {"all": values} for name, values in row["paper"].items()}
-            yield PAPER_ROW | {"name": row["app"]} | {"best_path": best, "systems": cells}
+            yield PAPER_ROW | {"name": row["app"], "best_path": best, "systems": cells}
 
 
 def _comparison_rows(document: Document) -> Iterator[Document]:
@@ -186,11 +189,11 @@ def _comparison_rows(document: Document) -> Iterator[Document]:
             identity = {"source": OURS, "system": name, "kind": kind, "holes": holes}
             yield row | identity | values
         for name, values in (row["paper"] or {}).items():
-            yield PAPER_ROW | {"name": row["app"]} | {"system": name, "kind": "look-ahead"} | values
+            yield PAPER_ROW | {"name": row["app"], "system": name, "kind": "look-ahead"} | values
         if quality["paper"]:
             for name, label in (("s1", "ExtraNet (S1)"), ("exwarp", "ExWarp")):
-                identity = {"system": label, "kind": "causal"}
-                yield PAPER_ROW | {"name": row["app"]} | identity | quality["paper"][name]
+                identity = {"name": row["app"], "system": label, "kind": "causal"}
+                yield PAPER_ROW | identity | quality["paper"][name]
 
 
 def _choice_rows(rows: Iterable[Document]) -> Iterator[Document]:
