@@ -215,7 +215,8 @@ def dry_run_document(plan: DryRun) -> dict[str, Any]:
 
     head = run_document(plan.head)
     shared = ("version", "method", "setting", "lookahead", "input", "views", "layers")
-    paths = {name: getattr(plan, name) for name in ("output", "holes", "video", "report")}
+    paths = {"output": plan.output, "holes": plan.holes, "video": plan.video}
+    paths |= {"report": plan.report}
     groups = {
         **{kind.value: [f.number for f in plan.frames if f.kind is kind] for kind in KINDS},
         **{fate.value: [f.number for f in plan.frames if f.fate is fate] for fate in Fate},

@@ -18,7 +18,6 @@ from exwarp_cli.pipeline.evaluation import ComparedFrame, Comparison
 from exwarp_cli.pipeline.ground_truth import read_display
 from exwarp_cli.report import html, schema
 from exwarp_cli.report.gallery import Album
-from exwarp_cli.report.pictures import encode_colour, encode_error, find_peak, shrink
 from exwarp_cli.report.plots import Labels, draw_lines
 from exwarp_cli.report.sentences import format_percent
 
@@ -206,9 +205,7 @@ def add_baseline(album: Album, result: Comparison, baseline: Comparison) -> None
                         *(looks, sequences, (same.reference, same.test)), strict=True
                     )
                 )
-                shown, small = album.frames[frame.test], shrink(pixels, album.longest)
-                shown.pictures[BASELINE] = encode_colour(small, find_peak(small), album.room)
-                shown.errors[BASELINE] = encode_error(truth, pixels, album.room // 2, album.longest)
+                album.add_source(frame.test, BASELINE, pixels, truth)
     finally:
         close_sequences(*sequences)
 
@@ -253,19 +250,6 @@ def compare_page(
             for i, metric in enumerate(html.measured_metrics(generated))
             if i == 0 or metric.signed
         ]
-    rows: list[list[html.Cell]] = [
-        [name, sequence["pattern"], f"{sequence['first']}-{sequence['last']}"]
-        for name in ("reference", BASELINE, "test", "masks")
-        if (sequence := document.get(name)) is not None
-    ]
-    view = document["view_transform"]
-    settings = {
-        "size": f"{document['width']}x{document['height']}",
-        "preset": document["preset"],
-        "pictures shown by": None if view == SRGB_VIEW else view,
-        "ExWarp": document["version"],
-    }
-    rows += [[name, text, ""] for name, text in settings.items() if text is not None]
     subtitle = f"{test} against {reference}"
     if baseline is not None:
         subtitle += f", with {baseline.test.pattern} as the {BASELINE}"
@@ -276,7 +260,7 @@ def compare_page(
         (
             html.Section("frames", "Frames", [album] if album.frames else []),
             html.Section("quality", "Quality", _quality(result, document, album, base_scores)),
-            html.Section("input", "Input", [html.Table("", ("", "", "frames"), rows)]),
+            html.Section("input", "Input", [_input(document)]),
         ),
     )
 
@@ -312,3 +296,20 @@ def _quality(
         )
         blocks.append(draw_lines(labels, numbers, {"holes": holes}))
     return blocks
+
+
+def _input(document: dict[str, Any]) -> html.Table:
+    rows: list[list[html.Cell]] = [
+        [name, sequence["pattern"], f"{sequence['first']}-{sequence['last']}"]
+        for name in ("reference", BASELINE, "test", "masks")
+        if (sequence := document.get(name)) is not None
+    ]
+    view = document["view_transform"]
+    settings = {
+        "size": f"{document['width']}x{document['height']}",
+        "preset": document["preset"],
+        "pictures shown by": None if view == SRGB_VIEW else view,
+        "ExWarp": document["version"],
+    }
+    rows += [[name, text, ""] for name, text in settings.items() if text is not None]
+    return html.Table("", ("", "", "frames"), rows)

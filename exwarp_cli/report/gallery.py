@@ -114,6 +114,12 @@ class Album:
         self.frames[number] = shown
         return shown
 
+    def add_source(self, number: int, name: str, pixels: Float32, reference: Float32) -> None:
+        """Encode a further source of a frame that the album has, and its error, as `add` does."""
+        shown, small = self.frames[number], shrink(pixels, self.longest)
+        shown.pictures[name] = encode_colour(small, find_peak(small), self.room)
+        shown.errors[name] = encode_error(reference, pixels, self.room // 2, self.longest)
+
     def set_facts(
         self, number: int, kind: str, facts: Mapping[str, str], risk: Risk | None = None
     ) -> None:

@@ -52,10 +52,9 @@ def merge_reports(
     to; None for the only one of `folders`, whose ``chunks`` are merged. `replace` is True if a
     report in it may be replaced.
 
-    Return what its report.json holds, and as ``merged`` facts about the merging: ``reports``, how
-    many were merged; ``missing``, the range of the sequence's key frames that are in none of them,
-    or None; ``without_pictures``, folders whose pictures are not in the page; and ``superseded``,
-    folders with key frames of which newer reports count.
+    Return what its report.json holds, and as ``merged``: ``reports``, how many there are;
+    ``missing``, the range of key frames that are in none, or None; ``without_pictures``, folders of
+    which the page has no pictures; ``superseded``, folders with key frames that newer ones have.
 
     UsageError: nothing says where to write. InputError: a report cannot be read, or they do not
     belong together. OutputError: the report cannot be written; OutputExistsError: there is one.
@@ -241,14 +240,10 @@ def merge_runs(runs: Mapping[str, RunSummary]) -> RunSummary:
     for name, run in parts[1:]:
         for fact, value in _common_facts(run).items():
             if value != common[fact]:
-                texts = []
-                for each in (common[fact], value):
-                    listed = ", ".join(map(str, each)) if isinstance(each, tuple) else each
-                    text = str(listed or "none")
-                    texts.append(text if len(text) <= MAX_VALUE else f"{text[: MAX_VALUE - 1]}…")
                 raise InputError(
-                    f"{first_name} and {name} are no parts of one run: the {fact} is {texts[0]} in "
-                    f"the one and {texts[1]} in the other; join only what one command did in chunks"
+                    f"{first_name} and {name} are no parts of one run: the {fact} is "
+                    f"{_format_value(common[fact])} in the one and {_format_value(value)} in the "
+                    "other; join only what one command did in chunks"
                 )
     frames = [(frame, name) for name, run in parts for frame in run.frames]
     frames.sort(key=lambda entry: entry[0].number)
@@ -273,6 +268,11 @@ def merge_runs(runs: Mapping[str, RunSummary]) -> RunSummary:
         verified=None if None in verified else sum(count or 0 for count in verified),
         nonfinite=tuple(pixels for run in ordered for pixels in run.nonfinite),
     )
+
+
+def _format_value(value: str | tuple[str, ...] | None) -> str:
+    text = (", ".join(value) if isinstance(value, tuple) else value) or "none"
+    return text if len(text) <= MAX_VALUE else f"{text[: MAX_VALUE - 1]}…"
 
 
 def _common_facts(run: RunSummary) -> dict[str, Any]:

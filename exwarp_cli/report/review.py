@@ -85,7 +85,8 @@ def frames_worth_rendering(frames: Iterable[FrameRecord]) -> list[int]:
                     away = abs(other.slot - frame.slot) / count
                     gains[frame.number][other.number] = max(GAIN_BESIDE - GAIN_FALLS * away, 0.0)
 
-    values, stale = dict[int, float](), set(squares)  # what rendering each frame takes away
+    values: dict[int, float] = {}  # what rendering each frame takes away
+    stale = set(squares)  # frames whose value changed
     chosen: list[int] = []
     for _ in range(math.ceil(RENDERED_SHARE * len(ranked))):
         for number in stale:
@@ -123,7 +124,8 @@ def places_of_frame(frame: FrameRecord, size: tuple[int, int]) -> list[Place]:
     places = []
     while bad:
         # The first tile, and all that are connected to it along a side.
-        group, border = set[int](), {min(bad)}
+        group: set[int] = set()
+        border = {min(bad)}
         while border:
             group |= border
             neighbours = {tile + step for tile in border for step in (-risk.columns, risk.columns)}

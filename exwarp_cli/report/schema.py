@@ -93,15 +93,6 @@ def run_document(run: RunSummary) -> dict[str, Any]:
     intervals = [list(frames) for _, frames in groupby(run.frames, lambda frame: frame.key)]
     least = math.floor(run.factor)  # of 2.5, intervals show two or three
     complete = [frames for frames in intervals if len({f.slot for f in frames}) >= least]
-    holes: dict[str, Any] = dict.fromkeys(("mean_fraction", "p95_fraction", "histogram"))
-    fractions = [f.hole_fraction for f in between if f.has_holes and f.hole_fraction is not None]
-    fractions = [fraction for fraction in fractions if math.isfinite(fraction)]
-    if fractions:
-        edges = [i / HOLE_BINS for i in range(HOLE_BINS + 1)]
-        counts, _ = np.histogram(fractions, bins=edges)
-        holes["mean_fraction"] = mean(fractions)
-        holes["p95_fraction"] = float(np.percentile(fractions, 95))
-        holes["histogram"] = {"edges": edges, "counts": counts.tolist()}
     document = {
         "schema": SCHEMA,
         "version": run.version,
@@ -122,7 +113,7 @@ def run_document(run: RunSummary) -> dict[str, Any]:
             "selected": ranges(run.selected) or None,
         },
         **_count_frames(run, complete),
-        "holes": holes,
+        "holes": _summarise_holes(between),
         "decisions": _summarise_decisions(run, complete),
         **_summarise_quality(run.decides, between),
         "review": summarise_review(run),
@@ -238,6 +229,20 @@ def _count_frames(run: RunSummary, complete: Sequence[Sequence[FrameRecord]]) ->
             "source": run.fps_source,
             "factor": run.factor,  # a fraction such as 5/2, which loses no digits
         },
+    }
+
+
+def _summarise_holes(between: tuple[FrameRecord, ...]) -> dict[str, Any]:
+    fractions = [f.hole_fraction for f in between if f.has_holes and f.hole_fraction is not None]
+    fractions = [fraction for fraction in fractions if math.isfinite(fraction)]
+    if not fractions:
+        return {"mean_fraction": None, "p95_fraction": None, "histogram": None}
+    edges = [i / HOLE_BINS for i in range(HOLE_BINS + 1)]
+    counts, _ = np.histogram(fractions, bins=edges)
+    return {
+        "mean_fraction": mean(fractions),
+        "p95_fraction": float(np.percentile(fractions, 95)),
+        "histogram": {"edges": edges, "counts": counts.tolist()},
     }
 
 

@@ -237,7 +237,7 @@ def time_subject(opened: OpenedSubject, report: Callable[[int], None]) -> dict[s
     ``systems_ms``, medians, milliseconds a generated frame; and ``machine``.
     """
     steps: dict[str, list[float]] = defaultdict(list)
-    frames: dict[str, list[float]] = defaultdict(list)
+    systems_ms: dict[str, list[float]] = defaultdict(list)
     keys = timed_keys(opened)
     for count, key in enumerate(keys):
         check_stop()
@@ -247,7 +247,7 @@ def time_subject(opened: OpenedSubject, report: Callable[[int], None]) -> dict[s
         report(key)
         if count == 0:  # compiled the kernels, and read what the next intervals share with it
             continue
-        for values, times in zip((steps, frames), measured, strict=True):
+        for values, times in zip((steps, systems_ms), measured, strict=True):
             for name, ms in times.items():
                 values[name].append(ms)
     opened.restart()
@@ -258,7 +258,7 @@ def time_subject(opened: OpenedSubject, report: Callable[[int], None]) -> dict[s
         processor = next(models, processor)
     return {
         "steps_ms": {name: median(values) for name, values in steps.items()},
-        "systems_ms": {name: median(values) for name, values in frames.items()},
+        "systems_ms": {name: median(values) for name, values in systems_ms.items()},
         "machine": {"processor": processor, "cores": os.cpu_count()},
     }
 

@@ -62,6 +62,11 @@ class ClockedInterval:
     dropped: tuple[str | None, ...]  # for each slot out of `REASONS`; None for a new frame
     busy_slots: float  # how long E's engine works on after the next key frame
 
+    @property
+    def generated(self) -> int:
+        """How many of the three frames are new; repeats are not."""
+        return self.dropped.count(None)
+
 
 def play_interval(path: str, latencies: Latencies, busy_slots: float = 0.0) -> ClockedInterval:
     """Run a decision path, S1 to S6, against the clock.
@@ -158,7 +163,7 @@ def clocked_row(
                 for part in parts
             ]
         )
-        dropped = [len(systems.SLOTS) - each.dropped.count(None) for each in schedules.values()]
+        dropped = [len(systems.SLOTS) - each.generated for each in schedules.values()]
         returns = np.array([clocked_returns(of_paths, dropped) for of_paths in quality])
         # Oracles know the clock and the truth; of equal paths they take the last, which warps more.
         backwards = list(PATHS)[::-1]
@@ -169,8 +174,8 @@ def clocked_row(
         "latency_ms": {WARP: latencies.warp_ms, EXTRAPOLATE: latencies.extrapolate_ms},
         "extrapolate_slots": latencies.extrapolate_slots,
         "paths": {
-            path: {"made_by": one.made_by, "dropped": one.dropped, "new": one.dropped.count(None)}
-            for path, one in schedules.items()
+            path: {"made_by": each.made_by, "dropped": each.dropped, "new": each.generated}
+            for path, each in schedules.items()
         },
         "systems": {
             name: _clocked_system(parts, taken[name], latencies, returns)
@@ -195,13 +200,12 @@ def _clocked_system(
         for part, interval in zip(parts, played, strict=True)
         for slot in systems.SLOTS
     ]
-    new = [interval.dropped.count(None) for interval in played]
+    new = [interval.generated for interval in played]
     gains = []
     if returns is not None:
         columns = [list(PATHS).index(path) for path in paths]
         gains = returns[np.arange(len(paths)), columns].tolist()
     return {
-        # Repeats are no new frames.
         "effective": BASE_FPS * (1 + sum(new) / len(new)),
         "slots": {kind: slots[kind] for kind in (WARP, EXTRAPOLATE, *REASONS)},
         "psnr_db": mean(psnr for psnr, _ in quality),
