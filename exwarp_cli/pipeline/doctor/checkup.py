@@ -6,12 +6,12 @@ the checks that need it fail, and the others go on. Nothing here needs such a pa
 
 from __future__ import annotations
 
-import importlib
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from importlib import import_module
 from typing import Any
 
 from exwarp_cli import __version__
@@ -52,12 +52,6 @@ class Outcome(StrEnum):
     SKIPPED = "skipped"
 
 
-def worst_outcome(outcomes: Iterable[Outcome]) -> Outcome:
-    """Return the worst outcome; what was left out counts as good."""
-    present = set(outcomes)
-    return next((o for o in (Outcome.FAILED, Outcome.WARNING) if o in present), Outcome.OK)
-
-
 @dataclass(frozen=True)
 class Finding:
     """Something that is not as it should be."""
@@ -93,7 +87,8 @@ class CheckResult:
         """The worst of its remarks."""
         if self.skipped:
             return Outcome.SKIPPED
-        return worst_outcome(remark.outcome for remark in self.remarks)
+        present = {remark.outcome for remark in self.remarks}
+        return next((o for o in (Outcome.FAILED, Outcome.WARNING) if o in present), Outcome.OK)
 
 
 @dataclass(frozen=True)
@@ -109,8 +104,8 @@ class DoctorReport:
 
     @property
     def outcome(self) -> Outcome:
-        """The worst of all."""
-        return worst_outcome(check.outcome for check in self.checks.values())
+        """The worst of all; what was left out counts as good."""
+        return next((o for o in (Outcome.FAILED, Outcome.WARNING) if self.names(o)), Outcome.OK)
 
     def as_dict(self) -> dict[str, Any]:
         """Return what `exwarp doctor --json` prints."""
@@ -156,42 +151,38 @@ def run_checks(self_test: bool, more: dict[str, Callable[[], CheckResult]]) -> D
     `self_test` says whether to upsample a shot. `more` are checks of the caller, by name, that are
     made first.
     """
-    functions: dict[str, str | Callable[[], CheckResult]] = {**more, **CHECKS}
-    checks, seconds = {}, {}
-    for name, function in functions.items():
-        begin = time.perf_counter()
-        if name == SELF_TEST and not self_test:
-            checks[name] = CheckResult("left out, as --skip-self-test asks", skipped=True)
-        else:
-            checks[name] = _run(function)
+    every: dict[str, str | Callable[[], CheckResult]] = {**more, **CHECKS}
+    checks: dict[str, CheckResult] = {}
+    seconds: dict[str, float] = {}
+    for name, check in every.items():
+        begin, text = time.perf_counter(), ""
+        try:
+            if name == SELF_TEST and not self_test:
+                checks[name] = CheckResult("left out, as --skip-self-test asks", skipped=True)
+            elif isinstance(check, str):
+                module, _, function = check.partition(":")
+                checks[name] = getattr(import_module(f"{__package__}.{module}"), function)()
+            else:
+                checks[name] = check()
+        except ExwarpError as error:
+            text = str(error)
+        except ImportError as error:
+            text = (
+                f"a package is missing or broken ({first_line(error)}); mend what 'packages' tells,"
+                " or install ExWarp again"
+            )
+        except OSError as error:
+            text = f"files cannot be written or read ({first_line(error)}); see 'temp folder'"
+        except Exception as error:  # the other checks go on
+            text = (
+                f"unexpected {type(error).__name__}: {first_line(error)}; install ExWarp and its "
+                "packages again"
+            )
+        if text:
+            checks[name] = CheckResult("cannot be checked", (failure(text),))
         seconds[name] = time.perf_counter() - begin
         check_stop()
     return DoctorReport(checks, seconds)
-
-
-def _run(check: str | Callable[[], CheckResult]) -> CheckResult:
-    """Make a check, of which any error is the result."""
-    try:
-        if isinstance(check, str):
-            module, _, function = check.partition(":")
-            check = getattr(importlib.import_module(f"{__package__}.{module}"), function)
-        assert callable(check)
-        return check()
-    except ExwarpError as error:
-        text = str(error)
-    except ImportError as error:
-        text = (
-            f"a package is missing or broken ({first_line(error)}); mend what 'packages' tells, or "
-            "install ExWarp again"
-        )
-    except OSError as error:
-        text = f"files cannot be written or read ({first_line(error)}); see 'temp folder'"
-    except Exception as error:  # the other checks go on
-        text = (
-            f"unexpected {type(error).__name__}: {first_line(error)}; install ExWarp and its "
-            "packages again"
-        )
-    return CheckResult("cannot be checked", (failure(text),))
 
 
 def variables() -> dict[str, str]:

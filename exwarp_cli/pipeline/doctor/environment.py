@@ -134,8 +134,8 @@ class Package:
     @classmethod
     def of(cls, requirement: Requirement, is_imported: bool) -> Package:
         """Find the package that a requirement names, or a stand-in; import it on request."""
-        wanted = str(requirement.specifier)
-        for name in (requirement.name, *STAND_INS.get(requirement.name.lower(), ())):
+        wanted, index_name = str(requirement.specifier), requirement.name.lower()
+        for name in (requirement.name, *STAND_INS.get(index_name, ())):
             try:
                 installed = version(name)
             except PackageNotFoundError:
@@ -143,7 +143,7 @@ class Package:
             error = None
             if is_imported:
                 try:
-                    importlib.import_module(module_of(name))
+                    importlib.import_module(MODULES.get(index_name, index_name))
                 except Exception as problem:  # a system library, numpy's ABI, a missing file …
                     error = first_line(problem)
             fits = requirement.specifier.contains(installed, prereleases=True)
@@ -177,13 +177,6 @@ class Package:
         else:
             remedy = f"run pip install --force-reinstall '{self.name}{self.wanted}'"
         return f"{self.name} cannot be imported ({self.error}); {remedy}"
-
-
-def module_of(package: str) -> str:
-    """Return the module to import of a package or stand-in."""
-    name = package.lower()
-    original = next((real for real, names in STAND_INS.items() if name in names), name)
-    return MODULES.get(original, original)
 
 
 def check_packages() -> CheckResult:
