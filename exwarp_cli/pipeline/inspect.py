@@ -47,6 +47,16 @@ class Inspection:
         """Return the findings as plain data, for JSON."""
         sequence, layout = self.shot.sequence, self.shot.layout
         moving = None if self.shot.ids is None else self.shot.ids.dynamic
+        motion: dict[str, Any] | None = None
+        if Role.MOTION in layout:
+            names, finding = motion_names(self.shot), self.finding
+            measured = ("source", "evidence", "error", "still_error", "runner_up_error")
+            motion = {
+                "named": None if layout.guess is None else layout.guess.describe(names),
+                "convention": None if finding is None else finding.convention.describe(names),
+                **{key: None if finding is None else getattr(finding, key) for key in measured},
+                "problem": self.problem,
+            }
         return {
             "schema": "exwarp.inspect/1",
             "pattern": sequence.pattern,
@@ -96,21 +106,7 @@ class Inspection:
             ],
             "dynamic": None if moving is None else list(moving.names),
             "pictures": self.pictures,
-            "motion": self._motion_as_dict(),
-        }
-
-    def _motion_as_dict(self) -> dict[str, Any] | None:
-        """Return how the vectors are read; None without motion."""
-        layout, finding = self.shot.layout, self.finding
-        if Role.MOTION not in layout:
-            return None
-        names = motion_names(self.shot)
-        measured = ("source", "evidence", "error", "still_error", "runner_up_error")
-        return {
-            "named": None if layout.guess is None else layout.guess.describe(names),
-            "convention": None if finding is None else finding.convention.describe(names),
-            **{key: None if finding is None else getattr(finding, key) for key in measured},
-            "problem": self.problem,
+            "motion": motion,
         }
 
 
@@ -160,12 +156,9 @@ def save_channel_map(inspection: Inspection, path: Path, overwrite: bool) -> Non
             "leave it out"
         )
     layout = shot.layout
-
-    def name_in_file(ref: ChannelRef) -> str:
-        # Also where colour comes from another sequence.
-        return (replace(ref, aov="") if ref.aov == MAIN else ref).label
-
-    channels = {role: tuple(map(name_in_file, refs)) for role, refs in layout.roles.items()}
+    # As the files name them, also where colour comes from another sequence.
+    labels = {ref: (replace(ref, aov="") if ref.aov == MAIN else ref).label for ref in shot.every}
+    channels = {role: tuple(labels[ref] for ref in refs) for role, refs in layout.roles.items()}
     motion = None
     if finding is not None and finding.source != "untested":
         motion = finding.convention.describe(motion_names(shot))
@@ -181,6 +174,6 @@ def save_channel_map(inspection: Inspection, path: Path, overwrite: bool) -> Non
     aovs = {aov.role.value for aov in shot.aov_files}
     if any(aov.role is Role.COLOUR for aov in shot.aov_files):
         aovs.add("")
-    unused = [name_in_file(ref) for ref in shot.unused if ref.aov not in aovs]
+    unused = [labels[ref] for ref in shot.unused if ref.aov not in aovs]
     text = channel_map_text(about, texts, channels, shot.aov_files, unused)
     write_channel_map(path, text, overwrite)

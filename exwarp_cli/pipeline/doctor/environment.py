@@ -151,11 +151,6 @@ class Package:
         return cls(requirement.name, wanted, None, False)
 
     @property
-    def is_good(self) -> bool:
-        """Whether nothing is wrong with it."""
-        return self.fits and self.error is None
-
-    @property
     def line(self) -> str:
         """A description in one line."""
         wanted = f" (needs {self.wanted})" if self.wanted else ""
@@ -165,7 +160,9 @@ class Package:
 
     @property
     def advice(self) -> str:
-        """A sentence with what is wrong, and what to do."""
+        """A sentence with what is wrong, and what to do; "" where nothing is."""
+        if self.fits and self.error is None:
+            return ""
         install = f"pip install '{self.name}{self.wanted}'"
         if self.installed is None:
             return f"{self.name} is not installed; run {install}"
@@ -190,7 +187,7 @@ def check_packages() -> CheckResult:
         )
         return CheckResult("not known", (warning(text),), {"installed": None, "packages": []})
     packages = [Package.of(requirement, True) for requirement in _requirements(own, None)]
-    remarks = [failure(package.advice) for package in packages if not package.is_good]
+    remarks = [failure(package.advice) for package in packages if package.advice]
     if own.version != __version__:
         remarks.append(
             warning(
@@ -198,7 +195,7 @@ def check_packages() -> CheckResult:
                 "install it again"
             )
         )
-    good = sum(package.is_good for package in packages)
+    good = sum(not package.advice for package in packages)
     facts = {"installed": own.version, "packages": [asdict(package) for package in packages]}
     return CheckResult(
         f"{good} of {len(packages)} load, in versions that ExWarp works with",
@@ -224,7 +221,7 @@ def check_extras() -> CheckResult:
         for name in names
         if name not in absent
         for package in extras[name]
-        if not package.is_good
+        if package.advice
     )
     parts = [f"{enumerated(installed)} installed"] if installed else []
     if absent:
