@@ -226,14 +226,9 @@ def read_ids(dynamic: str | None, keys: Shot, slots: Shot | None) -> tuple[Shot,
     `dynamic` they are the stencil, and the shots have no other one; without, they are only read
     where there is none, and where they are sound.
 
-    Raises
-    ------
-    LayoutError
-        When something is named as moving, and there is no Cryptomatte, or one of half floats.
-    DamagedFileError
-        When something is named, and ids were destroyed.
-    UsageError
-        When a name or pattern matches nothing.
+    Raises LayoutError when something is named as moving, and there is no Cryptomatte, or one of
+    half floats; DamagedFileError when something is named, and ids were destroyed; UsageError when
+    a name or pattern matches nothing.
     """
     if dynamic is None:
         return _with_best_ids(keys), None if slots is None else _with_best_ids(slots)

@@ -238,7 +238,7 @@ class ExtraLayers:
 
     contents: tuple[Content, ...]  # what is written of each view, the one that leads first
     builders: tuple[IntervalBuilder, ...] = ()  # of the other views, in the same order
-    _views: tuple[ViewInterval, ...] = field(default=(), init=False)
+    _views: list[ViewInterval] = field(default_factory=list, init=False)
 
     @property
     def any(self) -> bool:
@@ -252,18 +252,17 @@ class ExtraLayers:
 
     def begin(self, inputs: IntervalInputs, interval: Interval | None) -> None:
         """Turn to an interval; None where nothing of it has to be made, and to drop the last."""
-        self._views = ()
+        self._views = []
         if interval is None:
             return
-        views = [ViewInterval(self.contents[0], inputs, interval)]
+        self._views.append(ViewInterval(self.contents[0], inputs, interval))
         for content, builder, view in zip(
             self.contents[1:], self.builders, inputs.views, strict=True
         ):
             # One view decides which network mixes all of them, and how its tiles are chosen.
             network, chooser = interval.interpolator, interval.chooser
             built = replace(builder.build(view), interpolator=network, chooser=chooser)
-            views.append(ViewInterval(content, view, built))
-        self._views = tuple(views)
+            self._views.append(ViewInterval(content, view, built))
 
     def make(
         self, slot: int, shown: Predicted, predict: Predict, template: Template
@@ -398,8 +397,6 @@ class ViewInterval:
         return {ref: np.ascontiguousarray(values[..., i]) for i, ref in enumerate(refs)}
 
     def _stack(self, planes: Planes, refs: tuple[ChannelRef, ...], fill: float = 0.0) -> Float32:
-        values = {ref: planes[ref].values.astype(np.float32, copy=False) for ref in refs}
-        return np.stack(
-            [place_on_canvas(values[ref], planes[ref].window, self.window, fill) for ref in refs],
-            axis=-1,
-        )
+        own = ((planes[ref].values.astype(np.float32, copy=False), planes[ref]) for ref in refs)
+        placed = [place_on_canvas(v, plane.window, self.window, fill) for v, plane in own]
+        return np.stack(placed, axis=-1)

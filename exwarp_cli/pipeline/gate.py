@@ -97,9 +97,7 @@ class TrialReader:
             return (), (), "gate without a trial"
         older = () if self.lookahead else self.history(index - 1)
         keys = (*reversed(older), index - 1, index, *((index + 1,) if self.lookahead else ()))
-        way_back: tuple[Slot, ...] = ()
-        if self.store.source.slots is not None:
-            way_back = tuple(slot for i in older for slot in self.store.slots_after(i))
+        way_back = (slot for i in older for slot in self.store.slots_after(i))
         return keys, (*self._slots(index), *way_back), f"gate {index - key}"
 
     def _slots(self, index: int) -> tuple[Slot, ...]:

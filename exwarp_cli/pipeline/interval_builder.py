@@ -254,22 +254,19 @@ class IntervalJudge:
     gate: Gate | None
 
 
+@dataclass
 class IntervalPreparer:
     """Builds the intervals of a run in order, and decides how their slots are made."""
 
-    def __init__(
-        self,
-        job: Job,
-        reader: ViewsReader,  # of what only extrapolation needs
-        builder: IntervalBuilder,  # of the view that decides
-        writer: FrameWriter,  # knows what earlier runs wrote
-        progress: Progress,
-        has_layers: bool,  # whether more than the beauty is written
-    ) -> None:
-        self._job, self._reader, self._builder = job, reader, builder
-        self._writer, self._progress, self._has_layers = writer, progress, has_layers
-        self._timeline = job.source.timeline
-        judges = []
+    job: Job
+    reader: ViewsReader  # of what only extrapolation needs
+    builder: IntervalBuilder  # of the view that decides
+    writer: FrameWriter  # knows what earlier runs wrote
+    progress: Progress
+    has_layers: bool  # whether more than the beauty is written
+
+    def __post_init__(self) -> None:
+        judges, job = [], self.job
         for method in (job.method, *(() if job.method.tail is None else (job.method.tail,))):
             selector = make_selector(method, job.source, job.policy, job.settings.spent)
             gate = Gate(job, method) if job.method.gated and job.settings.gate else None
@@ -286,7 +283,8 @@ class IntervalPreparer:
 
         Raises InputError when a file cannot be read that only extrapolation needs.
         """
-        slots = self._timeline.made_of(inputs.key)
+        timeline = self.job.source.timeline
+        slots = timeline.made_of(inputs.key)
         if inputs.frame is None:  # every slot of it is written
             written = PreparedInterval(None, None, frozenset(slots), {}, {})
             return written, inputs.without_geometry()
@@ -295,13 +293,12 @@ class IntervalPreparer:
         if judge.gate is not None and inputs.trial is not None:
             judge.gate.receive(inputs.trial)
         with record_time(timing_ms, "geometry", len(slots)):
-            interval = replace(self._builder.build(inputs), chooser=self._job.chooser)
-        number, recipes = self._timeline.number, inputs.recipes
+            interval = replace(self.builder.build(inputs), chooser=self.job.chooser)
         existing = frozenset(
             slot
             for slot in slots
             if slot.index in inputs.rendered.frames
-            or self._writer.has(number(slot), recipes[slot.index])
+            or self.writer.has(timeline.number(slot), inputs.recipes[slot.index])
         )
         has_missing = len(existing) < len(slots)
         has_new = has_missing and not interval.held
@@ -326,11 +323,11 @@ class IntervalPreparer:
         extrapolates = plan is not None and plan.extrapolates
         if extrapolates and inputs.lacks_history:
             # It is built again with what only extrapolation needs.
-            inputs = self._reader.leader.add_history(inputs)
-            builder = self._builder if judge is self._judge else self._last_builder
+            inputs = self.reader.leader.add_history(inputs)
+            builder = self.builder if judge is self._judge else self._last_builder
             with record_time(timing_ms, "geometry", len(slots)):
                 interval = builder.build(inputs)
-        elif not (extrapolates or inputs.slots or inputs.truth.frames or self._has_layers):
+        elif not (extrapolates or inputs.slots or inputs.truth.frames or self.has_layers):
             interval = interval.bare()  # slots are warped from the key frame
         broken: dict[int, int] = {}
         parts: Mapping[int, SubSlot] = {}
@@ -349,13 +346,14 @@ class IntervalPreparer:
     def _split(self, interval: Interval, inputs: IntervalInputs) -> Mapping[int, SubSlot]:
         """Return how slots beside rendered frames are made, and say where these are of no use."""
         rendered = inputs.rendered.frames
-        reader = self._reader.leader.rendered
+        reader = self.reader.leader.rendered
         if reader is None or not (rendered and reader.leads and interval.has_motion):
             return {}
-        spans = vector_spans(interval, float(1 / self._timeline.factor))
-        numbers = [self._timeline.number(Slot(inputs.key, i)) for i in rendered if i not in spans]
+        timeline = self.job.source.timeline
+        spans = vector_spans(interval, float(1 / timeline.factor))
+        numbers = [timeline.number(Slot(inputs.key, i)) for i in rendered if i not in spans]
         if numbers:
-            self._progress.message(
+            self.progress.message(
                 f"--rendered has no vectors like the key frames' in {ranges(numbers)}: frames "
                 "beside are made from key frames alone"
             )

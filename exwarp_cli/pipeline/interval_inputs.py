@@ -233,7 +233,8 @@ class IntervalReader:
         lacks_history = self._reads_late or (self._method.tail is not None and not lookahead)
         history = store.get_history(self._history(key)[: WARPED_BACK if lacks_history else None])
         # The key frame that points are led on from where no next one tells.
-        older_key = key - 1 if self._leads_on(key, lookahead) else None
+        leads_on = self._looks_back and not lookahead and self.shots.begin(key, 1) < key
+        older_key = key - 1 if leads_on else None
         inputs = replace(
             inputs,
             frame=frame,
@@ -307,11 +308,10 @@ class IntervalReader:
             facts = [*self.shots.cut_facts(key, 0, ()), f"flow {[index - key for index in keys]}"]
         else:
             keys += history
-            leads_on = self._leads_on(key, lookahead)
+            leads_on = self._looks_back and not lookahead and self.shots.begin(key, 1) < key
             if leads_on and key - 1 not in keys:
                 keys.append(key - 1)
-            if self._source.slots is not None:
-                instants += [slot for i in (key, *history) for slot in self.store.slots_after(i)]
+            instants += [slot for i in (key, *history) for slot in self.store.slots_after(i)]
             observed_keys = range(0)  # whose features a state at this one holds
             if self._observes:
                 observed_keys = range(self.shots.begin(key, OLDER_KEYS), key + 1)
@@ -347,10 +347,6 @@ class IntervalReader:
         # What comes after a hold at the end of a shot, only the slots' G-buffers tell: the vectors
         # of a frame that was copied are those of its first.
         return not self.store.slots_after(key) and self.shots.repeats(key)
-
-    def _leads_on(self, key: int, lookahead: bool) -> bool:
-        """Return True if points of layers are led on from the key frame before."""
-        return self._looks_back and not lookahead and self.shots.begin(key, 1) < key
 
     def _history(self, key: int, ahead: bool | None = None) -> tuple[int, ...]:
         """Return the indices of the key frames that lead back from one, the newest first.

@@ -18,13 +18,19 @@ from exwarp_cli.io.generated_frames import parse_compression
 from exwarp_cli.io.layers import BEAUTY
 from exwarp_cli.pipeline.decide import make_chooser
 from exwarp_cli.pipeline.extra_layers import Content, contents_of
-from exwarp_cli.pipeline.ground_truth import find_truth, require_truth_size
+from exwarp_cli.pipeline.ground_truth import find_truth, truth_of_another_size
 from exwarp_cli.pipeline.messages import Models, input_messages, model_messages, output_messages
 from exwarp_cli.pipeline.output_plan import OutputPlan, require_own
-from exwarp_cli.pipeline.rendered_frames import find_rendered
+from exwarp_cli.pipeline.rendered_frames import RenderedFrames, find_rendered
 from exwarp_cli.pipeline.scheduling import use_threads
 from exwarp_cli.pipeline.scoring import require_measurable
-from exwarp_cli.pipeline.source import open_sources, require_one_size
+from exwarp_cli.pipeline.source import (
+    FrameOf,
+    Source,
+    find_other_windows,
+    open_sources,
+    require_one_size,
+)
 from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
 from exwarp_cli.synthesis import methods
 
@@ -35,8 +41,6 @@ if TYPE_CHECKING:
     from exwarp_cli.models.picture_network import OnnxExtrapolator, OnnxLookAhead
     from exwarp_cli.models.policy_files import PolicyFile
     from exwarp_cli.pipeline.progress import Progress
-    from exwarp_cli.pipeline.rendered_frames import RenderedFrames
-    from exwarp_cli.pipeline.source import FrameOf, Source
     from exwarp_cli.synthesis.interval import TileChooser
 
 
@@ -96,7 +100,7 @@ class Job:
         return self.models.extrapolator, policy, self.models.interpolator
 
     def refuse(self) -> None:
-        """Refuse frames of several sizes, and to overwrite; touch nothing.
+        """Refuse frames and ground truth of several sizes, and to overwrite; touch nothing.
 
         See `require_one_size`, `OutputPlan.check_conflicts` and `require_own`.
         """
@@ -114,7 +118,13 @@ class Job:
         if self.truth is not None and (
             self.method.needs_truth or not self.settings.source.keep_going
         ):
-            require_truth_size(self.truth, self.source, self.keys)
+            sequence, frame_of = self.truth
+            timeline, display = self.source.timeline, self.source.keys.display
+            made = [slot for key in self.keys for slot in timeline.made_of(key)]
+            truth = {slot: (sequence, n) for slot in made if (n := frame_of(slot)) is not None}
+            for slot, window in find_other_windows(truth, display).items():
+                if window.shape != display.shape:
+                    raise truth_of_another_size(timeline.number(slot), window, display)
         if self.rendered is not None:
             self.rendered.require_usable(self.targets.frames, self.source, self.keys)
         self.targets.check_conflicts(self.source.timeline, self.slots)

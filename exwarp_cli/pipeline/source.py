@@ -120,12 +120,8 @@ def open_source(
     and EXR with colour alone are taken, and their motion estimated; and EXR with other passes and
     without usable vectors, where `settings` allow it.
 
-    Raises
-    ------
-    InputError
-        When a sequence is missing, has gaps, or lacks what is needed.
-    MotionError
-        When the convention of the motion vectors cannot be settled.
+    Raises InputError when a sequence is missing, has gaps, or lacks what is needed; MotionError
+    when the convention of the motion vectors cannot be settled.
     """
     cuts = parse_cuts(settings.cuts)
     plain = open_plain(settings) if pictures else None
@@ -220,14 +216,9 @@ def _with_motion(
             )
         slots, slot_number, finding = None, _no_number, None
     return replace(
-        source,
-        keys=keys,
-        slots=slots,
-        slot_number=slot_number,
-        finding=finding,
-        estimated=estimated,
-        unusable=unusable,
-    )
+        source, keys=keys, slots=slots, slot_number=slot_number, finding=finding,
+        estimated=estimated, unusable=unusable,
+    )  # fmt: skip
 
 
 def open_sources(settings: SourceSettings, motion_needed: bool) -> tuple[Source, ...]:

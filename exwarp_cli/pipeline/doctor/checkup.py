@@ -187,5 +187,5 @@ def run_checks(self_test: bool, more: dict[str, Callable[[], CheckResult]]) -> D
 
 def variables() -> dict[str, str]:
     """Return the variables that change what ExWarp and its libraries do, by name."""
-    names = sorted(name for name in os.environ if name.startswith(PREFIXES) or name in VARIABLES)
-    return {name: os.environ[name] for name in names}
+    items = sorted(os.environ.items())
+    return {name: v for name, v in items if name.startswith(PREFIXES) or name in VARIABLES}

@@ -247,8 +247,6 @@ def _requirements(own: Distribution, extra: str | None) -> Iterator[Requirement]
         requirement = Requirement(text)
         marker = requirement.marker
         is_core = marker is None or marker.evaluate({"extra": ""})
-        if extra is None:
-            if is_core:
-                yield requirement
-        elif marker is not None and not is_core and marker.evaluate({"extra": extra}):
+        is_extra = marker is not None and not is_core and marker.evaluate({"extra": extra or ""})
+        if is_core if extra is None else is_extra:
             yield requirement

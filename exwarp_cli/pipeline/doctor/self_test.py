@@ -56,7 +56,17 @@ def check_self_test() -> CheckResult:
     begin, compiled = time.perf_counter(), compilation.compiled
     runs, good, remarks, lines = {}, [], [], []
     with scratch_folder() as folder:
-        write_shot(folder / "keys")
+        # The key frames, with Blender's channel names.
+        keys, window = folder / "keys", Window(0, 0, WIDTH, HEIGHT)
+        keys.mkdir()
+        header: dict[str, Any] = {
+            **scanline_attributes(window, window),
+            "compression": COMPRESSIONS["zip"],
+            "framesPerSecond": Fraction(24),
+        }
+        for key in range(KEYS):
+            data = encode_by_openexr([(header, render(key * FACTOR))])
+            (keys / f"shot.{key + 1:04d}.exr").write_bytes(data)
         for name in (*METHODS, "chunks"):
             start = time.perf_counter()
             try:
@@ -83,20 +93,6 @@ def check_self_test() -> CheckResult:
     if compiled:
         summary += f", {pluralise(compiled, 'kernel')} compiled"
     return CheckResult(summary, tuple(remarks), facts, tuple(lines))
-
-
-def write_shot(folder: Path) -> None:
-    """Write the key frames, with Blender's channel names."""
-    folder.mkdir()
-    window = Window(0, 0, WIDTH, HEIGHT)
-    header: dict[str, Any] = {
-        **scanline_attributes(window, window),
-        "compression": COMPRESSIONS["zip"],
-        "framesPerSecond": Fraction(24),
-    }
-    for key in range(KEYS):
-        data = encode_by_openexr([(header, render(key * FACTOR))])
-        (folder / f"shot.{key + 1:04d}.exr").write_bytes(data)
 
 
 def render(slot: int) -> dict[str, np.ndarray]:
