@@ -93,12 +93,9 @@ def with_depth_ordered(
     def both_directions(first: int) -> list[tuple[Float32, Float32, Float32]]:
         """Return depth of a frame and of its neighbour, and the motion between, both ways."""
         try:
-            before, after = (
-                read_raw(shot, numbers[i], (Role.DEPTH, Role.MOTION))
-                .settle(convention)
-                .on(shot.display)
-                for i in (first, first + 1)
-            )
+            pair = (numbers[first], numbers[first + 1])
+            raw = (read_raw(shot, number, (Role.DEPTH, Role.MOTION)) for number in pair)
+            before, after = (each.settle(convention).on(shot.display) for each in raw)
         except InputError:  # which is said when the frame's turn comes
             return []
         directions = ((before, after, before.to_next), (after, before, after.to_previous))
@@ -113,11 +110,8 @@ def with_depth_ordered(
         pairs = map(both_directions, pairs_around(first, len(numbers), cuts.__contains__))
         wanted = next(pairs)
         for pair in chain((wanted,), pairs):
-            is_hold = any(
-                np.any(motion) and np.array_equal(depth, neighbour, equal_nan=True)
-                for depth, neighbour, motion in pair
-            )
-            if not is_hold:
+            # Not a hold, of which both frames are the same, though their vectors are not at rest.
+            if not any(np.any(m) and np.array_equal(a, b, equal_nan=True) for a, b, m in pair):
                 wanted = pair
                 break
         for depth, neighbour, motion in wanted:

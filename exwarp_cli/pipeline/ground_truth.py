@@ -149,11 +149,8 @@ def truth_rate(
     try:
         for rate in fitting or USUAL:
             # Frames, far apart, that have a truth at one frame per frame and at this rate.
-            usable = [
-                p
-                for p in outputs
-                if p and p < truth and p * rate < truth and (p * rate).denominator == 1
-            ]
+            end = min(Fraction(truth), truth / rate)
+            usable = [p for p in outputs if 0 < p < end and (p * rate).denominator == 1]
             steps = (len(usable) - 1) / (ANCHORS - 1)
             places = sorted({usable[round(i * steps)] for i in range(ANCHORS) if usable})
             usual = sum(error(place, place) for place in places)

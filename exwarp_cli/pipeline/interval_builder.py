@@ -334,11 +334,7 @@ class IntervalPreparer:
         if has_missing:
             around = (inputs.frame, inputs.following, *(past.frame for past in inputs.history))
             # 12 ms for a frame of 1920x1080, so that no count is kept for the next interval.
-            broken = {
-                frame.number: count_nonfinite((frame.image.pixels,))
-                for frame in around
-                if frame is not None
-            }
+            broken = {f.number: count_nonfinite((f.image.pixels,)) for f in around if f is not None}
             parts = self._split(interval, inputs)
         prepared = PreparedInterval(interval, plan, existing, timing_ms, broken, trial, parts)
         return prepared, inputs.without_geometry()

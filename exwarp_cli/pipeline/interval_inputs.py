@@ -152,9 +152,8 @@ class IntervalReader:
         self._contents = contents or (extra_layers.Content(source),)
         content = self._contents[0]
         keep_going = settings.source.keep_going
-        self.truth = TruthReader(
-            source, truth, settings.measured, keep_going and not method.needs_truth
-        )
+        tolerant = keep_going and not method.needs_truth
+        self.truth = TruthReader(source, truth, settings.measured, tolerant)
         network, policy, interpolator = depends_on
         self.fingerprinter = Fingerprinter(
             source, method, settings.compression, truth, network, interpolator, policy,

@@ -243,10 +243,8 @@ class _Measurement:
             if not moves:
                 continue
             producer = self.shot.layout.producer
-            advice = next(
-                (text for name, text in BLUR_ADVICE.items() if producer.startswith(name)),
-                "switch it off in the renderer's settings",
-            )
+            texts = (text for name, text in BLUR_ADVICE.items() if producer.startswith(name))
+            advice = next(texts, "switch it off in the renderer's settings")
             raise MotionError(
                 f"the motion channels {', '.join(self.names)} are 0 throughout in frames "
                 f"{frames}, while the picture moves: motion blur was on, or the pass is empty; "
@@ -293,14 +291,9 @@ class _Measurement:
         # One after the other: each is decoded on all threads, and two at once took a sixth more.
         pairs = [(self._frame(i, by_colour), self._frame(i + 1, by_colour)) for i in firsts]
         width, height = self.shot.display.width, self.shot.display.height
-        return calibrate(
-            pairs,
-            self.guess,
-            self.names,
-            self._intervals(len(firsts)),
-            {name: preset.sized(width, height) for name, preset in PRESETS.items()},
-            number_step(self.shot.sequence.numbers),
-        )
+        presets = {name: preset.sized(width, height) for name, preset in PRESETS.items()}
+        intervals, step = self._intervals(len(firsts)), number_step(self.shot.sequence.numbers)
+        return calibrate(pairs, self.guess, self.names, intervals, presets, step)
 
     def _beside_holds(self, firsts: list[int], by_colour: bool) -> list[int]:
         """Return the pairs, in place of those that show one picture twice others nearby.

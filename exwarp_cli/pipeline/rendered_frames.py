@@ -135,10 +135,8 @@ class RenderedReader:
         has_vectors = source.finding is not None and source.slots is None and not source.keys.aovs
         self.leads = is_alone and has_vectors and method.lookahead and method.needs_motion
         self._sequence = rendered.sequence
-        self._shots = [
-            replace(content.source.keys, sequence=rendered.sequence, aovs={})
-            for content in contents
-        ]
+        keys = (content.source.keys for content in contents)
+        self._shots = [replace(shot, sequence=rendered.sequence, aovs={}) for shot in keys]
         pairs = zip(self._shots, contents, strict=True)
         self._layers = [LayerStore(shot, content.extra) for shot, content in pairs]
         # What was found in the frames by output number, of each view.

@@ -101,11 +101,9 @@ class Shots:
         """The cuts that were met so far; None where there are none by the user's will."""
         if not self.wish.detect and not self.wish.numbers:
             return None
-        return tuple(
-            Cut(self.numbers[key], "given" if key in self._given else "detected")
-            for key, is_start in sorted(self._starts.items())
-            if is_start
-        )
+        starts = (key for key, is_start in sorted(self._starts.items()) if is_start)
+        origins = ((key, "given" if key in self._given else "detected") for key in starts)
+        return tuple(Cut(self.numbers[key], origin) for key, origin in origins)
 
     def see(self, key: int, frame: KeyFrame) -> None:
         """Take a glance at a key frame as it was read, with vectors over a key interval."""

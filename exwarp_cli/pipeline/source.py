@@ -186,11 +186,9 @@ def _with_motion(
         if motion_needed and not may_estimate:
             raise
         finding, unusable = None, str(error)
-    ordered = (
-        shot
-        if finding is None
-        else depth_and_ids.with_depth_ordered(shot, finding.convention, starts)
-    )
+    ordered = shot
+    if finding is not None:
+        ordered = depth_and_ids.with_depth_ordered(shot, finding.convention, starts)
     if slots is None:
         keys = ordered
     elif ordered is not shot:
@@ -229,13 +227,12 @@ def open_sources(settings: SourceSettings, motion_needed: bool) -> tuple[Source,
     """
     sources = tuple(open_source(view, motion_needed, pictures=True) for view in each_view(settings))
     leader = sources[0].keys.sequence
-    for source in sources:
-        if source.keys.sequence.files != leader.files:
-            raise UsageError(
-                f"--view all writes all views into one file, and here each has its own "
-                f"({leader.pattern}); run once for each: "
-                + ", ".join(f"--view {each.keys.view}" for each in sources)
-            )
+    if any(source.keys.sequence.files != leader.files for source in sources):
+        views = ", ".join(f"--view {source.keys.view}" for source in sources)
+        raise UsageError(
+            f"--view all writes all views into one file, and here each has its own "
+            f"({leader.pattern}); run once for each: {views}"
+        )
     return sources
 
 

@@ -57,14 +57,12 @@ def check_machine() -> CheckResult:
     cpus, room = processors(), memory()
     remarks = []
     if room.available is not None and room.available < LEAST_MEMORY:
-        remarks.append(
-            warning(
-                f"{size_text(room.available)} of memory is free, and frames of 1920x1080 take "
-                f"{size_text(LEAST_MEMORY)} with a network, "
-                f"{size_text(LEAST_MEMORY_WITHOUT_NETWORK)} with s6 "
-                "and softsplat; close other programs, or raise the limit of the job"
-            )
+        text = (
+            f"{size_text(room.available)} of memory is free, and frames of 1920x1080 take "
+            f"{size_text(LEAST_MEMORY)} with a network, {size_text(LEAST_MEMORY_WITHOUT_NETWORK)} "
+            "with s6 and softsplat; close other programs, or raise the limit of the job"
         )
+        remarks.append(warning(text))
     facts = {
         "executable": sys.executable,
         "package": str(Path(exwarp_cli.__file__).parent),
@@ -189,20 +187,16 @@ def check_packages() -> CheckResult:
     packages = [Package.of(requirement, True) for requirement in _requirements(own, None)]
     remarks = [failure(package.advice) for package in packages if package.advice]
     if own.version != __version__:
-        remarks.append(
-            warning(
-                f"the package exwarp is installed as {own.version} and runs as {__version__}; "
-                "install it again"
-            )
+        text = (
+            f"the package exwarp is installed as {own.version} and runs as {__version__}; install "
+            "it again"
         )
+        remarks.append(warning(text))
     good = sum(not package.advice for package in packages)
     facts = {"installed": own.version, "packages": [asdict(package) for package in packages]}
-    return CheckResult(
-        f"{good} of {len(packages)} load, in versions that ExWarp works with",
-        tuple(remarks),
-        facts,
-        tuple(package.line for package in packages),
-    )
+    summary = f"{good} of {len(packages)} load, in versions that ExWarp works with"
+    lines = tuple(package.line for package in packages)
+    return CheckResult(summary, tuple(remarks), facts, lines)
 
 
 def check_extras() -> CheckResult:
