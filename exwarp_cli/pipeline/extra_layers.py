@@ -337,11 +337,9 @@ class ViewInterval:
             if layer.kind is not LayerKind.COLOUR:  # which is mended where it is mixed
                 background = np.inf if layer.kind is LayerKind.DEPTH else 0.0
                 retimer.sources.mend(list(values.values()), background)
-            planes |= {
-                (view, ref): Plane(plane, self.window)
-                for ref, plane in values.items()
-                if ref not in beauty
-            }
+            for ref, plane in values.items():
+                if ref not in beauty:
+                    planes[view, ref] = Plane(plane, self.window)
         return planes
 
     def _retimed(
@@ -358,9 +356,8 @@ class ViewInterval:
             for side in filter(None, (frames.before, frames.after)):
                 stack, display = self._stack(side, refs), self.interval.key.image.display_window
                 for i, ref in enumerate(refs):
-                    if (
-                        side[ref].window != window
-                    ):  # what no data tells is unknown, as in the beauty
+                    # What no data tells is unknown, as in the beauty.
+                    if side[ref].window != window:
                         unknown = outside_mask(window, side[ref].window)
                         stack[unknown & outside_mask(window, display), i] = np.nan
                 stacks.append(stack)

@@ -40,6 +40,10 @@ Ids = frozenset[int]
 # What settled geometry goes by: the window, and which objects move, where the frames tell.
 Basis = tuple[Window, Ids | None]
 
+# One or two instants with their windows (a key frame's data may fill less than its G-buffer), and
+# the canvas.
+ComparedInstants = tuple[tuple[tuple[Slot, Window], ...], Window]
+
 # A key frame's index, what its geometry goes by, and whether it has its surface.
 FrameKey = tuple[int, Basis, bool]
 
@@ -80,9 +84,8 @@ class IntervalBuilder:
     scratch: ScratchFrames = IN_MEMORY  # for large settled frames if a network extrapolates
     linear: bool = False  # colour is moved in linear light, as layers add up to it
     back: int = 0  # how many older key frames a later interval goes by, without a network
-    # Ids of what moves, by one or two instants with their windows (a key frame's data may fill less
-    # than its G-buffer), and the canvas.
-    _moving: dict[tuple[tuple[tuple[Slot, Window], ...], Window], Ids] = field(default_factory=dict)
+    # Ids of what moves.
+    _moving: dict[ComparedInstants, Ids] = field(default_factory=dict)
     _frames: dict[FrameKey, KeyFrame] = field(default_factory=dict)
     _instants: dict[tuple[Slot, Basis], GBuffer] = field(default_factory=dict)
     _past: dict[FrameKey, OlderKeyFrame] = field(default_factory=dict)
@@ -151,7 +154,7 @@ class IntervalBuilder:
         pairs: list[tuple[tuple[Slot, GBuffer], ...]] = [(instants[0],)]
         if len(instants) > 1:
             pairs = list(zip(instants[1:], instants, strict=False))
-        compared: dict[tuple[tuple[tuple[Slot, Window], ...], Window], Ids] = {}
+        compared: dict[ComparedInstants, Ids] = {}
         for pair in pairs:
             place = tuple((slot, gbuffer.window) for slot, gbuffer in pair), canvas
             if place in self._moving:

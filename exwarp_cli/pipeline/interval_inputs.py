@@ -164,9 +164,8 @@ class IntervalReader:
         is_alone = content.leads and len(self._contents) == 1 and source.slots is None
         has_vectors = source.finding is not None and not source.estimated
         self._reads_late = is_alone and has_vectors and reads_late(source.keys, method)
-        self.unreadable: UnreadableFrames = (
-            UnreadableFrames(keep_going) if leader is None else leader.unreadable
-        )
+        unreadable = UnreadableFrames(keep_going) if leader is None else leader.unreadable
+        self.unreadable: UnreadableFrames = unreadable
         self.store: KeyFrameStore = KeyFrameStore(
             source, method, self.unreadable, self.fingerprinter.digest, self._reads_late,
             self._observes, None if leader is None else leader.store,

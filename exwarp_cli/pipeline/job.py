@@ -304,13 +304,7 @@ def _find_policies(
 
     None for a method that asks no policy, and where a network makes all tiles.
     """
-    from exwarp_cli.models.policy_files import (
-        PAPER,
-        SHIPPED_LOOK_AHEAD_POLICY,
-        SHIPPED_POLICY,
-        SHIPPED_TILE_POLICY,
-        load_policy,
-    )
+    from exwarp_cli.models import policy_files
 
     if settings.policy is not None and method.judge is not methods.DecisionSource.TILES:
         raise UsageError(
@@ -318,11 +312,14 @@ def _find_policies(
         )
     policy = look_ahead_policy = None
     if method.last.judge is methods.DecisionSource.TILES:
-        own = None if settings.policy in (None, PAPER) else Path(str(settings.policy))
-        shipped = SHIPPED_POLICY if settings.policy == PAPER else SHIPPED_TILE_POLICY
-        policy = require_state(load_policy(own, shipped))
+        path, shipped = None, policy_files.SHIPPED_TILE_POLICY
+        if settings.policy == policy_files.PAPER:
+            shipped = policy_files.SHIPPED_POLICY
+        elif settings.policy is not None:
+            path = Path(settings.policy)
+        policy = require_state(policy_files.load_policy(path, shipped))
     if method.weighs and method.gated and settings.spent != 1:
-        look_ahead_policy = load_policy(None, SHIPPED_LOOK_AHEAD_POLICY)
+        look_ahead_policy = policy_files.load_policy(None, policy_files.SHIPPED_LOOK_AHEAD_POLICY)
         require_state(look_ahead_policy, LOOK_AHEAD_STATE)
     by_tiles = policy is not None and policy.of_tiles
     if settings.effort is not None and not (by_tiles or method.name == methods.EXWARP):

@@ -102,8 +102,9 @@ class Shots:
         if not self.wish.detect and not self.wish.numbers:
             return None
         starts = (key for key, is_start in sorted(self._starts.items()) if is_start)
-        origins = ((key, "given" if key in self._given else "detected") for key in starts)
-        return tuple(Cut(self.numbers[key], origin) for key, origin in origins)
+        return tuple(
+            Cut(self.numbers[k], "given" if k in self._given else "detected") for k in starts
+        )
 
     def see(self, key: int, frame: KeyFrame) -> None:
         """Take a glance at a key frame as it was read, with vectors over a key interval."""

@@ -154,8 +154,9 @@ def run_checks(self_test: bool, more: dict[str, Callable[[], CheckResult]]) -> D
     every: dict[str, str | Callable[[], CheckResult]] = {**more, **CHECKS}
     checks: dict[str, CheckResult] = {}
     seconds: dict[str, float] = {}
+    text: str | None
     for name, check in every.items():
-        begin, text = time.perf_counter(), ""
+        begin, text = time.perf_counter(), None
         try:
             if name == SELF_TEST and not self_test:
                 checks[name] = CheckResult("left out, as --skip-self-test asks", skipped=True)
@@ -178,7 +179,7 @@ def run_checks(self_test: bool, more: dict[str, Callable[[], CheckResult]]) -> D
                 f"unexpected {type(error).__name__}: {first_line(error)}; install ExWarp and its "
                 "packages again"
             )
-        if text:
+        if text is not None:
             checks[name] = CheckResult("cannot be checked", (failure(text),))
         seconds[name] = time.perf_counter() - begin
         check_stop()
