@@ -65,6 +65,13 @@ class Content:
         """Names of the extra layers."""
         return tuple(dict.fromkeys(layer.name for layer in self.extra))
 
+    @property
+    def looks_back(self) -> bool:
+        """True if the key frame before is of use where the next one is not."""
+        return self.source.finding is not None and any(
+            layer.kind in POINTS and layer not in self.rendered for layer in self.extra
+        )
+
     @cached_property
     def motion(self) -> tuple[ChannelRef, ...]:
         """The motion channels that have to be read to write any of them; () without."""
@@ -238,7 +245,7 @@ class ExtraLayers:
 
     contents: tuple[Content, ...]  # what is written of each view, the one that leads first
     builders: tuple[IntervalBuilder, ...] = ()  # of the other views, in the same order
-    _views: list[ViewInterval] = field(default_factory=list, init=False)
+    _views: tuple[ViewInterval, ...] = field(default=(), init=False)
 
     @property
     def any(self) -> bool:
@@ -252,17 +259,18 @@ class ExtraLayers:
 
     def begin(self, inputs: IntervalInputs, interval: Interval | None) -> None:
         """Turn to an interval; None where nothing of it has to be made, and to drop the last."""
-        self._views = []
+        self._views = ()
         if interval is None:
             return
-        self._views.append(ViewInterval(self.contents[0], inputs, interval))
+        views = [ViewInterval(self.contents[0], inputs, interval)]
         for content, builder, view in zip(
             self.contents[1:], self.builders, inputs.views, strict=True
         ):
             # One view decides which network mixes all of them, and how its tiles are chosen.
             network, chooser = interval.interpolator, interval.chooser
             built = replace(builder.build(view), interpolator=network, chooser=chooser)
-            self._views.append(ViewInterval(content, view, built))
+            views.append(ViewInterval(content, view, built))
+        self._views = tuple(views)
 
     def make(
         self, slot: int, shown: Predicted, predict: Predict, template: Template
@@ -318,10 +326,6 @@ class ViewInterval:
         retimer = make_retimer(self.interval, slot, shown)
         motion, convention = self.content.motion, self.content.source.convention
         vectors: Float32 | None = None  # all motion channels: several layers may hold them
-        if convention is not None and any((view, ref) in needed for ref in motion):
-            before = self._stack(frames.before, motion)
-            after = None if frames.after is None else self._stack(frames.after, motion)
-            vectors = retimer.vectors(convention, before, after)
         own = frames.slots[slot - 1] if frames.slots else {}
         planes: dict[PlaneKey, Plane] = {}
         for layer in self.content.extra:
@@ -333,6 +337,13 @@ class ViewInterval:
                     for ref in layer.refs
                 }
             else:
+                has_vectors = layer.kind is LayerKind.MOTION and any(
+                    r in motion for r in layer.refs
+                )
+                if has_vectors and vectors is None and convention is not None:
+                    before = self._stack(frames.before, motion)
+                    after = None if frames.after is None else self._stack(frames.after, motion)
+                    vectors = retimer.vectors(convention, before, after)
                 values = self._retimed(layer, frames, retimer, vectors)
             if layer.kind is not LayerKind.COLOUR:  # which is mended where it is mixed
                 background = np.inf if layer.kind is LayerKind.DEPTH else 0.0
@@ -347,7 +358,7 @@ class ViewInterval:
         layer: Layer,
         frames: LayerFrames,
         retimer: LayerRetimer,
-        vectors: Float32 | None,  # [H, W, C] of `Content.motion`, if any is written
+        vectors: Float32 | None,  # [H, W, C] of `Content.motion`, if the layer has any
     ) -> dict[ChannelRef, np.ndarray]:
         """Make a layer's channels for a slot, [H, W] each, in the type that its file has."""
         refs, motion, window = layer.refs, self.content.motion, self.window

@@ -47,16 +47,6 @@ class Inspection:
         """Return the findings as plain data, for JSON."""
         sequence, layout = self.shot.sequence, self.shot.layout
         moving = None if self.shot.ids is None else self.shot.ids.dynamic
-        motion: dict[str, Any] | None = None
-        if Role.MOTION in layout:
-            names, finding = motion_names(self.shot), self.finding
-            measured = ("source", "evidence", "error", "still_error", "runner_up_error")
-            motion = {
-                "named": None if layout.guess is None else layout.guess.describe(names),
-                "convention": None if finding is None else finding.convention.describe(names),
-                **{key: None if finding is None else getattr(finding, key) for key in measured},
-                "problem": self.problem,
-            }
         return {
             "schema": "exwarp.inspect/1",
             "pattern": sequence.pattern,
@@ -106,7 +96,21 @@ class Inspection:
             ],
             "dynamic": None if moving is None else list(moving.names),
             "pictures": self.pictures,
-            "motion": motion,
+            "motion": self._motion_as_dict(),
+        }
+
+    def _motion_as_dict(self) -> dict[str, Any] | None:
+        """Return how the vectors are read; None without motion."""
+        layout, finding = self.shot.layout, self.finding
+        if Role.MOTION not in layout:
+            return None
+        names = motion_names(self.shot)
+        measured = ("source", "evidence", "error", "still_error", "runner_up_error")
+        return {
+            "named": None if layout.guess is None else layout.guess.describe(names),
+            "convention": None if finding is None else finding.convention.describe(names),
+            **{key: None if finding is None else getattr(finding, key) for key in measured},
+            "problem": self.problem,
         }
 
 

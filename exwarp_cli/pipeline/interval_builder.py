@@ -133,11 +133,22 @@ class IntervalBuilder:
             if each.leads and window.covers(each.frame.image.data_window)
         }
         return Interval(
-            key, following, slots, past, self.network, self.interpolator, inputs.times,
-            estimated=self.estimated, keeps=bool(inputs.truth.frames), held=inputs.held,
-            after_hold=inputs.after_hold, scratch=self.scratch, linear=self.linear,
-            display=self.display, rendered=rendered,
-        )  # fmt: skip
+            key,
+            following,
+            slots,
+            past,
+            self.network,
+            self.interpolator,
+            inputs.times,
+            estimated=self.estimated,
+            keeps=bool(inputs.truth.frames),
+            held=inputs.held,
+            after_hold=inputs.after_hold,
+            scratch=self.scratch,
+            linear=self.linear,
+            display=self.display,
+            rendered=rendered,
+        )
 
     def find_moving_objects(self, inputs: IntervalInputs, canvas: Window) -> Ids | None:
         """Return the ids of what moves between any two instants of an interval.
@@ -182,8 +193,7 @@ class IntervalBuilder:
         """Return a settled key frame; what was settled before is kept."""
         if self.estimated:  # the flows of an interval are its own
             return frame.extended(basis[0])
-        surface_parts = (getattr(frame.gbuffer, part, None) for part in SURFACE_PARTS)
-        frame_key = index, basis, any(part is not None for part in surface_parts)
+        frame_key = index, basis, has_surface(frame)
         if frame_key not in self._frames:
             settled = self._frames.get((index, basis, False))
             if settled is None or settled.gbuffer is None:
@@ -202,8 +212,7 @@ class IntervalBuilder:
         steps: list[OlderKeyFrame] = []
         newer, window = key, basis[0]
         for index, older in zip(range(inputs.key - 1, -1, -1), inputs.history, strict=False):
-            surface_parts = (getattr(older.frame.gbuffer, part, None) for part in SURFACE_PARTS)
-            frame_key = index, basis, any(part is not None for part in surface_parts)
+            frame_key = index, basis, has_surface(older.frame)
             if frame_key not in self._past:
                 if older.held:
                     motion = np.zeros((*window.shape, 2), np.float32)
@@ -378,6 +387,12 @@ def make_builders(job: Job) -> list[IntervalBuilder]:
         )
         for source in job.sources
     ]
+
+
+def has_surface(frame: KeyFrame) -> bool:
+    """Return True if a key frame comes with any of its surface."""
+    parts = () if frame.gbuffer is None else SURFACE_PARTS
+    return any(getattr(frame.gbuffer, part) is not None for part in parts)
 
 
 def _instants(inputs: IntervalInputs) -> Iterator[tuple[Slot, GBuffer]]:

@@ -186,11 +186,6 @@ class IntervalReader:
         if keep_going:
             self.fingerprinter.reading = self.store.reading
         self._layers = extra_layers.LayerReader(content) if content.extra else None
-        # True if the key frame before is of use where the next one is not.
-        self._looks_back = source.finding is not None and any(
-            layer.kind in extra_layers.POINTS and layer not in content.rendered
-            for layer in content.extra
-        )
         if self._layers is not None:
             self.store.companions.append(self._layers.read_key)
         self.rendered: RenderedReader | None = None
@@ -230,9 +225,7 @@ class IntervalReader:
         slots = tuple(map(store.get_slot, store.slots_after(key)))
         lacks_history = self._reads_late or (self._method.tail is not None and not lookahead)
         history = store.get_history(self._history(key)[: WARPED_BACK if lacks_history else None])
-        # The key frame that points are led on from where no next one tells.
-        leads_on = self._looks_back and not lookahead and self.shots.begin(key, 1) < key
-        older_key = key - 1 if leads_on else None
+        older_key = self._older_key(key, lookahead)
         inputs = replace(
             inputs,
             frame=frame,
@@ -289,7 +282,7 @@ class IntervalReader:
         oldest = key + 1 - (min(back, WARPED_BACK) if is_late else back)
         if self._layers is not None:
             self._layers.release_before(key)
-            oldest = min(oldest, key) if self._looks_back else oldest
+            oldest = min(oldest, key) if self._contents[0].looks_back else oldest
         self.store.release_before(oldest, key)
 
     def fingerprints(self, key: int) -> dict[int, str]:
@@ -306,9 +299,9 @@ class IntervalReader:
             facts = [*self.shots.cut_facts(key, 0, ()), f"flow {[index - key for index in keys]}"]
         else:
             keys += history
-            leads_on = self._looks_back and not lookahead and self.shots.begin(key, 1) < key
-            if leads_on and key - 1 not in keys:
-                keys.append(key - 1)
+            older = self._older_key(key, lookahead)
+            if older is not None and older not in keys:
+                keys.append(older)
             instants += [slot for i in (key, *history) for slot in self.store.slots_after(i)]
             observed_keys = range(0)  # whose features a state at this one holds
             if self._observes:
@@ -317,7 +310,7 @@ class IntervalReader:
             instants += [slot for pair in pairs for slot in pair if slot is not None]
             # Fingerprints hold the files of a warp's history.
             back = self._keys_back(lookahead) if extrapolates else 0
-            back = max(OLDER_KEYS if self._observes else back, int(leads_on))
+            back = max(OLDER_KEYS if self._observes else back, int(older is not None))
             facts = self.shots.cut_facts(key, back, (*keys, *observed_keys))
         if self.store.is_steady(key):
             facts.append("steady window")
@@ -345,6 +338,12 @@ class IntervalReader:
         # What comes after a hold at the end of a shot, only the slots' G-buffers tell: the vectors
         # of a frame that was copied are those of its first.
         return not self.store.slots_after(key) and self.shots.repeats(key)
+
+    def _older_key(self, key: int, lookahead: bool) -> int | None:
+        """Return the key frame that points are led on from where no next one tells."""
+        if lookahead or key == 0 or not self._contents[0].looks_back:
+            return None
+        return None if self.shots.starts_at(key) else key - 1
 
     def _history(self, key: int, ahead: bool | None = None) -> tuple[int, ...]:
         """Return the indices of the key frames that lead back from one, the newest first.

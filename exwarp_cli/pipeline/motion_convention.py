@@ -229,19 +229,7 @@ class _Measurement:
         """Return what is read of vectors that are 0; raises MotionError if the picture moves."""
         numbers = self.shot.sequence.numbers
         frames = ", ".join(f"{numbers[i]}-{numbers[i + 1]}" for i in firsts)
-        for first in firsts:
-            moves = has_geometry_moved(self._frame(first), self._frame(first + 1))
-            if Role.COLOUR in self.shot.layout:
-                if moves is None:
-                    before, after = (
-                        self._frame(i, by_colour=True).perceived for i in (first, first + 1)
-                    )
-                    if before is not None and after is not None:
-                        moves = has_colour_moved(before, after)
-                # What changes at a cut is no motion.
-                moves = moves and not (self.detect and self._is_cut_by_colour(first + 1))
-            if not moves:
-                continue
+        if any(self._picture_moves(first) for first in firsts):
             producer = self.shot.layout.producer
             texts = (text for name, text in BLUR_ADVICE.items() if producer.startswith(name))
             advice = next(texts, "switch it off in the renderer's settings")
@@ -256,6 +244,16 @@ class _Measurement:
         evidence = f"the vectors of frames {frames} are 0, and nothing moves there"
         convention = self.guess or MotionConvention(AxisMap(0, 1, 1.0, -1.0))
         return MotionFinding(convention, "untested", evidence, resting=True)
+
+    def _picture_moves(self, first: int) -> bool:
+        """Return True if the picture of a pair moves; what changes at a cut is no motion."""
+        moves = has_geometry_moved(self._frame(first), self._frame(first + 1))
+        if Role.COLOUR not in self.shot.layout:
+            return moves is True
+        if moves is None:
+            before, after = (self._frame(i, by_colour=True).perceived for i in (first, first + 1))
+            moves = before is not None and after is not None and has_colour_moved(before, after)
+        return moves and not (self.detect and self._is_cut_by_colour(first + 1))
 
     def _measure_within_shots(self, by_colour: bool) -> MotionFinding:
         """Measure in pairs that cross no known cut, and where that fails, none that is seen."""

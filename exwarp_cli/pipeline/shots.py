@@ -54,7 +54,7 @@ class UnreadableFrames:
         try:
             yield
         except InputError as error:
-            # The second: another frame, read for this one.
+            # A recorded error is that of another frame, read for this one.
             if not self.tolerant or isinstance(error.__cause__, _RecordedError):
                 raise
             self._reasons[slot] = str(error)  # without what its traceback holds

@@ -214,9 +214,14 @@ def _with_motion(
             )
         slots, slot_number, finding = None, _no_number, None
     return replace(
-        source, keys=keys, slots=slots, slot_number=slot_number, finding=finding,
-        estimated=estimated, unusable=unusable,
-    )  # fmt: skip
+        source,
+        keys=keys,
+        slots=slots,
+        slot_number=slot_number,
+        finding=finding,
+        estimated=estimated,
+        unusable=unusable,
+    )
 
 
 def open_sources(settings: SourceSettings, motion_needed: bool) -> tuple[Source, ...]:

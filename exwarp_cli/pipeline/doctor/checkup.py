@@ -151,39 +151,42 @@ def run_checks(self_test: bool, more: dict[str, Callable[[], CheckResult]]) -> D
     `self_test` says whether to upsample a shot. `more` are checks of the caller, by name, that are
     made first.
     """
-    every: dict[str, str | Callable[[], CheckResult]] = {**more, **CHECKS}
-    checks: dict[str, CheckResult] = {}
-    seconds: dict[str, float] = {}
-    text: str | None
-    for name, check in every.items():
-        begin, text = time.perf_counter(), None
-        try:
-            if name == SELF_TEST and not self_test:
-                checks[name] = CheckResult("left out, as --skip-self-test asks", skipped=True)
-            elif isinstance(check, str):
-                module, _, function = check.partition(":")
-                checks[name] = getattr(import_module(f"{__package__}.{module}"), function)()
-            else:
-                checks[name] = check()
-        except ExwarpError as error:
-            text = str(error)
-        except ImportError as error:
-            text = (
-                f"a package is missing or broken ({first_line(error)}); mend what 'packages' tells,"
-                " or install ExWarp again"
-            )
-        except OSError as error:
-            text = f"files cannot be written or read ({first_line(error)}); see 'temp folder'"
-        except Exception as error:  # the other checks go on
-            text = (
-                f"unexpected {type(error).__name__}: {first_line(error)}; install ExWarp and its "
-                "packages again"
-            )
-        if text is not None:
-            checks[name] = CheckResult("cannot be checked", (failure(text),))
+    functions: dict[str, str | Callable[[], CheckResult]] = {**more, **CHECKS}
+    checks, seconds = {}, {}
+    for name, function in functions.items():
+        begin = time.perf_counter()
+        if name == SELF_TEST and not self_test:
+            checks[name] = CheckResult("left out, as --skip-self-test asks", skipped=True)
+        else:
+            checks[name] = _run(function)
         seconds[name] = time.perf_counter() - begin
         check_stop()
     return DoctorReport(checks, seconds)
+
+
+def _run(check: str | Callable[[], CheckResult]) -> CheckResult:
+    """Make a check, of which any error is the result."""
+    try:
+        if isinstance(check, str):
+            module, _, function = check.partition(":")
+            check = getattr(import_module(f"{__package__}.{module}"), function)
+        assert callable(check)
+        return check()
+    except ExwarpError as error:
+        text = str(error)
+    except ImportError as error:
+        text = (
+            f"a package is missing or broken ({first_line(error)}); mend what 'packages' tells, or "
+            "install ExWarp again"
+        )
+    except OSError as error:
+        text = f"files cannot be written or read ({first_line(error)}); see 'temp folder'"
+    except Exception as error:  # the other checks go on
+        text = (
+            f"unexpected {type(error).__name__}: {first_line(error)}; install ExWarp and its "
+            "packages again"
+        )
+    return CheckResult("cannot be checked", (failure(text),))
 
 
 def variables() -> dict[str, str]:

@@ -241,6 +241,9 @@ def _requirements(own: Distribution, extra: str | None) -> Iterator[Requirement]
         requirement = Requirement(text)
         marker = requirement.marker
         is_core = marker is None or marker.evaluate({"extra": ""})
-        is_extra = marker is not None and not is_core and marker.evaluate({"extra": extra or ""})
-        if is_core if extra is None else is_extra:
+        if extra is None:
+            is_wanted = is_core
+        else:
+            is_wanted = not is_core and marker is not None and marker.evaluate({"extra": extra})
+        if is_wanted:
             yield requirement

@@ -149,7 +149,8 @@ def _try_method(folder: Path, method: str, motion: str | None) -> tuple[str | No
             for image in (planes, render(slot))
         )
         error = np.abs(written - rendered)[:, MARGIN:-MARGIN, MARGIN:-MARGIN].max()
-        if not error <= (0.0 if method in EXACT or slot % FACTOR == 0 else MOST_ERROR):  # or NaN
+        allowed = 0.0 if method in EXACT or slot % FACTOR == 0 else MOST_ERROR
+        if not error <= allowed:  # also for NaN
             wrong.append(name)
     problem = None
     if wrong:
@@ -162,13 +163,15 @@ def _try_chunks(folder: Path, method: str) -> tuple[str | None, int]:
     """Upsample the shot in two chunks, which must equal the whole that is there already."""
     _upsample(folder, "chunk0", method, CONVENTION, "1")
     _upsample(folder, "chunk1", method, CONVENTION, f"2-{KEYS}")
-    chunks, expected = (
-        {path.name: path.read_bytes() for pattern in patterns for path in folder.glob(pattern)}
-        for patterns in (("chunk0/*", "chunk1/*"), (f"{method}/*",))
-    )
+    chunks = _contents(folder / "chunk0") | _contents(folder / "chunk1")
+    expected = _contents(folder / method)
     names = sorted(chunks.keys() | expected.keys())
     wrong = [name for name in names if chunks.get(name) != expected.get(name)]
     return f"{enumerated(wrong)} differ from those of the whole" if wrong else None, len(chunks)
+
+
+def _contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 def _upsample(
