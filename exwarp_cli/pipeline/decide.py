@@ -322,7 +322,9 @@ def features(
     progress.start(len(keys))
     try:
         for key in keys:
-            observed, slots = reader.read_observed(key)
+            observed = reader.observe(key)
+            slots = tuple(map(reader.store.get_slot, reader.store.slots_after(key)))
+            reader.release(key)
             settled = observer.settled(slots)
             surroundings = observer.surroundings(key, observed, settled, read=slots)
             number = source.timeline.numbers[key]

@@ -12,15 +12,8 @@ import numpy as np
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
+from exwarp_cli.io import cryptomatte
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.cryptomatte import (
-    Cryptomatte,
-    IdReading,
-    Manifest,
-    find_cryptomattes,
-    find_dynamic_objects,
-    read_manifest,
-)
 from exwarp_cli.io.depth import (
     DepthKind,
     DepthReading,
@@ -100,12 +93,9 @@ def with_depth_ordered(
     def both_directions(first: int) -> list[tuple[Float32, Float32, Float32]]:
         """Return depth of a frame and of its neighbour, and the motion between, both ways."""
         try:
-            before, after = (
-                read_raw(shot, numbers[i], (Role.DEPTH, Role.MOTION))
-                .settle(convention)
-                .on(shot.display)
-                for i in (first, first + 1)
-            )
+            pair = (numbers[first], numbers[first + 1])
+            raw = (read_raw(shot, number, (Role.DEPTH, Role.MOTION)) for number in pair)
+            before, after = (each.settle(convention).on(shot.display) for each in raw)
         except InputError:  # which is said when the frame's turn comes
             return []
         directions = ((before, after, before.to_next), (after, before, after.to_previous))
@@ -115,18 +105,16 @@ def with_depth_ordered(
             if motion is not None and frame.depth is not None and neighbour.depth is not None
         ]
 
-    def is_hold(directions: list[tuple[Float32, Float32, Float32]]) -> bool:
-        return any(
-            np.any(motion) and np.array_equal(depth, neighbour, equal_nan=True)
-            for depth, neighbour, motion in directions
-        )
-
     total, by_pair, ends = OrderVotes(), [], []
     for first in pairs_within(len(numbers), cuts.__contains__):
         pairs = map(both_directions, pairs_around(first, len(numbers), cuts.__contains__))
         wanted = next(pairs)
-        moving = (pair for pair in chain((wanted,), pairs) if not is_hold(pair))
-        for depth, neighbour, motion in next(moving, wanted):
+        for pair in chain((wanted,), pairs):
+            # Not a hold, of which both frames are the same, though their vectors are not at rest.
+            if not any(np.any(m) and np.array_equal(a, b, equal_nan=True) for a, b, m in pair):
+                wanted = pair
+                break
+        for depth, neighbour, motion in wanted:
             votes = occlusion_votes(depth, neighbour, motion)
             by_pair.append(votes)
             total += votes
@@ -232,14 +220,9 @@ def read_ids(dynamic: str | None, keys: Shot, slots: Shot | None) -> tuple[Shot,
     `dynamic` they are the stencil, and the shots have no other one; without, they are only read
     where there is none, and where they are sound.
 
-    Raises
-    ------
-    LayoutError
-        When something is named as moving, and there is no Cryptomatte, or one of half floats.
-    DamagedFileError
-        When something is named, and ids were destroyed.
-    UsageError
-        When a name or pattern matches nothing.
+    Raises LayoutError when something is named as moving, and there is no Cryptomatte, or one of
+    half floats; DamagedFileError when something is named, and ids were destroyed; UsageError when
+    a name or pattern matches nothing.
     """
     if dynamic is None:
         return _with_best_ids(keys), None if slots is None else _with_best_ids(slots)
@@ -252,14 +235,14 @@ def read_ids(dynamic: str | None, keys: Shot, slots: Shot | None) -> tuple[Shot,
         )
     manifests, rounded = _read_manifests(shots)
     where = f"{needed.sequence.pattern}, layer {needed.cryptomattes[0].name!r},"
-    objects = find_dynamic_objects(dynamic, manifests, where, rounded)
+    objects = cryptomatte.find_dynamic_objects(dynamic, manifests, where, rounded)
 
     def with_ids(shot: Shot) -> Shot:
         if shot not in shots:
             return shot
         roles = dict(shot.layout.roles)
         roles.pop(Role.STENCIL, None)
-        ids = IdReading(shot.cryptomattes[0], rounded, objects)
+        ids = cryptomatte.IdReading(shot.cryptomattes[0], rounded, objects)
         shot = replace(shot, layout=replace(shot.layout, roles=roles), ids=ids)
         read_raw(shot, shot.first, (Role.STENCIL,), objects=True)
         return shot
@@ -267,7 +250,9 @@ def read_ids(dynamic: str | None, keys: Shot, slots: Shot | None) -> tuple[Shot,
     return with_ids(keys), None if slots is None else with_ids(slots)
 
 
-def sound_cryptomattes(shot: Shot) -> Iterator[tuple[Cryptomatte, Manifest]]:
+def sound_cryptomattes(
+    shot: Shot,
+) -> Iterator[tuple[cryptomatte.Cryptomatte, cryptomatte.Manifest]]:
     """Yield each Cryptomatte of a shot with its first frame's manifest.
 
     Of one whose ids cannot be used, the manifest has no names, and says why.
@@ -275,19 +260,19 @@ def sound_cryptomattes(shot: Shot) -> Iterator[tuple[Cryptomatte, Manifest]]:
     for matte in shot.cryptomattes:
         try:
             matte.require_exact("the file")
-            with_ids = replace(shot, ids=IdReading(matte))
+            with_ids = replace(shot, ids=cryptomatte.IdReading(matte))
             read_raw(with_ids, shot.first, (Role.STENCIL,), objects=True)
         except (LayoutError, DamagedFileError) as error:
-            yield matte, Manifest(problem=str(error))
+            yield matte, cryptomatte.Manifest(problem=str(error))
         else:
-            yield matte, read_manifest(matte, shot.files(shot.first)[matte.aov])
+            yield matte, cryptomatte.read_manifest(matte, shot.files(shot.first)[matte.aov])
 
 
 def _with_best_ids(shot: Shot) -> Shot:
     """Return a shot whose best Cryptomatte tells objects apart, where nothing else does."""
     if Role.STENCIL in shot.layout or not shot.cryptomattes or not shot.cryptomattes[0].exact:
         return shot
-    with_ids = replace(shot, ids=IdReading(shot.cryptomattes[0]))
+    with_ids = replace(shot, ids=cryptomatte.IdReading(shot.cryptomattes[0]))
     try:
         read_raw(with_ids, shot.first, (Role.STENCIL,), objects=True)
     except DamagedFileError:
@@ -295,9 +280,9 @@ def _with_best_ids(shot: Shot) -> Shot:
     return with_ids
 
 
-def _read_manifests(shots: Iterable[Shot]) -> tuple[list[Manifest], bool]:
+def _read_manifests(shots: Iterable[Shot]) -> tuple[list[cryptomatte.Manifest], bool]:
     """Return the manifests of all frames, and whether any frame's ids are rounded."""
-    manifests: list[Manifest] = []
+    manifests: list[cryptomatte.Manifest] = []
     rounded = False
     # What a manifest repeats is left out: they are large, and mostly the same in all frames.
     read_texts: set[bytes] = set()
@@ -310,7 +295,7 @@ def _read_manifests(shots: Iterable[Shot]) -> tuple[list[Manifest], bool]:
         try:
             header = shot.headers.read(path)
             channels = {wanted.aov: shot.channels(header.parts, wanted.aov).values()}
-            in_file = find_cryptomattes(channels, {wanted.aov: header.texts})
+            in_file = cryptomatte.find_cryptomattes(channels, {wanted.aov: header.texts})
             mattes = [matte for matte in in_file if matte.name == wanted.name]
             for matte in mattes:
                 matte.require_exact(str(path))
@@ -325,7 +310,7 @@ def _read_manifests(shots: Iterable[Shot]) -> tuple[list[Manifest], bool]:
             if digest in read_texts:
                 continue
             read_texts.add(digest)
-            manifest = read_manifest(matte, path)
+            manifest = cryptomatte.read_manifest(matte, path)
             new = {name: ids for name, ids in manifest.ids.items() if (name, ids) not in read_names}
             read_names.update(new.items())
             manifests.append(replace(manifest, ids=new))

@@ -67,17 +67,26 @@ def foresee(job: Job) -> DryRun:
     job.refuse()
     require_writable(targets.folders)
     try:
+        kept, detected = dict.fromkeys(job.slots, False), None
         if job.settings.skip_existing:
-            frames, detected = _compare_existing(job)
-        else:
-            frames, detected = tuple(_foreseen(job, slot, kept=False) for slot in job.slots), None
+            kept, detected = _compare_existing(job)
     finally:
         job.close()
+    frames = []
+    for slot, is_kept in kept.items():
+        number = job.source.timeline.number(slot)
+        path = targets.video if targets.frames is None else targets.frames.path(number)
+        exists = path is not None and path_exists(path)
+        fate = Fate.KEEP if is_kept else Fate.REPLACE if exists else Fate.WRITE
+        kind = FrameKind.GENERATED if slot.index else FrameKind.KEY
+        if slot.index and job.rendered is not None and number in job.rendered.sequence.files:
+            kind = FrameKind.RENDERED
+        frames.append(ForeseenFrame(number, kind, fate))
     cuts, numbers = job.source.cuts, job.source.timeline.numbers
     by_hand = tuple(Cut(numbers[key], "given") for key in sorted(cuts.starts_in(numbers)))
     return DryRun(
         head=job.summary(RunOutcome(), 0.0),
-        frames=frames,
+        frames=tuple(frames),
         output=None if targets.frames is None else Path(targets.frames.pattern),
         holes=None if targets.holes is None else Path(targets.holes.pattern),
         video=targets.video,
@@ -102,15 +111,14 @@ def require_writable(folders: Iterable[Path]) -> None:
             raise output_error(folder, OSError(number, ""))
 
 
-def _compare_existing(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, ...] | None]:
-    """Foresee frames where good ones are kept; also return the cuts that were detected."""
+def _compare_existing(job: Job) -> tuple[dict[Slot, bool], tuple[Cut, ...] | None]:
+    """Return whether the frame of each slot is kept, if it has one; and the cuts detected."""
     reader = make_reader(job)
     leader = reader.leader
     if job.targets.frames is None:
         note = video_fingerprint(leader.fingerprinter, job.settings, job.keys, job.rendered)
-        kept = is_video_kept(job.targets, job.settings, note)
-        return tuple(_foreseen(job, slot, kept) for slot in job.slots), None
-    writer, frames = make_writer(job), []
+        return dict.fromkeys(job.slots, is_video_kept(job.targets, job.settings, note)), None
+    writer, kept = make_writer(job), dict[Slot, bool]()
     keys, timeline = job.source.keys, job.source.timeline
     for key in job.keys:
         inputs = reader.read(key, lambda *_: False)
@@ -124,24 +132,12 @@ def _compare_existing(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, .
             number, path = timeline.number(slot), keys.sequence.files[timeline.numbers[key]]
             if slot.index in rendered:
                 frame = rendered[slot.index]
-                kept = writer.has_rendered(number, frame.path, frame.recipe)
+                kept[slot] = writer.has_rendered(number, frame.path, frame.recipe)
             elif slot.index:
-                kept = writer.has(number, recipes[slot.index])
+                kept[slot] = writer.has(number, recipes[slot.index])
             elif writer.copies(path):
-                kept = writer.has_copy(number, path)
+                kept[slot] = writer.has_copy(number, path)
             else:
                 recipe = key_fingerprint(keys, timeline.numbers[key], job.source.written_fps)
-                kept = writer.has(number, recipe, masked=False)
-            frames.append(_foreseen(job, slot, kept))
-    return tuple(frames), leader.shots.cuts
-
-
-def _foreseen(job: Job, slot: Slot, kept: bool) -> ForeseenFrame:
-    number, targets = job.source.timeline.number(slot), job.targets
-    path = targets.video if targets.frames is None else targets.frames.path(number)
-    exists = path is not None and path_exists(path)
-    fate = Fate.KEEP if kept else Fate.REPLACE if exists else Fate.WRITE
-    kind = FrameKind.GENERATED if slot.index else FrameKind.KEY
-    if slot.index and job.rendered is not None and number in job.rendered.sequence.files:
-        kind = FrameKind.RENDERED
-    return ForeseenFrame(number, kind, fate)
+                kept[slot] = writer.has(number, recipe, masked=False)
+    return kept, leader.shots.cuts

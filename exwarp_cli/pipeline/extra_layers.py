@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32, Window, outside_mask, place_on_canvas
-from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.io.channels import ChannelRef, Role
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr.writer import Plane, PlaneKey, Template, ViewLayers, read_template
@@ -73,16 +72,12 @@ class Content:
             layer.kind in POINTS and layer not in self.rendered for layer in self.extra
         )
 
-    @property
-    def convention(self) -> MotionConvention | None:
-        """How the key frames' vectors are read; None where that is not known."""
-        return self.source.convention if self.source.slots is None else None
-
     @cached_property
     def motion(self) -> tuple[ChannelRef, ...]:
         """The motion channels that have to be read to write any of them; () without."""
         has_motion = any(layer.kind is LayerKind.MOTION for layer in self.extra)
-        if not has_motion or self.convention is None:
+        # Of slots' G-buffers the convention is that of theirs, and the key frames' is not known.
+        if not has_motion or self.source.slots is not None or self.source.convention is None:
             return ()
         return self.source.keys.layout.roles[Role.MOTION]
 
@@ -329,24 +324,33 @@ class ViewInterval:
         if frames is None:
             return {}
         retimer = make_retimer(self.interval, slot, shown)
-        vectors = cache(partial(self._vectors, frames, retimer))  # several layers may hold them
+        motion, convention = self.content.motion, self.content.source.convention
+        vectors: Float32 | None = None  # all motion channels: several layers may hold them
         own = frames.slots[slot - 1] if frames.slots else {}
         planes: dict[PlaneKey, Plane] = {}
         for layer in self.content.extra:
             if not any((view, ref) in needed for ref in layer.refs):
                 continue
             if all(ref in own for ref in layer.refs):
-                values = {ref: np.array(self._placed(own[ref])) for ref in layer.refs}
+                values = {
+                    ref: np.array(place_on_canvas(own[ref].values, own[ref].window, self.window))
+                    for ref in layer.refs
+                }
             else:
+                has_vectors = layer.kind is LayerKind.MOTION and any(
+                    r in motion for r in layer.refs
+                )
+                if has_vectors and vectors is None and convention is not None:
+                    before = self._stack(frames.before, motion)
+                    after = None if frames.after is None else self._stack(frames.after, motion)
+                    vectors = retimer.vectors(convention, before, after)
                 values = self._retimed(layer, frames, retimer, vectors)
             if layer.kind is not LayerKind.COLOUR:  # which is mended where it is mixed
                 background = np.inf if layer.kind is LayerKind.DEPTH else 0.0
                 retimer.sources.mend(list(values.values()), background)
-            planes |= {
-                (view, ref): Plane(plane, self.window)
-                for ref, plane in values.items()
-                if ref not in beauty
-            }
+            for ref, plane in values.items():
+                if ref not in beauty:
+                    planes[view, ref] = Plane(plane, self.window)
         return planes
 
     def _retimed(
@@ -354,14 +358,21 @@ class ViewInterval:
         layer: Layer,
         frames: LayerFrames,
         retimer: LayerRetimer,
-        vectors: Callable[[], Float32],  # see `_vectors`
+        vectors: Float32 | None,  # [H, W, C] of `Content.motion`, if the layer has any
     ) -> dict[ChannelRef, np.ndarray]:
         """Make a layer's channels for a slot, [H, W] each, in the type that its file has."""
         refs, motion, window = layer.refs, self.content.motion, self.window
         if layer.kind is LayerKind.COLOUR:
-            before = self._light(frames.before, refs)
-            after = None if frames.after is None else self._light(frames.after, refs)
-            values = retimer.colour(before, after)
+            stacks = []
+            for side in filter(None, (frames.before, frames.after)):
+                stack, display = self._stack(side, refs), self.interval.key.image.display_window
+                for i, ref in enumerate(refs):
+                    # What no data tells is unknown, as in the beauty.
+                    if side[ref].window != window:
+                        unknown = outside_mask(window, side[ref].window)
+                        stack[unknown & outside_mask(window, display), i] = np.nan
+                stacks.append(stack)
+            values = retimer.colour(*stacks)
         elif layer.kind in POINTS:
             # What a key frame does not tell of a point is no change: not that it went to 0.
             known = tuple(
@@ -374,51 +385,26 @@ class ViewInterval:
                 if any(not end.covers(window) for end in ends):
                     outside = (outside_mask(window, end) for end in ends)
                     values[retimer.sources.take(*outside), i] = 0
-        elif layer.kind is LayerKind.MOTION and any(ref in motion for ref in refs):
-            return {
-                ref: vectors()[..., motion.index(ref)]
-                if ref in motion
-                else self._copied(ref, frames, retimer)
-                for ref in refs
-            }
         else:
-            return {ref: self._copied(ref, frames, retimer) for ref in refs}
+            copied: dict[ChannelRef, np.ndarray] = {}
+            for ref in refs:
+                if vectors is not None and layer.kind is LayerKind.MOTION and ref in motion:
+                    copied[ref] = vectors[..., motion.index(ref)]
+                    continue
+                # The sources' values, bit for bit.
+                sides: list[np.ndarray] = []
+                for side in filter(None, (frames.before, frames.after)):
+                    plane, dtype = side[ref], frames.before[ref].values.dtype
+                    placed = place_on_canvas(plane.values, plane.window, window)
+                    # The type may have changed on the way.
+                    with np.errstate(invalid="ignore", over="ignore"):
+                        sides.append(placed.astype(dtype, copy=False))
+                copied[ref] = retimer.sources.take(*sides)
+            return copied
         # Copied, so that half takes its own memory.
         return {ref: np.ascontiguousarray(values[..., i]) for i, ref in enumerate(refs)}
 
-    def _vectors(self, frames: LayerFrames, retimer: LayerRetimer) -> Float32:
-        """Make all motion channels [H, W, C] for a slot."""
-        motion, convention = self.content.motion, self.content.convention
-        assert convention is not None
-        before = self._stack(frames.before, motion)
-        after = None if frames.after is None else self._stack(frames.after, motion)
-        return retimer.vectors(convention, before, after)
-
-    def _copied(self, ref: ChannelRef, frames: LayerFrames, retimer: LayerRetimer) -> np.ndarray:
-        """Copy the sources' values, bit for bit."""
-        before, after = frames.before[ref], None
-        if frames.after is not None:
-            plane = self._placed(frames.after[ref])
-            with np.errstate(invalid="ignore", over="ignore"):  # where the type changed on the way
-                after = plane.astype(before.values.dtype, copy=False)
-        return retimer.sources.take(self._placed(before), after)
-
-    def _placed(self, plane: Plane) -> np.ndarray:
-        return place_on_canvas(plane.values, plane.window, self.window)
-
     def _stack(self, planes: Planes, refs: tuple[ChannelRef, ...], fill: float = 0.0) -> Float32:
-        values = {ref: planes[ref].values.astype(np.float32, copy=False) for ref in refs}
-        return np.stack(
-            [place_on_canvas(values[ref], planes[ref].window, self.window, fill) for ref in refs],
-            axis=-1,
-        )
-
-    def _light(self, planes: Planes, refs: tuple[ChannelRef, ...]) -> Float32:
-        """Return a layer [H, W, C] for warping: what no data tells is unknown, as in the beauty."""
-        stack = self._stack(planes, refs)
-        window, display = self.window, self.interval.key.image.display_window
-        for i, ref in enumerate(refs):
-            if planes[ref].window != window:
-                unknown = outside_mask(window, planes[ref].window) & outside_mask(window, display)
-                stack[unknown, i] = np.nan
-        return stack
+        own = ((planes[ref].values.astype(np.float32, copy=False), planes[ref]) for ref in refs)
+        placed = [place_on_canvas(v, plane.window, self.window, fill) for v, plane in own]
+        return np.stack(placed, axis=-1)

@@ -172,7 +172,8 @@ def digest_json(facts: dict[str, Any]) -> str:
 def _reading_facts(source: Source, method: Method) -> dict[str, Any]:
     """Return how an input is read beside what its own channels say."""
     facts: dict[str, Any] = {}
-    if source.estimated or method.finds_flow or (source.moves and method.carries_light):
+    moves_light = source.finding is not None and method.carries_light
+    if source.estimated or method.finds_flow or moves_light:
         facts["flow"] = flow_identity()
     if source.keys.by_hand:
         facts["read"] = source.keys.by_hand

@@ -19,13 +19,8 @@ from exwarp_cli.domain.frame import KeyFrame, place_on_canvas
 from exwarp_cli.domain.network_api import HISTORY_FRAMES
 from exwarp_cli.domain.tiles import TILE_ROWS, count_columns, tile_edges
 from exwarp_cli.domain.timeline import FACTOR, Slot
+from exwarp_cli.pipeline import key_frames
 from exwarp_cli.pipeline.ground_truth import IntervalTruth
-from exwarp_cli.pipeline.key_frames import (
-    HistoryFrame,
-    KeyFrameStore,
-    MotionEstimates,
-    over_interval,
-)
 from exwarp_cli.synthesis.methods import Method, predict_both_ways
 
 if TYPE_CHECKING:
@@ -50,7 +45,7 @@ class TrialInputs:
 class TrialReader:
     """Chooses the key frame that is predicted for an interval, and reads it."""
 
-    store: KeyFrameStore
+    store: key_frames.KeyFrameStore
     lookahead: bool  # whether key frames on both sides predict
     # Returns the key frames that lead back from one, the newest first.
     history: Callable[[int], tuple[int, ...]]
@@ -75,20 +70,22 @@ class TrialReader:
             # with less history a network has nothing to go by.
             newest = block if block - begin >= HISTORY_FRAMES else min(key, begin + HISTORY_FRAMES)
             candidates = range(newest, begin, -1)
-        return next((index for index in candidates if self._is_predictable(index)), None)
-
-    def _is_predictable(self, index: int) -> bool:
-        """Return True if a key frame can be predicted, and shows another picture than the last."""
-        around = (index, index + 1) if self.lookahead else (index,)
-        if around[-1] >= len(self.store.source.timeline.numbers):
-            return False
-        if any(self.store.shots.starts_at(i) or self.store.shots.repeats(i) for i in around):
-            return False
-        if self.store.source.slots is None:
-            return True
-        steps, slots = self.store.source.timeline.steps or 0, self._slots(index)
-        complete = len(slots) == (2 * steps - 1 if self.lookahead else steps)
-        return complete and not self.store.unreadable.has(*slots)
+        shots, timeline = self.store.shots, self.store.source.timeline
+        steps = timeline.steps or 0
+        for index in candidates:
+            around = (index, index + 1) if self.lookahead else (index,)
+            if around[-1] >= len(timeline.numbers):
+                continue
+            # It has to show another picture than the one before.
+            if any(shots.starts_at(i) or shots.repeats(i) for i in around):
+                continue
+            if self.store.source.slots is None:
+                return index
+            slots = self._slots(index)
+            complete = len(slots) == (2 * steps - 1 if self.lookahead else steps)
+            if complete and not self.store.unreadable.has(*slots):
+                return index
+        return None
 
     def frames(self, key: int) -> tuple[tuple[int, ...], tuple[Slot, ...], str]:
         """Return what the trial of an interval reads, for fingerprints.
@@ -100,9 +97,7 @@ class TrialReader:
             return (), (), "gate without a trial"
         older = () if self.lookahead else self.history(index - 1)
         keys = (*reversed(older), index - 1, index, *((index + 1,) if self.lookahead else ()))
-        way_back: tuple[Slot, ...] = ()
-        if self.store.source.slots is not None:
-            way_back = tuple(slot for i in older for slot in self.store.slots_after(i))
+        way_back = (slot for i in older for slot in self.store.slots_after(i))
         return keys, (*self._slots(index), *way_back), f"gate {index - key}"
 
     def _slots(self, index: int) -> tuple[Slot, ...]:
@@ -123,7 +118,7 @@ class TrialReader:
         store = self.store
         slots = tuple(map(store.get_slot, self._slots(index)))
         following: KeyFrame | None = None
-        history: tuple[HistoryFrame, ...] = ()
+        history: tuple[key_frames.HistoryFrame, ...] = ()
         if not self.lookahead:
             # The interval before the key frame, whose last slot is at that key frame.
             history = store.get_history(self.history(index - 1), self.reads_late)
@@ -131,7 +126,7 @@ class TrialReader:
             frame, times = get(index - 1), tuple((i + 1) / FACTOR for i in range(FACTOR))
         elif self.store.source.estimated:
             # An interval of twice the length, along motion that is estimated across it.
-            estimates = MotionEstimates(lambda i: store.get(index - 1 + 2 * i), 2)
+            estimates = key_frames.MotionEstimates(lambda i: store.get(index - 1 + 2 * i), 2)
             frame, following = estimates.moving(0, False, True), estimates.moving(1, True, False)
             times = (0.5,)
         else:
@@ -164,7 +159,7 @@ def _vectors_over(frame: KeyFrame, intervals: int) -> KeyFrame:
     elif after is None and before is not None:
         after = -before
     both = replace(gbuffer, to_previous=before, to_next=after)
-    return replace(frame, gbuffer=over_interval(both, intervals))
+    return replace(frame, gbuffer=key_frames.over_interval(both, intervals))
 
 
 @dataclass

@@ -20,7 +20,7 @@ from exwarp_cli.io.footage import find_frames, read_display_window, read_sequenc
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot import NonFinite, count_nonfinite, first_usable
 from exwarp_cli.io.views import expand_view
-from exwarp_cli.pipeline.source import FrameOf, Source, align, find_other_windows
+from exwarp_cli.pipeline.source import FrameOf, Source, align
 
 # What the report calls the channels of ground truth.
 CHANNELS = "ground truth"
@@ -149,11 +149,8 @@ def truth_rate(
     try:
         for rate in fitting or USUAL:
             # Frames, far apart, that have a truth at one frame per frame and at this rate.
-            usable = [
-                p
-                for p in outputs
-                if p and p < truth and p * rate < truth and (p * rate).denominator == 1
-            ]
+            end = min(Fraction(truth), truth / rate)
+            usable = [p for p in outputs if 0 < p < end and (p * rate).denominator == 1]
             steps = (len(usable) - 1) / (ANCHORS - 1)
             places = sorted({usable[round(i * steps)] for i in range(ANCHORS) if usable})
             usual = sum(error(place, place) for place in places)
@@ -164,22 +161,6 @@ def truth_rate(
         return Fraction(1)
     share, rate = min(shares, default=(math.inf, Fraction(1)))
     return rate if share < CLEAR else Fraction(1)
-
-
-def require_truth_size(
-    truth: tuple[Sequence, FrameOf], source: Source, keys: tuple[int, ...]
-) -> None:
-    """Refuse ground truth of another size than the input, for slots of some key intervals.
-
-    `keys` are indices of key frames; raises LayoutError.
-    """
-    sequence, frame_of = truth
-    timeline, display = source.timeline, source.keys.display
-    slots = [slot for key in keys for slot in timeline.made_of(key)]
-    wanted = {slot: (sequence, n) for slot in slots if (n := frame_of(slot)) is not None}
-    for slot, window in find_other_windows(wanted, display).items():
-        if window.shape != display.shape:
-            raise truth_of_another_size(timeline.number(slot), window, display)
 
 
 @dataclass(frozen=True)

@@ -160,12 +160,9 @@ def save_channel_map(inspection: Inspection, path: Path, overwrite: bool) -> Non
             "leave it out"
         )
     layout = shot.layout
-
-    def name_in_file(ref: ChannelRef) -> str:
-        # Also where colour comes from another sequence.
-        return (replace(ref, aov="") if ref.aov == MAIN else ref).label
-
-    channels = {role: tuple(map(name_in_file, refs)) for role, refs in layout.roles.items()}
+    # As the files name them, also where colour comes from another sequence.
+    labels = {ref: (replace(ref, aov="") if ref.aov == MAIN else ref).label for ref in shot.every}
+    channels = {role: tuple(labels[ref] for ref in refs) for role, refs in layout.roles.items()}
     motion = None
     if finding is not None and finding.source != "untested":
         motion = finding.convention.describe(motion_names(shot))
@@ -181,6 +178,6 @@ def save_channel_map(inspection: Inspection, path: Path, overwrite: bool) -> Non
     aovs = {aov.role.value for aov in shot.aov_files}
     if any(aov.role is Role.COLOUR for aov in shot.aov_files):
         aovs.add("")
-    unused = [name_in_file(ref) for ref in shot.unused if ref.aov not in aovs]
+    unused = [labels[ref] for ref in shot.unused if ref.aov not in aovs]
     text = channel_map_text(about, texts, channels, shot.aov_files, unused)
     write_channel_map(path, text, overwrite)

@@ -8,24 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from exwarp_cli.domain import network_api
 from exwarp_cli.domain.decision import Plan, Trial
 from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, KeyFrame, Window, require_canvas
-from exwarp_cli.domain.network_api import (
-    HISTORY_FRAMES,
-    Extrapolator,
-    Interpolator,
-    LookAheadNetwork,
-)
 from exwarp_cli.domain.tiles import TilePlan
 from exwarp_cli.domain.timeline import Slot, ranges
 from exwarp_cli.io.layers import LayerKind
 from exwarp_cli.io.shot import count_nonfinite
-from exwarp_cli.pipeline.decide import make_selector, only_warps
+from exwarp_cli.pipeline.decide import PathSelector, make_selector, only_warps
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.gate import Gate
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, ViewsReader
 from exwarp_cli.pipeline.key_frames import slots_back_to, without_surface
-from exwarp_cli.pipeline.rendered_frames import leads_on
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
 from exwarp_cli.synthesis.history import OlderKeyFrame
@@ -45,6 +39,10 @@ Ids = frozenset[int]
 
 # What settled geometry goes by: the window, and which objects move, where the frames tell.
 Basis = tuple[Window, Ids | None]
+
+# One or two instants with their windows (a key frame's data may fill less than its G-buffer), and
+# the canvas.
+ComparedInstants = tuple[tuple[tuple[Slot, Window], ...], Window]
 
 # A key frame's index, what its geometry goes by, and whether it has its surface.
 FrameKey = tuple[int, Basis, bool]
@@ -79,16 +77,15 @@ class IntervalBuilder:
     """
 
     display: Window  # of all frames
-    network: Extrapolator | None = None
-    interpolator: Interpolator | LookAheadNetwork | None = None
+    network: network_api.Extrapolator | None = None
+    interpolator: network_api.Interpolator | network_api.LookAheadNetwork | None = None
     estimated: bool = False  # key frames come with estimated motion, which needs no settling
     bare: bool = False  # only motion and depth of key frames' settled geometry are used
     scratch: ScratchFrames = IN_MEMORY  # for large settled frames if a network extrapolates
     linear: bool = False  # colour is moved in linear light, as layers add up to it
     back: int = 0  # how many older key frames a later interval goes by, without a network
-    # Ids of what moves, by one or two instants with their windows (a key frame's data may fill less
-    # than its G-buffer), and the canvas.
-    _moving: dict[tuple[tuple[tuple[Slot, Window], ...], Window], Ids] = field(default_factory=dict)
+    # Ids of what moves.
+    _moving: dict[ComparedInstants, Ids] = field(default_factory=dict)
     _frames: dict[FrameKey, KeyFrame] = field(default_factory=dict)
     _instants: dict[tuple[Slot, Basis], GBuffer] = field(default_factory=dict)
     _past: dict[FrameKey, OlderKeyFrame] = field(default_factory=dict)
@@ -109,7 +106,14 @@ class IntervalBuilder:
             window = window.union(self.display)
         require_canvas(f"frame {inputs.frame.number} and the next one", window)
         ids = self.find_moving_objects(inputs, window)
-        inputs, basis = with_stencils(inputs, ids), (window, ids)
+        basis = window, ids
+
+        def marked(gbuffer: GBuffer) -> GBuffer:
+            if gbuffer.objects is None or ids is None:
+                return gbuffer
+            return replace(gbuffer, stencil=select_ids(gbuffer.objects, ids), objects=None)
+
+        inputs = inputs.map_geometry(marked)
         assert inputs.frame is not None
         following = None
         if inputs.following is not None:
@@ -161,11 +165,20 @@ class IntervalBuilder:
         pairs: list[tuple[tuple[Slot, GBuffer], ...]] = [(instants[0],)]
         if len(instants) > 1:
             pairs = list(zip(instants[1:], instants, strict=False))
-        compared = {}
+        compared: dict[ComparedInstants, Ids] = {}
         for pair in pairs:
             place = tuple((slot, gbuffer.window) for slot, gbuffer in pair), canvas
-            ids = self._moving.get(place)
-            compared[place] = _moving_ids(canvas, *(g for _, g in pair)) if ids is None else ids
+            if place in self._moving:
+                compared[place] = self._moving[place]
+                continue
+            compared[place] = frozenset()
+            now = pair[0][1]
+            if now.objects is not None and now.has_motion:
+                raw = now.on(canvas)
+                before = pair[1][1].on(canvas) if len(pair) > 1 else None
+                moves = find_moving(settle_motion(raw), before, raw)
+                if moves is not None and raw.objects is not None:
+                    compared[place] = moving_ids(raw.objects, moves)
         self._moving = compared
         return frozenset().union(*compared.values())
 
@@ -231,7 +244,7 @@ class IntervalBuilder:
         """Drop what no later interval needs, and keep the slots' geometry that leads back."""
         key = inputs.key
         # Of frames without their surface, of which others are read late, warps go by the last.
-        back = self.back if self.network is None else HISTORY_FRAMES - 1
+        back = self.back if self.network is None else network_api.HISTORY_FRAMES - 1
         oldest = {surface: key + 1 - back for surface in (False, True)}
         if inputs.lacks_history:
             oldest[False] = key
@@ -244,47 +257,47 @@ class IntervalBuilder:
             }
 
 
+@dataclass(frozen=True)
 class IntervalJudge:
-    """What decides how intervals of a method are made: its gate, and what selects their path."""
+    """What decides how intervals of a method are made."""
 
-    def __init__(self, job: Job, method: Method) -> None:
-        self.method = method
-        self.selector = make_selector(method, job.source, job.policy, job.settings.spent)
-        self.gate = Gate(job, method) if job.method.gated and job.settings.gate else None
+    method: Method
+    selector: PathSelector | None  # selects their path
+    gate: Gate | None
 
 
+@dataclass
 class IntervalPreparer:
     """Builds the intervals of a run in order, and decides how their slots are made."""
 
-    def __init__(
-        self,
-        job: Job,
-        reader: ViewsReader,  # of what only extrapolation needs
-        builder: IntervalBuilder,  # of the view that decides
-        writer: FrameWriter,  # knows what earlier runs wrote
-        progress: Progress,
-        has_layers: bool,  # whether more than the beauty is written
-    ) -> None:
-        self._job, self._reader, self._builder = job, reader, builder
-        self._writer, self._progress, self._has_layers = writer, progress, has_layers
-        self._timeline = job.source.timeline
+    job: Job
+    reader: ViewsReader  # of what only extrapolation needs
+    builder: IntervalBuilder  # of the view that decides
+    writer: FrameWriter  # knows what earlier runs wrote
+    progress: Progress
+    has_layers: bool  # whether more than the beauty is written
+
+    def __post_init__(self) -> None:
+        judges, job = [], self.job
+        for method in (job.method, *(() if job.method.tail is None else (job.method.tail,))):
+            selector = make_selector(method, job.source, job.policy, job.settings.spent)
+            gate = Gate(job, method) if job.method.gated and job.settings.gate else None
+            judges.append(IntervalJudge(method, selector, gate))
         # Of intervals with a next key frame, or of all; and of those without, if others make them.
-        self._judge = self._last_judge = IntervalJudge(job, job.method)
+        self._judge, self._last_judge = judges[0], judges[-1]
         if job.method.tail is not None:
-            self._last_judge = IntervalJudge(job, job.method.tail)
             self._last_builder = IntervalBuilder(
                 job.source.keys.display, job.network, scratch=job.source.scratch
             )
-        self._broken: dict[int, int] = {}
 
     def prepare(self, inputs: IntervalInputs) -> tuple[PreparedInterval, IntervalInputs]:
         """Build an interval, and decide its path; return it with what is left of its inputs.
 
         Raises InputError when a file cannot be read that only extrapolation needs.
         """
-        slots = self._timeline.made_of(inputs.key)
+        timeline = self.job.source.timeline
+        slots = timeline.made_of(inputs.key)
         if inputs.frame is None:  # every slot of it is written
-            self._broken = {}
             written = PreparedInterval(None, None, frozenset(slots), {}, {})
             return written, inputs.without_geometry()
         timing_ms: dict[str, float] = {}
@@ -292,13 +305,12 @@ class IntervalPreparer:
         if judge.gate is not None and inputs.trial is not None:
             judge.gate.receive(inputs.trial)
         with record_time(timing_ms, "geometry", len(slots)):
-            interval = replace(self._builder.build(inputs), chooser=self._job.chooser)
-        number, recipes = self._timeline.number, inputs.recipes
+            interval = replace(self.builder.build(inputs), chooser=self.job.chooser)
         existing = frozenset(
             slot
             for slot in slots
             if slot.index in inputs.rendered.frames
-            or self._writer.has(number(slot), recipes[slot.index])
+            or self.writer.has(timeline.number(slot), inputs.recipes[slot.index])
         )
         has_missing = len(existing) < len(slots)
         has_new = has_missing and not interval.held
@@ -323,27 +335,33 @@ class IntervalPreparer:
         extrapolates = plan is not None and plan.extrapolates
         if extrapolates and inputs.lacks_history:
             # It is built again with what only extrapolation needs.
-            inputs = self._reader.leader.add_history(inputs)
-            builder = self._builder if judge is self._judge else self._last_builder
+            inputs = self.reader.leader.add_history(inputs)
+            builder = self.builder if judge is self._judge else self._last_builder
             with record_time(timing_ms, "geometry", len(slots)):
                 interval = builder.build(inputs)
-        elif not (extrapolates or inputs.slots or inputs.truth.frames or self._has_layers):
+        elif not (extrapolates or inputs.slots or inputs.truth.frames or self.has_layers):
             interval = interval.bare()  # slots are warped from the key frame
-        self._broken = count_broken(inputs, self._broken) if has_missing else {}
-        parts = self._split(interval, inputs) if has_missing else {}
-        prepared = PreparedInterval(interval, plan, existing, timing_ms, self._broken, trial, parts)
+        broken: dict[int, int] = {}
+        parts: Mapping[int, SubSlot] = {}
+        if has_missing:
+            around = (inputs.frame, inputs.following, *(past.frame for past in inputs.history))
+            # 12 ms for a frame of 1920x1080, so that no count is kept for the next interval.
+            broken = {f.number: count_nonfinite((f.image.pixels,)) for f in around if f is not None}
+            parts = self._split(interval, inputs)
+        prepared = PreparedInterval(interval, plan, existing, timing_ms, broken, trial, parts)
         return prepared, inputs.without_geometry()
 
     def _split(self, interval: Interval, inputs: IntervalInputs) -> Mapping[int, SubSlot]:
         """Return how slots beside rendered frames are made, and say where these are of no use."""
         rendered = inputs.rendered.frames
-        leads = leads_on(self._job.source, self._job.method, self._job.contents)
-        if not (rendered and leads and interval.has_motion):
+        reader = self.reader.leader.rendered
+        if reader is None or not (rendered and reader.leads and interval.has_motion):
             return {}
-        spans = vector_spans(interval, float(1 / self._timeline.factor))
-        numbers = [self._timeline.number(Slot(inputs.key, i)) for i in rendered if i not in spans]
+        timeline = self.job.source.timeline
+        spans = vector_spans(interval, float(1 / timeline.factor))
+        numbers = [timeline.number(Slot(inputs.key, i)) for i in rendered if i not in spans]
         if numbers:
-            self._progress.message(
+            self.progress.message(
                 f"--rendered has no vectors like the key frames' in {ranges(numbers)}: frames "
                 "beside are made from key frames alone"
             )
@@ -375,43 +393,6 @@ def has_surface(frame: KeyFrame) -> bool:
     """Return True if a key frame comes with any of its surface."""
     parts = () if frame.gbuffer is None else SURFACE_PARTS
     return any(getattr(frame.gbuffer, part) is not None for part in parts)
-
-
-def count_broken(inputs: IntervalInputs, counted: Mapping[int, int]) -> dict[int, int]:
-    """Count the pixels that are NaN or infinite, by frame; `counted` are counts of some frames."""
-    counts = {}
-    for frame in (inputs.frame, inputs.following, *(older.frame for older in inputs.history)):
-        if frame is not None:
-            count = counted.get(frame.number)
-            counts[frame.number] = (
-                count_nonfinite((frame.image.pixels,)) if count is None else count
-            )
-    return counts
-
-
-def with_stencils(inputs: IntervalInputs, ids: Ids | None) -> IntervalInputs:
-    """Return an interval whose G-buffers have the objects of some ids as their stencil.
-
-    With None, as `IntervalBuilder.find_moving_objects` returns it, the interval stays as it is.
-    """
-    if ids is None:
-        return inputs
-
-    def marked(gbuffer: GBuffer) -> GBuffer:
-        if gbuffer.objects is None:
-            return gbuffer
-        return replace(gbuffer, stencil=select_ids(gbuffer.objects, ids), objects=None)
-
-    return inputs.map_geometry(marked)
-
-
-def _moving_ids(canvas: Window, now: GBuffer, before: GBuffer | None = None) -> Ids:
-    """Return the ids of what moves between two instants, or by the vectors of one alone."""
-    if now.objects is None or not now.has_motion:
-        return frozenset()
-    raw = now.on(canvas)
-    moves = find_moving(settle_motion(raw), None if before is None else before.on(canvas), raw)
-    return frozenset() if moves is None or raw.objects is None else moving_ids(raw.objects, moves)
 
 
 def _instants(inputs: IntervalInputs) -> Iterator[tuple[Slot, GBuffer]]:

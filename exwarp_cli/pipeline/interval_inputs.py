@@ -15,7 +15,7 @@ from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.generated_frames import FrameTemplate
 from exwarp_cli.io.sequences import Sequence
-from exwarp_cli.pipeline.extra_layers import Content, LayerFrames, LayerReader, template_of
+from exwarp_cli.pipeline import extra_layers
 from exwarp_cli.pipeline.fingerprint import Fingerprinter
 from exwarp_cli.pipeline.gate import TrialInputs, TrialReader
 from exwarp_cli.pipeline.ground_truth import IntervalTruth, TruthReader
@@ -71,7 +71,7 @@ class IntervalInputs:
     # brought along; only for the policy.
     observed: tuple[PolicyObservation, ...] = ()
     truth: IntervalTruth = field(default_factory=IntervalTruth)
-    layers: LayerFrames | None = None  # those that are written beside the beauty
+    layers: extra_layers.LayerFrames | None = None  # those that are written beside the beauty
     older: KeyFrame | None = None  # the key frame before, where layers are led on from there
     views: tuple[IntervalInputs, ...] = ()  # the same interval of the other views
     times: tuple[float, ...] = QUARTERS  # when the slots are, as in `Interval`
@@ -143,18 +143,17 @@ class IntervalReader:
         truth: tuple[Sequence, FrameOf] | None = None,
         depends_on: Dependencies = (None, None, None),
         # What frames hold: of this view first, then of others in the same files; () for the beauty.
-        contents: tuple[Content, ...] = (),
+        contents: tuple[extra_layers.Content, ...] = (),
         leader: IntervalReader | None = None,  # of the view that decides, where cuts are found
         rendered: RenderedFrames | None = None,
     ) -> None:
         self._source, self._method = source, method
         self._suffix = frame_suffix(settings.output, source.keys.sequence)
-        self._contents = contents or (Content(source),)
+        self._contents = contents or (extra_layers.Content(source),)
         content = self._contents[0]
         keep_going = settings.source.keep_going
-        self.truth = TruthReader(
-            source, truth, settings.measured, keep_going and not method.needs_truth
-        )
+        tolerant = keep_going and not method.needs_truth
+        self.truth = TruthReader(source, truth, settings.measured, tolerant)
         network, policy, interpolator = depends_on
         self.fingerprinter = Fingerprinter(
             source, method, settings.compression, truth, network, interpolator, policy,
@@ -165,9 +164,8 @@ class IntervalReader:
         is_alone = content.leads and len(self._contents) == 1 and source.slots is None
         has_vectors = source.finding is not None and not source.estimated
         self._reads_late = is_alone and has_vectors and reads_late(source.keys, method)
-        self.unreadable: UnreadableFrames = (
-            UnreadableFrames(keep_going) if leader is None else leader.unreadable
-        )
+        unreadable = UnreadableFrames(keep_going) if leader is None else leader.unreadable
+        self.unreadable: UnreadableFrames = unreadable
         self.store: KeyFrameStore = KeyFrameStore(
             source, method, self.unreadable, self.fingerprinter.digest, self._reads_late,
             self._observes, None if leader is None else leader.store,
@@ -187,7 +185,7 @@ class IntervalReader:
                 self.trials = first, last
         if keep_going:
             self.fingerprinter.reading = self.store.reading
-        self._layers = LayerReader(content) if content.extra else None
+        self._layers = extra_layers.LayerReader(content) if content.extra else None
         if self._layers is not None:
             self.store.companions.append(self._layers.read_key)
         self.rendered: RenderedReader | None = None
@@ -207,10 +205,10 @@ class IntervalReader:
             number = self._source.timeline.numbers[key]
             inputs = IntervalInputs(
                 key,
-                template_of(self._contents, self._suffix, number),
+                extra_layers.template_of(self._contents, self._suffix, number),
                 recipes=recipes,
                 followed=self.store.is_followed(key),
-                rendered=self._read_rendered(key),
+                rendered=IntervalRendered() if self.rendered is None else self.rendered.read(key),
             )
             if needed(key, recipes):
                 inputs = self._read_frames(inputs)
@@ -235,7 +233,7 @@ class IntervalReader:
             slots=slots,
             history=history,
             lacks_history=lacks_history,
-            observed=self._observe(key),
+            observed=self.observe(key),
             older=None if older_key is None else store.get_in_shot(older_key),
             layers=None if self._layers is None else self._layers.read(key, lookahead, older_key),
             truth=self.truth.read(key),
@@ -245,14 +243,10 @@ class IntervalReader:
             after_hold=self.shots.repeats(key),
             key_digests=self.fingerprinter.key_digests((key, key + 1) if lookahead else (key,)),
         )
-        trials = self._trials_at(key)
-        if trials is not None and self._contents[0].leads:
+        if self.trials and self._contents[0].leads:
+            trials = self.trials[0 if lookahead else -1]
             inputs = replace(inputs, trial=trials.read(key, inputs))
         return inputs
-
-    def _trials_at(self, key: int) -> TrialReader | None:
-        """Return what reads the trial of an interval; None where nothing is tried."""
-        return self.trials[0 if self._looks_ahead(key) else -1] if self.trials else None
 
     def add_history(self, inputs: IntervalInputs) -> IntervalInputs:
         """Return an interval with its older key frames, and the surface of its key frame.
@@ -274,17 +268,10 @@ class IntervalReader:
             with record_time(timing_ms, "read"):
                 frame = replace(self.store.get(key), gbuffer=None)
                 number = self._source.timeline.numbers[key]
-                template = template_of(self._contents, self._suffix, number)
+                template = extra_layers.template_of(self._contents, self._suffix, number)
             passed = IntervalInputs(key, template, frame, read_ms=timing_ms["read"])
         self.release(key)
         return SkippedInterval(key, reason, passed)
-
-    def read_observed(self, key: int) -> tuple[tuple[PolicyObservation, ...], tuple[GBuffer, ...]]:
-        """Read what features of an interval come from: its instants, and its slots' G-buffers."""
-        observed = self._observe(key)
-        slots = tuple(map(self.store.get_slot, self.store.slots_after(key)))
-        self.release(key)
-        return observed, slots
 
     def release(self, key: int) -> None:
         """Drop what no interval after this one needs, or not yet, as it was read to find cuts."""
@@ -315,9 +302,10 @@ class IntervalReader:
             older = self._older_key(key, lookahead)
             if older is not None and older not in keys:
                 keys.append(older)
-            if self._source.slots is not None:
-                instants += [slot for i in (key, *history) for slot in self.store.slots_after(i)]
-            observed_keys = self._observed_keys(key)
+            instants += [slot for i in (key, *history) for slot in self.store.slots_after(i)]
+            observed_keys = range(0)  # whose features a state at this one holds
+            if self._observes:
+                observed_keys = range(self.shots.begin(key, OLDER_KEYS), key + 1)
             pairs = ((Slot(index, 0), self._instant_before(index)) for index in observed_keys)
             instants += [slot for pair in pairs for slot in pair if slot is not None]
             # Fingerprints hold the files of a warp's history.
@@ -330,19 +318,15 @@ class IntervalReader:
             facts.append("held")
         later = {key, *(index + 1 for index in history)}
         facts += [f"repeats {i - key}" for i in sorted(later) if self.shots.repeats(i)]
-        trials = self._trials_at(key)
-        if trials is not None:
-            trial_keys, trial_instants, text = trials.frames(key)
+        if self.trials:
+            trial_keys, trial_instants, text = self.trials[0 if lookahead else -1].frames(key)
             keys += [index for index in trial_keys if index not in keys]
             instants += trial_instants
             facts.append(text)
-        rendered = self._read_rendered(key).frames
+        rendered = {} if self.rendered is None else self.rendered.read(key).frames
         facts += [f"rendered {i} {each.recipe}" for i, each in rendered.items() if each.leads]
         recipes = self.fingerprinter.fingerprints(key, keys, instants, facts, extrapolates)
         return {slot: recipe for slot, recipe in recipes.items() if slot not in rendered}
-
-    def _read_rendered(self, key: int) -> IntervalRendered:
-        return IntervalRendered() if self.rendered is None else self.rendered.read(key)
 
     def _looks_ahead(self, key: int) -> bool:
         return self._method.lookahead and self.store.is_followed(key)
@@ -357,7 +341,7 @@ class IntervalReader:
 
     def _older_key(self, key: int, lookahead: bool) -> int | None:
         """Return the key frame that points are led on from where no next one tells."""
-        if self._layers is None or not self._contents[0].looks_back or lookahead or key == 0:
+        if lookahead or key == 0 or not self._contents[0].looks_back:
             return None
         return None if self.shots.starts_at(key) else key - 1
 
@@ -380,14 +364,12 @@ class IntervalReader:
         """Return how many older key frames slots may depend on, along rendered motion."""
         return 0 if self._source.finding is None else self._method.older_keys(looks_ahead)
 
-    def _observed_keys(self, key: int) -> range:
-        """Return the indices of the key frames whose features a state at this one holds."""
-        return range(self.shots.begin(key, OLDER_KEYS), key + 1) if self._observes else range(0)
-
-    def _observe(self, key: int) -> tuple[PolicyObservation, ...]:
+    def observe(self, key: int) -> tuple[PolicyObservation, ...]:
         """Return the instants of key frames that no earlier interval brought along."""
+        if not self._observes:
+            return ()
         observed = []
-        for index in self._observed_keys(key):
+        for index in range(self.shots.begin(key, OLDER_KEYS), key + 1):
             if index not in self.observed_keys:
                 slot = self._instant_before(index)
                 before = None if slot is None else self.store.get_shape(slot)

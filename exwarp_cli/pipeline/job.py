@@ -18,28 +18,21 @@ from exwarp_cli.io.generated_frames import parse_compression
 from exwarp_cli.io.layers import BEAUTY
 from exwarp_cli.pipeline.decide import make_chooser
 from exwarp_cli.pipeline.extra_layers import Content, contents_of
-from exwarp_cli.pipeline.ground_truth import find_truth, require_truth_size
-from exwarp_cli.pipeline.messages import (
-    Models,
-    input_messages,
-    model_messages,
-    output_messages,
-)
+from exwarp_cli.pipeline.ground_truth import find_truth, truth_of_another_size
+from exwarp_cli.pipeline.messages import Models, input_messages, model_messages, output_messages
 from exwarp_cli.pipeline.output_plan import OutputPlan, require_own
-from exwarp_cli.pipeline.rendered_frames import find_rendered
+from exwarp_cli.pipeline.rendered_frames import RenderedFrames, find_rendered
 from exwarp_cli.pipeline.scheduling import use_threads
 from exwarp_cli.pipeline.scoring import require_measurable
-from exwarp_cli.pipeline.source import open_sources, require_one_size
-from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
-from exwarp_cli.synthesis.methods import (
-    CAUSAL,
-    EFFORTLESS,
-    EXWARP,
-    FRAMEWISE,
-    METHODS,
-    DecisionSource,
-    Method,
+from exwarp_cli.pipeline.source import (
+    FrameOf,
+    Source,
+    find_other_windows,
+    open_sources,
+    require_one_size,
 )
+from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
+from exwarp_cli.synthesis import methods
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.results import RunOutcome
@@ -48,8 +41,6 @@ if TYPE_CHECKING:
     from exwarp_cli.models.picture_network import OnnxExtrapolator, OnnxLookAhead
     from exwarp_cli.models.policy_files import PolicyFile
     from exwarp_cli.pipeline.progress import Progress
-    from exwarp_cli.pipeline.rendered_frames import RenderedFrames
-    from exwarp_cli.pipeline.source import FrameOf, Source
     from exwarp_cli.synthesis.interval import TileChooser
 
 
@@ -58,7 +49,7 @@ class Job:
     """What a run works with."""
 
     settings: UpsampleSettings
-    method: Method
+    method: methods.Method
     sources: tuple[Source, ...]  # one a view; the first decides, and is scored
     # What the method needs of these three; None for what it does without.
     network: OnnxExtrapolator | None
@@ -77,12 +68,6 @@ class Job:
     def sums(self) -> bool:
         """True if checksums of files are wanted."""
         return self.reported or self.settings.verify
-
-    @property
-    def measures_key_pulse(self) -> bool:
-        """True if new frames without ground truth are compared with their key frames."""
-        asked = self.reported or self.settings.metrics is not None
-        return asked and "pulse" in self.settings.measured
 
     @property
     def source(self) -> Source:
@@ -115,7 +100,7 @@ class Job:
         return self.models.extrapolator, policy, self.models.interpolator
 
     def refuse(self) -> None:
-        """Refuse frames of several sizes, and to overwrite; touch nothing.
+        """Refuse frames and ground truth of several sizes, and to overwrite; touch nothing.
 
         See `require_one_size`, `OutputPlan.check_conflicts` and `require_own`.
         """
@@ -133,7 +118,13 @@ class Job:
         if self.truth is not None and (
             self.method.needs_truth or not self.settings.source.keep_going
         ):
-            require_truth_size(self.truth, self.source, self.keys)
+            sequence, frame_of = self.truth
+            timeline, display = self.source.timeline, self.source.keys.display
+            made = [slot for key in self.keys for slot in timeline.made_of(key)]
+            truth = {slot: (sequence, n) for slot in made if (n := frame_of(slot)) is not None}
+            for slot, window in find_other_windows(truth, display).items():
+                if window.shape != display.shape:
+                    raise truth_of_another_size(timeline.number(slot), window, display)
         if self.rendered is not None:
             self.rendered.require_usable(self.targets.frames, self.source, self.keys)
         self.targets.check_conflicts(self.source.timeline, self.slots)
@@ -209,7 +200,7 @@ def open_job(settings: UpsampleSettings) -> Job:
     is_alone = len(sources) == 1 and settings.layers == BEAUTY
     has_vectors = source.finding is not None and source.slots is None
     if method.weighs and method.gated and is_alone and has_vectors and source.allows_decisions:
-        method = replace(method, tail=METHODS[CAUSAL])
+        method = replace(method, tail=methods.METHODS[methods.CAUSAL])
     if method.last.extrapolates:
         scratch = ScratchFrames(LARGE_PIXELS)
         sources = tuple(replace(each, scratch=scratch) for each in sources)
@@ -217,7 +208,7 @@ def open_job(settings: UpsampleSettings) -> Job:
     network, interpolator = find_networks(settings, method)
     policy, look_ahead_policy = _find_policies(settings, method)
     if policy is not None and not policy.of_tiles:
-        method = FRAMEWISE
+        method = methods.FRAMEWISE
     _require_usable(settings, method, source, interpolator)
     contents = contents_of(sources, settings.layers)
     models = Models.of(source, network, interpolator, policy, look_ahead_policy, settings.spent)
@@ -238,25 +229,25 @@ def open_job(settings: UpsampleSettings) -> Job:
     )  # fmt: skip
 
 
-def _find_method(settings: UpsampleSettings) -> Method:
+def _find_method(settings: UpsampleSettings) -> methods.Method:
     """Return the method that settings name: with `causal` one of no later key frame."""
     name, causal = settings.method, settings.causal
-    if name in (None, EXWARP):
+    if name in (None, methods.EXWARP):
         if causal:
-            return METHODS[CAUSAL]
-        return EFFORTLESS if settings.effort == 0 else METHODS[EXWARP]
-    if name not in METHODS:
-        raise UsageError(f"--method {name} is not one of {', '.join(METHODS)}")
-    if causal and METHODS[name].lookahead:
+            return methods.METHODS[methods.CAUSAL]
+        return methods.EFFORTLESS if settings.effort == 0 else methods.METHODS[methods.EXWARP]
+    if name not in methods.METHODS:
+        raise UsageError(f"--method {name} is not one of {', '.join(methods.METHODS)}")
+    if causal and methods.METHODS[name].lookahead:
         raise UsageError(
             f"--causal keeps to past key frames, and --method {name} uses the next one, too; leave "
             "out one of the two"
         )
-    return METHODS[name]
+    return methods.METHODS[name]
 
 
 def find_networks(
-    settings: UpsampleSettings, method: Method
+    settings: UpsampleSettings, method: methods.Method
 ) -> tuple[OnnxExtrapolator | None, OnnxInterpolator | OnnxLookAhead | None]:
     """Load the network that a method extrapolates with, and the one that it interpolates with.
 
@@ -265,7 +256,7 @@ def find_networks(
     needs; InputError or MissingExtraError when a network cannot be used.
     """
     other_device = settings.device != UpsampleSettings.device
-    rules: tuple[tuple[str, bool, str, Callable[[Method], bool]], ...] = (
+    rules: tuple[tuple[str, bool, str, Callable[[methods.Method], bool]], ...] = (
         ("--extrapolator", settings.extrapolator is not None, "extrapolate",
          lambda m: m.last.extrapolates),
         ("--interpolator", settings.interpolator is not None, "interpolate so",
@@ -274,8 +265,8 @@ def find_networks(
     )  # fmt: skip
     for option, is_set, what, uses in rules:
         # At an effort of 0 the default takes options of the networks that it would run.
-        if is_set and not (uses(method) or uses(METHODS[method.name])):
-            users = [user for user in METHODS.values() if uses(user)]
+        if is_set and not (uses(method) or uses(methods.METHODS[method.name])):
+            users = [user for user in methods.METHODS.values() if uses(user)]
             names = ", ".join(user.name for user in users)
             raise UsageError(
                 f"{option} is for methods that {what}, and --method {method.name} does not; "
@@ -286,11 +277,12 @@ def find_networks(
     if method.last.extrapolates:
         from exwarp_cli.models.picture_network import load_extrapolator
 
-        network = load_extrapolator(_path(settings.extrapolator), settings.threads, settings.device)
+        path = None if settings.extrapolator is None else Path(settings.extrapolator)
+        network = load_extrapolator(path, settings.threads, settings.device)
     if method.weighs:
         from exwarp_cli.models.picture_network import load_lookahead
 
-        path = _path(settings.interpolator)
+        path = None if settings.interpolator is None else Path(settings.interpolator)
         interpolator = load_lookahead(path, settings.threads, settings.device)
     elif method.interpolates:
         if settings.interpolator is None:
@@ -305,39 +297,32 @@ def find_networks(
     return network, interpolator
 
 
-def _path(text: str | None) -> Path | None:
-    return None if text is None else Path(text)
-
-
 def _find_policies(
-    settings: UpsampleSettings, method: Method
+    settings: UpsampleSettings, method: methods.Method
 ) -> tuple[PolicyFile | None, PolicyFile | None]:
     """Load the policy that a method asks, and what chooses tiles between key frames.
 
     None for a method that asks no policy, and where a network makes all tiles.
     """
-    from exwarp_cli.models.policy_files import (
-        PAPER,
-        SHIPPED_LOOK_AHEAD_POLICY,
-        SHIPPED_POLICY,
-        SHIPPED_TILE_POLICY,
-        load_policy,
-    )
+    from exwarp_cli.models import policy_files
 
-    if settings.policy is not None and method.judge is not DecisionSource.TILES:
+    if settings.policy is not None and method.judge is not methods.DecisionSource.TILES:
         raise UsageError(
             f"--policy is for --causal, and --method {method.name} asks no policy; leave it out"
         )
     policy = look_ahead_policy = None
-    if method.last.judge is DecisionSource.TILES and settings.policy == PAPER:
-        policy = require_state(load_policy(None, SHIPPED_POLICY))
-    elif method.last.judge is DecisionSource.TILES:
-        policy = require_state(load_policy(_path(settings.policy), SHIPPED_TILE_POLICY))
+    if method.last.judge is methods.DecisionSource.TILES:
+        path, shipped = None, policy_files.SHIPPED_TILE_POLICY
+        if settings.policy == policy_files.PAPER:
+            shipped = policy_files.SHIPPED_POLICY
+        elif settings.policy is not None:
+            path = Path(settings.policy)
+        policy = require_state(policy_files.load_policy(path, shipped))
     if method.weighs and method.gated and settings.spent != 1:
-        look_ahead_policy = load_policy(None, SHIPPED_LOOK_AHEAD_POLICY)
+        look_ahead_policy = policy_files.load_policy(None, policy_files.SHIPPED_LOOK_AHEAD_POLICY)
         require_state(look_ahead_policy, LOOK_AHEAD_STATE)
     by_tiles = policy is not None and policy.of_tiles
-    if settings.effort is not None and not (by_tiles or method.name == EXWARP):
+    if settings.effort is not None and not (by_tiles or method.name == methods.EXWARP):
         chooser = (
             "--policy chooses for whole frames" if policy else f"{method.name} chooses nothing"
         )
@@ -366,7 +351,7 @@ def require_state(policy: PolicyFile, *versions: str | int) -> PolicyFile:
 
 def _require_usable(
     settings: UpsampleSettings,
-    method: Method,
+    method: methods.Method,
     source: Source,
     interpolator: OnnxInterpolator | OnnxLookAhead | None,
 ) -> None:
@@ -376,7 +361,7 @@ def _require_usable(
             f"--method {method.name} decides by ground truth; give it with --ground-truth, or use "
             "--causal"
         )
-    if not (settings.gate or method.gated or method is EFFORTLESS):
+    if not (settings.gate or method.gated or method is methods.EFFORTLESS):
         raise UsageError(
             f"--no-gate is for exwarp and --causal, and --method {method.name} has no gate; leave "
             "it out"
@@ -396,7 +381,7 @@ def _require_usable(
         )
     timeline = source.timeline
     if not (method.any_factor or source.allows_decisions):
-        names = ", ".join(each.name for each in METHODS.values() if each.any_factor)
+        names = ", ".join(each.name for each in methods.METHODS.values() if each.any_factor)
         raise UsageError(
             f"--method {method.name} decides between slots of {FACTOR} times the rate, and "
             f"{float(timeline.factor):g} times are asked for; use one of {names}"

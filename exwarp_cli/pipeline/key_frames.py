@@ -130,7 +130,10 @@ class KeyFrameStore:
             ahead = self._lookahead and self.is_followed(key)
             ahead = ahead and not (before and self.shots.repeats(key + 1))
             return self._estimates.moving(key, back, ahead, before)
-        return self._within_shot(key, self.get(key))
+        frame = self.get(key)
+        if frame.gbuffer is None:
+            return frame
+        return replace(frame, gbuffer=self.shots.within(key, frame.gbuffer))
 
     def get_complete(self, key: int, frame: KeyFrame | None = None) -> KeyFrame:
         """Return a key frame with its surface, without vectors that lead to another shot.
@@ -143,7 +146,9 @@ class KeyFrameStore:
             if frame is None:
                 number, everything = self.source.timeline.numbers[key], (*GEOMETRY, *SURFACE)
                 raw = read_raw(keys, number, (Role.COLOUR, *everything), objects=True)
-                frame = self._within_shot(key, raw.key(self.source.convention))
+                frame = raw.key(self.source.convention)
+                if frame.gbuffer is not None:
+                    frame = replace(frame, gbuffer=self.shots.within(key, frame.gbuffer))
             elif frame.gbuffer is not None:
                 # With colour everything lies on its data window.
                 on_display = frame.gbuffer.window == keys.display
@@ -301,11 +306,6 @@ class KeyFrameStore:
             if is_plain(keys.sequence):
                 return KeyFrame(number, read_key_picture(keys, number), None)
             return read_raw(keys, number, (Role.COLOUR,)).key(None)
-
-    def _within_shot(self, key: int, frame: KeyFrame) -> KeyFrame:
-        if frame.gbuffer is None:
-            return frame
-        return replace(frame, gbuffer=self.shots.within(key, frame.gbuffer))
 
 
 def reads_late(shot: Shot, method: Method) -> bool:

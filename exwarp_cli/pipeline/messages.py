@@ -216,7 +216,7 @@ def input_messages(job: Job) -> Iterator[str]:
         )
     last = len(timeline.numbers) - 1
     if method.lookahead and last in job.keys and timeline.made_of(last):
-        warped = "s6" if source.moves else "hold"
+        warped = "s6" if source.estimated or source.finding is not None else "hold"
         fallback = warped if method.tail is None else "what --causal does"
         yield (
             f"after the last key frame there is no next one, so {method.name} falls back to "

@@ -17,15 +17,8 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import is_visible, read_raw
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.pipeline.shots import pairs_around, pairs_within
+from exwarp_cli.synthesis import calibration_samples
 from exwarp_cli.synthesis.calibration import calibrate, preset_hint
-from exwarp_cli.synthesis.calibration_samples import (
-    MIN_SAMPLES,
-    FrameSamples,
-    KeyPair,
-    MotionFrame,
-    sample_frame,
-    sample_key_pair,
-)
 from exwarp_cli.synthesis.cut_detection import compare_thumbnails, make_thumbnail
 from exwarp_cli.synthesis.holds import has_colour_moved, has_geometry_moved
 
@@ -208,7 +201,7 @@ class _Measurement:
     names: tuple[str, ...]
     detect: bool
     guess: MotionConvention | None  # by hand, or by the names of the channels
-    _frames: dict[tuple[int, bool], FrameSamples] = field(default_factory=dict)
+    _frames: dict[tuple[int, bool], calibration_samples.FrameSamples] = field(default_factory=dict)
 
     def finding(self) -> MotionFinding:
         """Measure by world positions if there are any, else by depth and colour."""
@@ -238,10 +231,8 @@ class _Measurement:
         frames = ", ".join(f"{numbers[i]}-{numbers[i + 1]}" for i in firsts)
         if any(self._picture_moves(first) for first in firsts):
             producer = self.shot.layout.producer
-            advice = next(
-                (text for name, text in BLUR_ADVICE.items() if producer.startswith(name)),
-                "switch it off in the renderer's settings",
-            )
+            texts = (text for name, text in BLUR_ADVICE.items() if producer.startswith(name))
+            advice = next(texts, "switch it off in the renderer's settings")
             raise MotionError(
                 f"the motion channels {', '.join(self.names)} are 0 throughout in frames "
                 f"{frames}, while the picture moves: motion blur was on, or the pass is empty; "
@@ -298,39 +289,32 @@ class _Measurement:
         # One after the other: each is decoded on all threads, and two at once took a sixth more.
         pairs = [(self._frame(i, by_colour), self._frame(i + 1, by_colour)) for i in firsts]
         width, height = self.shot.display.width, self.shot.display.height
-        return calibrate(
-            pairs,
-            self.guess,
-            self.names,
-            self._intervals(len(firsts)),
-            {name: preset.sized(width, height) for name, preset in PRESETS.items()},
-            number_step(self.shot.sequence.numbers),
-        )
+        presets = {name: preset.sized(width, height) for name, preset in PRESETS.items()}
+        intervals, step = self._intervals(len(firsts)), number_step(self.shot.sequence.numbers)
+        return calibrate(pairs, self.guess, self.names, intervals, presets, step)
 
     def _beside_holds(self, firsts: list[int], by_colour: bool) -> list[int]:
-        """Return the pairs, in place of those that show one picture twice others nearby."""
-        chosen, count = set(), len(self.shot.sequence.numbers)
-        for first in firsts:
-            pairs = pairs_around(first, count, self._is_parted)
-            moving = (pair for pair in pairs if not self._is_hold(first, by_colour, pair))
-            chosen.add(next(moving, first))
-        return sorted(chosen)
+        """Return the pairs, in place of those that show one picture twice others nearby.
 
-    def _is_hold(self, wanted: int, by_colour: bool, first: int) -> bool:
-        """Return True if both frames of a pair are the same, though their vectors are not at rest.
-
-        Of a pair at rest, others are looked for where all of them are. `wanted` is the pair in
-        whose place others are looked through.
+        The two frames of such a pair are the same, though their vectors are not at rest: of a pair
+        at rest, others are looked for where all of them are.
         """
-        if abs(first - wanted) > 1:
-            self._frames.clear()  # so that few are in memory
-        before, after = self._frame(first, by_colour), self._frame(first + 1, by_colour)
-        if not (before.moving.any() or after.moving.any()):
-            return False
-        parts = ("position", "depth", "perceived")
-        values = [(getattr(before, part), getattr(after, part)) for part in parts]
-        comparable = [(a, b) for a, b in values if a is not None and b is not None]
-        return bool(comparable) and all(np.array_equal(a, b, equal_nan=True) for a, b in comparable)
+        chosen, count = set(), len(self.shot.sequence.numbers)
+        for wanted in firsts:
+            moving = wanted
+            for first in pairs_around(wanted, count, self._is_parted):
+                if abs(first - wanted) > 1:
+                    self._frames.clear()  # so that few are in memory
+                before, after = self._frame(first, by_colour), self._frame(first + 1, by_colour)
+                parts = ("position", "depth", "perceived")
+                values = [(getattr(before, part), getattr(after, part)) for part in parts]
+                known = [(a, b) for a, b in values if a is not None and b is not None]
+                is_same = bool(known) and all(np.array_equal(*v, equal_nan=True) for v in known)
+                if not is_same or not (before.moving.any() or after.moving.any()):
+                    moving = first
+                    break
+            chosen.add(moving)
+        return sorted(chosen)
 
     def _moving_pairs(self, firsts: list[int], by_colour: bool) -> list[int]:
         """Return pairs in which something moves, of some that are evenly spread; few at most."""
@@ -341,13 +325,14 @@ class _Measurement:
             if self._is_parted(first + 1) or len(moving) == MOST_MOVING:
                 continue
             ends = [self._frame(i, by_colour) for i in (first, first + 1)]
-            if any(np.count_nonzero(frame.moving & frame.usable) >= MIN_SAMPLES for frame in ends):
+            counts = [np.count_nonzero(frame.moving & frame.usable) for frame in ends]
+            if max(counts) >= calibration_samples.MIN_SAMPLES:
                 moving.append(first)
             else:
                 self._frames.clear()
         return moving
 
-    def _frame(self, index: int, by_colour: bool = False) -> FrameSamples:
+    def _frame(self, index: int, by_colour: bool = False) -> calibration_samples.FrameSamples:
         """Read and reduce a frame; what was reduced before is kept."""
         number = self.shot.sequence.numbers[index]
         key = number, by_colour
@@ -360,9 +345,9 @@ class _Measurement:
             assert raw.motion is not None
             motion = place_on_canvas(raw.motion, raw.gbuffer.window, self.shot.display, np.nan)
             colour = None if raw.image is None else raw.image.on(self.shot.display).pixels
-            self._frames[key] = sample_frame(
-                MotionFrame(number, raw.gbuffer.on(self.shot.display), motion, colour)
-            )
+            gbuffer = raw.gbuffer.on(self.shot.display)
+            frame = calibration_samples.MotionFrame(number, gbuffer, motion, colour)
+            self._frames[key] = calibration_samples.sample_frame(frame)
         return self._frames[key]
 
     def _is_parted(self, index: int) -> bool:
@@ -390,7 +375,7 @@ class _Measurement:
         )
         return compare_thumbnails(before, after).found
 
-    def _intervals(self, count: int) -> list[KeyPair]:
+    def _intervals(self, count: int) -> list[calibration_samples.KeyPair]:
         """Read so many intervals between key frames whose colours tell, and the vectors between.
 
         [] without colours; intervals of which a frame cannot be read are left out.
@@ -424,5 +409,5 @@ class _Measurement:
                 if not keys.keep_going:
                     raise
                 continue
-            intervals.append(sample_key_pair(numbers, before, after, vectors))
+            intervals.append(calibration_samples.sample_key_pair(numbers, before, after, vectors))
         return intervals

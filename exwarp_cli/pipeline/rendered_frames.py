@@ -20,7 +20,7 @@ from exwarp_cli.io.footage import digest_frame, find_frames, is_plain, read_key_
 from exwarp_cli.io.frames import read_raw
 from exwarp_cli.io.generated_frames import FileState, find_authorship
 from exwarp_cli.io.sequences import EXR, FramePattern, Sequence, find_sequence
-from exwarp_cli.io.shot import Shot, count_nonfinite, require_sound
+from exwarp_cli.io.shot import count_nonfinite, require_sound
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.extra_layers import Content, LayerStore
@@ -129,12 +129,14 @@ class RenderedReader:
         method: Method,  # says whether slots around are made from them, too
     ) -> None:
         self._source = source = contents[0].source
-        self._leads = leads_on(source, method, contents)
+        # Slots around are made from them, too: of the beauty alone, from both sides, and along key
+        # frames' vectors.
+        is_alone = len(contents) == 1 and not contents[0].extra
+        has_vectors = source.finding is not None and source.slots is None and not source.keys.aovs
+        self.leads = is_alone and has_vectors and method.lookahead and method.needs_motion
         self._sequence = rendered.sequence
-        self._shots = [
-            replace(content.source.keys, sequence=rendered.sequence, aovs={})
-            for content in contents
-        ]
+        keys = (content.source.keys for content in contents)
+        self._shots = [replace(shot, sequence=rendered.sequence, aovs={}) for shot in keys]
         pairs = zip(self._shots, contents, strict=True)
         self._layers = [LayerStore(shot, content.extra) for shot, content in pairs]
         # What was found in the frames by output number, of each view.
@@ -179,7 +181,18 @@ class RenderedReader:
                 f"{path} was not rendered but made by ExWarp; name a folder of rendered frames "
                 "alone"
             )
-        frames = [self._read_as_key(shot, number) for shot in self._shots]
+        frames = []
+        for shot in self._shots:
+            frame: KeyFrame | None = None
+            if is_plain(self._source.keys.sequence):
+                frame = KeyFrame(number, read_key_picture(shot, number), None)
+            elif self.leads:
+                roles = (Role.COLOUR, *GEOMETRY_WITHOUT_NORMAL)
+                with suppress(LayoutError):  # a frame without geometry takes its place all the same
+                    frame = read_raw(shot, number, roles, objects=True).key(self._source.convention)
+            if frame is None:
+                frame = replace(read_raw(shot, number, (Role.COLOUR,)).key(None), gbuffer=None)
+            frames.append(frame)
         for layers in self._layers:
             layers.frame(number)
             layers.keep(())
@@ -189,23 +202,3 @@ class RenderedReader:
         recipe = hashlib.sha256(text.encode()).hexdigest()
         broken = count_nonfinite((frames[0].image.pixels,))
         return RenderedFrame(path, frames[0], recipe, broken)
-
-    def _read_as_key(self, shot: Shot, number: int) -> KeyFrame:
-        """Read a frame as if it were a key frame; raises InputError where that fails."""
-        if is_plain(self._source.keys.sequence):
-            return KeyFrame(number, read_key_picture(shot, number), None)
-        if self._leads:
-            with suppress(LayoutError):  # a frame without geometry takes its place all the same
-                raw = read_raw(shot, number, (Role.COLOUR, *GEOMETRY_WITHOUT_NORMAL), objects=True)
-                return raw.key(self._source.convention)
-        return replace(read_raw(shot, number, (Role.COLOUR,)).key(None), gbuffer=None)
-
-
-def leads_on(source: Source, method: Method, contents: tuple[Content, ...]) -> bool:
-    """Return True if slots around rendered frames are made from these, too.
-
-    Only the beauty is, from both sides, and along key frames' vectors.
-    """
-    is_alone = len(contents) == 1 and not contents[0].extra
-    has_vectors = source.finding is not None and source.slots is None and not source.keys.aovs
-    return is_alone and has_vectors and method.lookahead and method.needs_motion

@@ -49,15 +49,13 @@ class UnreadableFrames:
 
         The error is raised again, and raised at once for a frame that is recorded.
         """
-        if not self.tolerant:
-            yield
-            return
         if slot in self._reasons:
             raise InputError(self._reasons[slot]) from _RecordedError()
         try:
             yield
         except InputError as error:
-            if isinstance(error.__cause__, _RecordedError):  # another frame, read for this one
+            # A recorded error is that of another frame, read for this one.
+            if not self.tolerant or isinstance(error.__cause__, _RecordedError):
                 raise
             self._reasons[slot] = str(error)  # without what its traceback holds
             raise InputError(self._reasons[slot]) from _RecordedError()
@@ -67,6 +65,7 @@ class UnreadableFrames:
         return any(slot in self._reasons for slot in slots)
 
 
+@dataclass(eq=False)
 class Shots:
     """Where shots begin and pictures repeat, of every pair of key frames from those two alone.
 
@@ -75,68 +74,59 @@ class Shots:
     MissingFrameError when a cut is given at a frame that the sequence lacks.
     """
 
-    def __init__(
-        self,
-        wish: CutOption,
-        numbers: Sequence[int],  # of the input's key frames
-        # Reads a key frame that was not seen, or released; shows it by `see`, and returns it.
-        read: Callable[[int], KeyFrame],
-        # Key frames that cannot be read: shots end before them, and begin after them.
-        unreadable: UnreadableFrames | None = None,
-        lossy: bool = False,  # True if a lossy codec may have changed pictures that are repeated
-        # Of the view that tells where shots begin: all views are cut and held alike.
-        leader: Shots | None = None,
-    ) -> None:
-        self._wish = wish
-        self._numbers = numbers
-        self._given = wish.starts_in(numbers)
+    wish: CutOption
+    numbers: Sequence[int]  # of the input's key frames
+    # Reads a key frame that was not seen, or released; shows it by `see`, and returns it.
+    read: Callable[[int], KeyFrame]
+    # Key frames that cannot be read: shots end before them, and begin after them.
+    unreadable: UnreadableFrames = field(default_factory=UnreadableFrames)
+    lossy: bool = False  # True if a lossy codec may have changed pictures that are repeated
+    # Of the view that tells where shots begin: all views are cut and held alike.
+    leader: Shots | None = None
+    _followers: list[Shots] = field(default_factory=list)
+    _glances: dict[int, Thumbnail] = field(default_factory=dict)
+    _starts: dict[int, bool] = field(default_factory=dict)
+    _repeats: dict[int, bool] = field(default_factory=dict)
+    _changes: dict[int, PictureChange] = field(default_factory=dict)
+    _leaps: dict[int, tuple[float, float, float] | None] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._given = self.wish.starts_in(self.numbers)
         self._beside_given = {key - i for key in self._given for i in (0, 1)}
-        self._read = read
-        self._unreadable = UnreadableFrames() if unreadable is None else unreadable
-        self._lossy = lossy
-        self._glances: dict[int, Thumbnail] = {}
-        self._starts: dict[int, bool] = {}
-        self._repeats: dict[int, bool] = {}
-        self._changes: dict[int, PictureChange] = {}
-        self._leaps: dict[int, tuple[float, float, float] | None] = {}
-        self._leader = leader
-        self._followers: list[Shots] = []
-        if leader is not None:
-            leader._followers.append(self)
+        if self.leader is not None:
+            self.leader._followers.append(self)
 
     @property
     def cuts(self) -> tuple[Cut, ...] | None:
         """The cuts that were met so far; None where there are none by the user's will."""
-        if not self._wish.detect and not self._wish.numbers:
+        if not self.wish.detect and not self.wish.numbers:
             return None
+        starts = (key for key, is_start in sorted(self._starts.items()) if is_start)
         return tuple(
-            Cut(self._numbers[key], "given" if key in self._given else "detected")
-            for key, is_start in sorted(self._starts.items())
-            if is_start
+            Cut(self.numbers[k], "given" if k in self._given else "detected") for k in starts
         )
 
     def see(self, key: int, frame: KeyFrame) -> None:
         """Take a glance at a key frame as it was read, with vectors over a key interval."""
-        if self._wish.detect or key in self._beside_given:
+        if self.wish.detect or key in self._beside_given:
             self._glances[key] = make_thumbnail(frame)
 
     def starts_at(self, key: int) -> bool:
         """Return True if a cut lies before a key frame; none does before the first."""
-        if self._leader is not None:
-            return self._leader.starts_at(key)
-        inside = 0 < key < len(self._numbers)
-        is_beside_hole = self._unreadable.has(Slot(key - 1, 0), Slot(key, 0))
+        if self.leader is not None:
+            return self.leader.starts_at(key)
+        inside = 0 < key < len(self.numbers)
+        is_beside_hole = self.unreadable.has(Slot(key - 1, 0), Slot(key, 0))
         if is_beside_hole and key not in self._given:
             return inside
         if key not in self._starts:
             is_start = inside and key in self._given
-            if inside and not is_start and self._wish.detect:
-                glances = self._glance(key - 1), self._glance(key)
-                is_start = compare_thumbnails(*glances).found
-            elif inside and not is_start and self._unreadable.tolerant:
+            if inside and not is_start and self.wish.detect:
+                is_start = compare_thumbnails(self._glance(key - 1), self._glance(key)).found
+            elif inside and not is_start and self.unreadable.tolerant:
                 # Whether they can be read shows as they are read.
-                self._read(key - 1)
-                self._read(key)
+                self.read(key - 1)
+                self.read(key)
             self._starts[key] = is_start
         return self._starts[key]
 
@@ -145,18 +135,18 @@ class Shots:
 
         The first of a shot repeats nothing.
         """
-        if self._leader is not None:
-            return self._leader.repeats(key)
+        if self.leader is not None:
+            return self.leader.repeats(key)
         if key not in self._repeats:
-            inside = 0 < key < len(self._numbers) and not self.starts_at(key)
+            inside = 0 < key < len(self.numbers) and not self.starts_at(key)
             self._repeats[key] = inside and all(
                 shots._shows_same_picture(key) for shots in (self, *self._followers)
             )
         return self._repeats[key]
 
     def _shows_same_picture(self, key: int) -> bool:
-        if not self._lossy:
-            before, after = (self._read(index).image for index in (key - 1, key))
+        if not self.lossy:
+            before, after = (self.read(index).image for index in (key - 1, key))
             return is_same_picture(before, after)
         change = self._change(key)
         if change.is_noise() or not change.is_calm():
@@ -169,9 +159,8 @@ class Shots:
         return False
 
     def _change(self, key: int) -> PictureChange:
-        """Return the change from the key frame before to one."""
         if key not in self._changes:
-            before, after = (self._read(index).image for index in (key - 1, key))
+            before, after = (self.read(index).image for index in (key - 1, key))
             self._changes[key] = change_between(before, after)
         return self._changes[key]
 
@@ -207,12 +196,12 @@ class Shots:
 
     def _glance(self, key: int) -> Thumbnail:
         if key not in self._glances:
-            self._read(key)
+            self.read(key)
         return self._glances[key]
 
     def _vectors_across_cut(self, key: int) -> str:
         """Return which vectors of a key frame lead to another shot; "" for none."""
-        if not self._wish.detect and key not in self._beside_given:
+        if not self.wish.detect and key not in self._beside_given:
             return ""
         if key not in self._leaps:
             self._leaps[key] = measure_leap(self._glance(key))

@@ -28,7 +28,7 @@ from exwarp_cli.domain.timeline import (
 )
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError, UsageError
 from exwarp_cli.io import sequences
-from exwarp_cli.io.channel_map import AovFile, ChannelMap, parse_aovs, read_channel_map
+from exwarp_cli.io.channel_map import parse_aovs, read_channel_map
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import clip_rate, find_footage, is_plain, make_shot, read_display_window
 from exwarp_cli.io.frames import require_visible
@@ -36,18 +36,8 @@ from exwarp_cli.io.layers import is_colour_alone, no_vectors_message
 from exwarp_cli.io.shot import Shot, open_shot
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.views import ALL
-from exwarp_cli.pipeline.depth_and_ids import (
-    read_alike,
-    read_ids,
-    with_depth_measured,
-    with_depth_ordered,
-    with_world_positions,
-)
-from exwarp_cli.pipeline.motion_convention import (
-    find_motion,
-    motion_names,
-    parse_motion,
-)
+from exwarp_cli.pipeline import depth_and_ids
+from exwarp_cli.pipeline.motion_convention import find_motion, motion_names, parse_motion
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
 
 T = TypeVar("T")
@@ -92,11 +82,6 @@ class Source:
         return None if self.fps_source == "assumed" else self.output_fps
 
     @property
-    def moves(self) -> bool:
-        """True if motion is known, by vectors or estimated."""
-        return self.estimated or self.finding is not None
-
-    @property
     def convention(self) -> MotionConvention | None:
         """Convention of the motion vectors in use; None without motion."""
         return None if self.finding is None else self.finding.convention
@@ -135,12 +120,8 @@ def open_source(
     and EXR with colour alone are taken, and their motion estimated; and EXR with other passes and
     without usable vectors, where `settings` allow it.
 
-    Raises
-    ------
-    InputError
-        When a sequence is missing, has gaps, or lacks what is needed.
-    MotionError
-        When the convention of the motion vectors cannot be settled.
+    Raises InputError when a sequence is missing, has gaps, or lacks what is needed; MotionError
+    when the convention of the motion vectors cannot be settled.
     """
     cuts = parse_cuts(settings.cuts)
     plain = open_plain(settings) if pictures else None
@@ -163,7 +144,7 @@ def open_source(
             "--gbuffers out, or give a whole --factor"
         )
     first_keys = cuts.starts_in(timeline.numbers)
-    keys, slots = read_ids(settings.dynamic, keys, open_slots(settings, keys))
+    keys, slots = depth_and_ids.read_ids(settings.dynamic, keys, open_slots(settings, keys))
     slot_number: FrameOf = _no_number
     starts: set[int | None] = {timeline.numbers[key] for key in first_keys}
     if slots is not None:
@@ -205,7 +186,9 @@ def _with_motion(
         if motion_needed and not may_estimate:
             raise
         finding, unusable = None, str(error)
-    ordered = shot if finding is None else with_depth_ordered(shot, finding.convention, starts)
+    ordered = shot
+    if finding is not None:
+        ordered = depth_and_ids.with_depth_ordered(shot, finding.convention, starts)
     if slots is None:
         keys = ordered
     elif ordered is not shot:
@@ -214,7 +197,7 @@ def _with_motion(
             {ref.name for ref in each.layout.roles.get(Role.DEPTH, ())} for each in (keys, slots)
         )
         if names == slot_names and keys.depth == slots.depth:
-            keys = read_alike(keys, ordered)
+            keys = depth_and_ids.read_alike(keys, ordered)
         slots = ordered
     # A render with passes is meant to have vectors: a farm would not notice that they are missing.
     is_footage = (
@@ -249,13 +232,12 @@ def open_sources(settings: SourceSettings, motion_needed: bool) -> tuple[Source,
     """
     sources = tuple(open_source(view, motion_needed, pictures=True) for view in each_view(settings))
     leader = sources[0].keys.sequence
-    for source in sources:
-        if source.keys.sequence.files != leader.files:
-            raise UsageError(
-                f"--view all writes all views into one file, and here each has its own "
-                f"({leader.pattern}); run once for each: "
-                + ", ".join(f"--view {each.keys.view}" for each in sources)
-            )
+    if any(source.keys.sequence.files != leader.files for source in sources):
+        views = ", ".join(f"--view {source.keys.view}" for source in sources)
+        raise UsageError(
+            f"--view all writes all views into one file, and here each has its own "
+            f"({leader.pattern}); run once for each: {views}"
+        )
     return sources
 
 
@@ -266,8 +248,9 @@ def each_view(settings: SourceSettings) -> tuple[SourceSettings, ...]:
     """
     if settings.view != ALL or is_clip(settings.sequence):
         return (settings,)
-    aovs, channel_map = _channel_options(settings)
-    channel_map = channel_map and replace(channel_map, view=None)  # all are asked for
+    aovs, channel_map = parse_aovs(settings.aovs), None
+    if settings.channel_map is not None:  # whose view does not count, as all are asked for
+        channel_map = replace(read_channel_map(Path(settings.channel_map)), view=None)
     shot = open_shot(settings.sequence, None, aovs, channel_map, settings.keep_going)
     if not shot.views:
         raise LayoutError(f"{shot.sequence.pattern} has no views; leave --view {ALL} out")
@@ -309,11 +292,11 @@ def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
     map's motion is not understood.
     """
     set_max_pixels(settings.max_pixels)
-    options = _channel_options(settings)
-    shot = open_shot(settings.sequence, settings.view, *options, settings.keep_going)
+    aovs, path = parse_aovs(settings.aovs), settings.channel_map
+    channel_map = None if path is None else read_channel_map(Path(path))
+    shot = open_shot(settings.sequence, settings.view, aovs, channel_map, settings.keep_going)
     require_visible(shot)
-    shot = with_world_positions(with_depth_measured(shot))
-    channel_map = shot.channel_map
+    shot = depth_and_ids.with_world_positions(depth_and_ids.with_depth_measured(shot))
     if channel_map is None or channel_map.motion is None or settings.motion or settings.gbuffers:
         return shot, settings
     if Role.MOTION not in shot.layout:
@@ -344,12 +327,7 @@ def open_slots(settings: SourceSettings, keys: Shot) -> Shot | None:
     if slots.view != keys.view and keys.view in slots.views:
         # Another view is first there.
         slots = open_shot(settings.gbuffers, keys.view, keep_going=settings.keep_going)
-    return with_world_positions(with_depth_measured(slots))
-
-
-def _channel_options(settings: SourceSettings) -> tuple[tuple[AovFile, ...], ChannelMap | None]:
-    path = settings.channel_map
-    return parse_aovs(settings.aovs), None if path is None else read_channel_map(Path(path))
+    return depth_and_ids.with_world_positions(depth_and_ids.with_depth_measured(slots))
 
 
 def rate_of(keys: Shot, option: Fraction | None) -> tuple[Fraction, str]:

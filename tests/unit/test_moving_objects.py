@@ -10,11 +10,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window
-from exwarp_cli.pipeline.interval_builder import (
-    Ids,
-    IntervalBuilder,
-    with_stencils,
-)
+from exwarp_cli.pipeline.interval_builder import Ids, IntervalBuilder
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.key_frames import HistoryFrame, over_interval, without_surface
 from exwarp_cli.synthesis.interval import Interval
@@ -111,7 +107,6 @@ class TestWhichMove:
         for one in (bare, replace(frame, gbuffer=None)):
             read = inputs(2, "key", 0, frame=one)
             assert moving(read) is None
-            assert with_stencils(read, None) is read
 
     def test_without_motion_nothing_moves(self):
         frame = key(2)

@@ -6,12 +6,12 @@ the checks that need it fail, and the others go on. Nothing here needs such a pa
 
 from __future__ import annotations
 
-import importlib
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from importlib import import_module
 from typing import Any
 
 from exwarp_cli import __version__
@@ -52,12 +52,6 @@ class Outcome(StrEnum):
     SKIPPED = "skipped"
 
 
-def worst_outcome(outcomes: Iterable[Outcome]) -> Outcome:
-    """Return the worst outcome; what was left out counts as good."""
-    present = set(outcomes)
-    return next((o for o in (Outcome.FAILED, Outcome.WARNING) if o in present), Outcome.OK)
-
-
 @dataclass(frozen=True)
 class Finding:
     """Something that is not as it should be."""
@@ -93,7 +87,8 @@ class CheckResult:
         """The worst of its remarks."""
         if self.skipped:
             return Outcome.SKIPPED
-        return worst_outcome(remark.outcome for remark in self.remarks)
+        present = {remark.outcome for remark in self.remarks}
+        return next((o for o in (Outcome.FAILED, Outcome.WARNING) if o in present), Outcome.OK)
 
 
 @dataclass(frozen=True)
@@ -109,8 +104,8 @@ class DoctorReport:
 
     @property
     def outcome(self) -> Outcome:
-        """The worst of all."""
-        return worst_outcome(check.outcome for check in self.checks.values())
+        """The worst of all; what was left out counts as good."""
+        return next((o for o in (Outcome.FAILED, Outcome.WARNING) if self.names(o)), Outcome.OK)
 
     def as_dict(self) -> dict[str, Any]:
         """Return what `exwarp doctor --json` prints."""
@@ -174,7 +169,7 @@ def _run(check: str | Callable[[], CheckResult]) -> CheckResult:
     try:
         if isinstance(check, str):
             module, _, function = check.partition(":")
-            check = getattr(importlib.import_module(f"{__package__}.{module}"), function)
+            check = getattr(import_module(f"{__package__}.{module}"), function)
         assert callable(check)
         return check()
     except ExwarpError as error:
@@ -196,5 +191,5 @@ def _run(check: str | Callable[[], CheckResult]) -> CheckResult:
 
 def variables() -> dict[str, str]:
     """Return the variables that change what ExWarp and its libraries do, by name."""
-    names = sorted(name for name in os.environ if name.startswith(PREFIXES) or name in VARIABLES)
-    return {name: os.environ[name] for name in names}
+    items = sorted(os.environ.items())
+    return {name: v for name, v in items if name.startswith(PREFIXES) or name in VARIABLES}

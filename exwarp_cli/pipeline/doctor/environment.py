@@ -57,14 +57,12 @@ def check_machine() -> CheckResult:
     cpus, room = processors(), memory()
     remarks = []
     if room.available is not None and room.available < LEAST_MEMORY:
-        remarks.append(
-            warning(
-                f"{size_text(room.available)} of memory is free, and frames of 1920x1080 take "
-                f"{size_text(LEAST_MEMORY)} with a network, "
-                f"{size_text(LEAST_MEMORY_WITHOUT_NETWORK)} with s6 "
-                "and softsplat; close other programs, or raise the limit of the job"
-            )
+        text = (
+            f"{size_text(room.available)} of memory is free, and frames of 1920x1080 take "
+            f"{size_text(LEAST_MEMORY)} with a network, {size_text(LEAST_MEMORY_WITHOUT_NETWORK)} "
+            "with s6 and softsplat; close other programs, or raise the limit of the job"
         )
+        remarks.append(warning(text))
     facts = {
         "executable": sys.executable,
         "package": str(Path(exwarp_cli.__file__).parent),
@@ -134,8 +132,8 @@ class Package:
     @classmethod
     def of(cls, requirement: Requirement, is_imported: bool) -> Package:
         """Find the package that a requirement names, or a stand-in; import it on request."""
-        wanted = str(requirement.specifier)
-        for name in (requirement.name, *STAND_INS.get(requirement.name.lower(), ())):
+        wanted, index_name = str(requirement.specifier), requirement.name.lower()
+        for name in (requirement.name, *STAND_INS.get(index_name, ())):
             try:
                 installed = version(name)
             except PackageNotFoundError:
@@ -143,17 +141,12 @@ class Package:
             error = None
             if is_imported:
                 try:
-                    importlib.import_module(module_of(name))
+                    importlib.import_module(MODULES.get(index_name, index_name))
                 except Exception as problem:  # a system library, numpy's ABI, a missing file …
                     error = first_line(problem)
             fits = requirement.specifier.contains(installed, prereleases=True)
             return cls(name, wanted, installed, fits, error)
         return cls(requirement.name, wanted, None, False)
-
-    @property
-    def is_good(self) -> bool:
-        """Whether nothing is wrong with it."""
-        return self.fits and self.error is None
 
     @property
     def line(self) -> str:
@@ -165,7 +158,9 @@ class Package:
 
     @property
     def advice(self) -> str:
-        """A sentence with what is wrong, and what to do."""
+        """A sentence with what is wrong, and what to do; "" where nothing is."""
+        if self.fits and self.error is None:
+            return ""
         install = f"pip install '{self.name}{self.wanted}'"
         if self.installed is None:
             return f"{self.name} is not installed; run {install}"
@@ -179,13 +174,6 @@ class Package:
         return f"{self.name} cannot be imported ({self.error}); {remedy}"
 
 
-def module_of(package: str) -> str:
-    """Return the module to import of a package or stand-in."""
-    name = package.lower()
-    original = next((real for real, names in STAND_INS.items() if name in names), name)
-    return MODULES.get(original, original)
-
-
 def check_packages() -> CheckResult:
     """Check the packages that ExWarp cannot do without."""
     try:
@@ -197,22 +185,18 @@ def check_packages() -> CheckResult:
         )
         return CheckResult("not known", (warning(text),), {"installed": None, "packages": []})
     packages = [Package.of(requirement, True) for requirement in _requirements(own, None)]
-    remarks = [failure(package.advice) for package in packages if not package.is_good]
+    remarks = [failure(package.advice) for package in packages if package.advice]
     if own.version != __version__:
-        remarks.append(
-            warning(
-                f"the package exwarp is installed as {own.version} and runs as {__version__}; "
-                "install it again"
-            )
+        text = (
+            f"the package exwarp is installed as {own.version} and runs as {__version__}; install "
+            "it again"
         )
-    good = sum(package.is_good for package in packages)
+        remarks.append(warning(text))
+    good = sum(not package.advice for package in packages)
     facts = {"installed": own.version, "packages": [asdict(package) for package in packages]}
-    return CheckResult(
-        f"{good} of {len(packages)} load, in versions that ExWarp works with",
-        tuple(remarks),
-        facts,
-        tuple(package.line for package in packages),
-    )
+    summary = f"{good} of {len(packages)} load, in versions that ExWarp works with"
+    lines = tuple(package.line for package in packages)
+    return CheckResult(summary, tuple(remarks), facts, lines)
 
 
 def check_extras() -> CheckResult:
@@ -231,7 +215,7 @@ def check_extras() -> CheckResult:
         for name in names
         if name not in absent
         for package in extras[name]
-        if not package.is_good
+        if package.advice
     )
     parts = [f"{enumerated(installed)} installed"] if installed else []
     if absent:
@@ -258,7 +242,8 @@ def _requirements(own: Distribution, extra: str | None) -> Iterator[Requirement]
         marker = requirement.marker
         is_core = marker is None or marker.evaluate({"extra": ""})
         if extra is None:
-            if is_core:
-                yield requirement
-        elif marker is not None and not is_core and marker.evaluate({"extra": extra}):
+            is_wanted = is_core
+        else:
+            is_wanted = not is_core and marker is not None and marker.evaluate({"extra": extra})
+        if is_wanted:
             yield requirement

@@ -76,11 +76,8 @@ def check_cache() -> CheckResult:
     loaded, compiled = compilation.loaded, compilation.compiled
     writable = _compile.writable_folder()
     folder = None if writable is None else look_at(writable)
-    shared = [
-        path
-        for path in _compile.folders()
-        if path != writable and cached_files(path, _compile.SUFFIX)[0]
-    ]
+    folders, suffix = _compile.folders(), _compile.SUFFIX
+    shared = [path for path in folders if path != writable and cached_files(path, suffix)[0]]
     if folder is None and (compiled or not shared):
         text = (
             "no folder for compiled kernels can be written, so that every run compiles them; name "
@@ -89,7 +86,7 @@ def check_cache() -> CheckResult:
         facts = {"folders": [], "kernels": 0, "bytes": 0, "warm": False, "compiled": compiled}
         return CheckResult("none", (warning(text),), facts)
     paths = [*shared, *([] if writable is None else [writable])]
-    sizes = [cached_files(path, _compile.SUFFIX) for path in paths]
+    sizes = [cached_files(path, suffix) for path in paths]
     kernels, size = sum(count for count, _ in sizes), sum(taken for _, taken in sizes)
     facts = {
         "folders": [{"path": str(path), "place": place_of(path)} for path in paths],
@@ -222,15 +219,12 @@ def check_video() -> CheckResult:
         text = f"videos can be neither written nor read: {first_line(error)}; {_FFMPEG}"
         return CheckResult("ffmpeg does not run", (failure(text),), {"ffmpeg": None})
     version = listed.decode("utf-8", "replace").partition("version ")[2].split(" ")[0] or "unknown"
+    lacking = [name for name in (*ENCODERS, *FILTERS) if name not in encoders | filters]
     remarks = [
         failure(f"{path} has no encoder {name}; {_FFMPEG}")
-        for name in ENCODERS
-        if name not in encoders
-    ]
-    remarks += [
-        warning(f"{path} has no filter {name}; {_FFMPEG}, or {remedy}")
-        for name, remedy in FILTERS.items()
-        if name not in filters
+        if name in ENCODERS
+        else warning(f"{path} has no filter {name}; {_FFMPEG}, or {FILTERS[name]}")
+        for name in lacking
     ]
     facts = {
         "ffmpeg": version,
@@ -238,7 +232,7 @@ def check_video() -> CheckResult:
         "encoders": {name: name in encoders for name in ENCODERS},
         "filters": {name: name in filters for name in FILTERS},
     }
-    have = [name for name in (*ENCODERS, *FILTERS) if name in encoders | filters]
+    have = [name for name in (*ENCODERS, *FILTERS) if name not in lacking]
     short = _VERSION.match(version)
     summary = f"ffmpeg {version if short is None else short[0]} ({', '.join(have) or 'lacks all'})"
     return CheckResult(summary, tuple(remarks), facts, (f"{path}, version {version}",))

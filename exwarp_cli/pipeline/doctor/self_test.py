@@ -7,7 +7,6 @@ warping and splatting copy pixels and must get every bit right.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Float32, Window
+from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
@@ -51,15 +50,23 @@ ADVICE = (
     "does not help, report it with what 'exwarp doctor --json' prints"
 )
 
-Planes = dict[str, np.ndarray]
-
 
 def check_self_test() -> CheckResult:
     """Upsample the shot by four methods, and in chunks."""
     begin, compiled = time.perf_counter(), compilation.compiled
     runs, good, remarks, lines = {}, [], [], []
     with scratch_folder() as folder:
-        write_shot(folder / "keys")
+        # The key frames, with Blender's channel names.
+        keys, window = folder / "keys", Window(0, 0, WIDTH, HEIGHT)
+        keys.mkdir()
+        header: dict[str, Any] = {
+            **scanline_attributes(window, window),
+            "compression": COMPRESSIONS["zip"],
+            "framesPerSecond": Fraction(24),
+        }
+        for key in range(KEYS):
+            data = encode_by_openexr([(header, render(key * FACTOR))])
+            (keys / f"shot.{key + 1:04d}.exr").write_bytes(data)
         for name in (*METHODS, "chunks"):
             start = time.perf_counter()
             try:
@@ -88,39 +95,23 @@ def check_self_test() -> CheckResult:
     return CheckResult(summary, tuple(remarks), facts, tuple(lines))
 
 
-def write_shot(folder: Path) -> None:
-    """Write the key frames, with Blender's channel names."""
-    folder.mkdir()
-    window = Window(0, 0, WIDTH, HEIGHT)
-    header: dict[str, Any] = {
-        **scanline_attributes(window, window),
-        "compression": COMPRESSIONS["zip"],
-        "framesPerSecond": Fraction(24),
-    }
-    for key in range(KEYS):
-        planes = {**colour(key * FACTOR), **geometry(key * FACTOR)}
-        data = encode_by_openexr([(header, planes)])
-        (folder / f"shot.{key + 1:04d}.exr").write_bytes(data)
+def render(slot: int) -> dict[str, np.ndarray]:
+    """Return what a slot shows [H, W].
 
-
-def colour(slot: int) -> Planes:
-    """Return R, G, B, A of a slot, half [H, W]; some values are above 1."""
-    u, v = _surface(slot)
+    R, G, B, A as half, some values above 1; depth, id, vectors, normals and positions as float32.
+    """
+    # The point of the plane that each pixel shows.
+    y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
+    u, v = x - RIGHT * slot, y - DOWN * slot
     waves = (
         np.sin(0.31 * u + 0.17 * v) + np.cos(0.11 * u - 0.43 * v),
         np.sin(0.23 * u - 0.29 * v + 1) + np.cos(0.09 * u + 0.19 * v),
         np.cos(0.37 * u + 0.05 * v) + np.sin(0.13 * v + 0.5),
     )
-    planes = {name: 1.2 + 0.5 * wave for name, wave in zip("RGB", waves, strict=True)}
-    planes["A"] = np.ones_like(u)
-    return {name: np.asarray(plane, np.float16) for name, plane in planes.items()}
-
-
-def geometry(slot: int) -> Planes:
-    """Return depth, id, vectors, normals and positions of a slot, float32 [H, W]."""
-    u, v = _surface(slot)
+    planes = dict(zip("RGB", ((1.2 + 0.5 * w).astype(np.float16) for w in waves), strict=True))
+    planes["A"] = np.ones_like(u, np.float16)
     right, up = FACTOR * RIGHT, -FACTOR * DOWN
-    values: Mapping[str, float | npt.NDArray[np.float64]] = {
+    geometry: dict[str, float | npt.NDArray[np.float64]] = {
         "Depth.Z": DEPTH,
         "IndexOB.X": 1.0,
         # To where it was, from where it will be: the frame before minus this, this minus the next.
@@ -135,13 +126,9 @@ def geometry(slot: int) -> Planes:
         "Position.Y": -v * DEPTH / FOCAL,
         "Position.Z": DEPTH,
     }
-    return {name: np.full((HEIGHT, WIDTH), value, np.float32) for name, value in values.items()}
-
-
-def _surface(slot: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return the point of the plane that each pixel shows, as u and v [H, W]."""
-    y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
-    return x - RIGHT * slot, y - DOWN * slot
+    for name, value in geometry.items():
+        planes[name] = np.full((HEIGHT, WIDTH), value, np.float32)
+    return planes
 
 
 def _try_method(folder: Path, method: str, motion: str | None) -> tuple[str | None, int]:
@@ -157,8 +144,13 @@ def _try_method(folder: Path, method: str, motion: str | None) -> tuple[str | No
         with ExrFile(folder / method / name) as file:
             part = file.parts[0]
             planes = {c.raw_name: plane for c, plane in file.read(part.channels).items()}
+        written, rendered = (
+            np.stack([image[channel] for channel in "RGBA"]).astype(np.float32)
+            for image in (planes, render(slot))
+        )
+        error = np.abs(written - rendered)[:, MARGIN:-MARGIN, MARGIN:-MARGIN].max()
         allowed = 0.0 if method in EXACT or slot % FACTOR == 0 else MOST_ERROR
-        if not np.abs(_inner(planes) - _inner(colour(slot))).max() <= allowed:  # also for NaN
+        if not error <= allowed:  # also for NaN
             wrong.append(name)
     problem = None
     if wrong:
@@ -167,18 +159,11 @@ def _try_method(folder: Path, method: str, motion: str | None) -> tuple[str | No
     return problem, len(summary.frames)
 
 
-def _inner(planes: Mapping[str, np.ndarray]) -> Float32:
-    """Return R, G, B, A without the rim, float32 [H, W, 4]."""
-    image = np.stack([planes[name] for name in "RGBA"], axis=-1).astype(np.float32)
-    return image[MARGIN:-MARGIN, MARGIN:-MARGIN]
-
-
 def _try_chunks(folder: Path, method: str) -> tuple[str | None, int]:
     """Upsample the shot in two chunks, which must equal the whole that is there already."""
-    chunks: dict[str, bytes] = {}
-    for number, frames in enumerate(("1", f"2-{KEYS}")):
-        _upsample(folder, f"chunk{number}", method, CONVENTION, frames)
-        chunks |= _contents(folder / f"chunk{number}")
+    _upsample(folder, "chunk0", method, CONVENTION, "1")
+    _upsample(folder, "chunk1", method, CONVENTION, f"2-{KEYS}")
+    chunks = _contents(folder / "chunk0") | _contents(folder / "chunk1")
     expected = _contents(folder / method)
     names = sorted(chunks.keys() | expected.keys())
     wrong = [name for name in names if chunks.get(name) != expected.get(name)]

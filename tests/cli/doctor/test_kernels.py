@@ -124,13 +124,13 @@ class TestSelfTest:
         assert found[1]["checks"]["self_test"]["facts"]["runs"]["chunks"]["ok"]
 
     def test_vectors_that_are_read_otherwise(self, examined, monkeypatch):
-        real = self_test.geometry
+        real = self_test.render
 
         def turned(slot: int) -> dict[str, np.ndarray]:
             planes = real(slot)
             return planes | {f"Vector.{c}": -planes[f"Vector.{c}"] for c in "XYZW"}
 
-        monkeypatch.setattr(self_test, "geometry", turned)
+        monkeypatch.setattr(self_test, "render", turned)
         found = examined("self_test")
         failed(found, "self_test", "upsampling by s6", "the vectors were read as")
 
@@ -163,7 +163,7 @@ class TestSelfTest:
         assert found[1]["checks"]["self_test"]["found"].startswith("nothing is right")
 
     def test_the_shot_moves_by_whole_pixels(self):
-        before, after = self_test.colour(0), self_test.colour(1)
+        before, after = self_test.render(0), self_test.render(1)
         right, down = self_test.RIGHT, self_test.DOWN
         assert right > 0 > down
         for name in "RGBA":
