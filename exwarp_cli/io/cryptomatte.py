@@ -27,7 +27,6 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Float32, Int32
 from exwarp_cli.errors import DamagedFileError, LayoutError, UsageError
@@ -220,10 +219,14 @@ def surface_ids(
     Of 10,000 objects some two share an id with a probability of 2.3 % (1.2 % with all 32 bits);
     rounded, some six pairs do.
     """
-    bits, shares = _bits_and_shares(ranks)
-    ids = np.empty(bits.shape[:2], np.int32)
+    if ranks.dtype != np.float32 or ranks.ndim != 3 or ranks.shape[2] != 4:
+        raise ValueError(f"ranks are float32 [H, W, 4], not {ranks.dtype} {ranks.shape}")
+    ranks = np.ascontiguousarray(ranks)
+    ids = np.empty(ranks.shape[:2], np.int32)
     moving = np.array(sorted(dynamic or ()), np.int32)
-    raw_channels.write_dominant_ids(bits, shares, LEAD, rounded, moving, dynamic is None, ids)
+    raw_channels.write_dominant_ids(
+        ranks.view(np.uint32), ranks, LEAD, rounded, moving, dynamic is None, ids
+    )
     return ids
 
 
@@ -250,7 +253,7 @@ def surface_id(bits: int, rounded: bool = False) -> int:
 
 def require_lossless_ids(ranks: Float32, where: str) -> None:
     """Refuse ids that a lossy step has destroyed: half floats or DWA compression."""
-    bits = _bits_and_shares(ranks)[0][..., 0].ravel()
+    bits = np.ascontiguousarray(ranks).view(np.uint32)[..., 0].ravel()
     bits = bits[(bits & raw_channels.MAGNITUDE) != 0]
     distinct = np.unique(bits[:: max(1, bits.size // SAMPLES)])
     exponent = distinct & EXPONENT
@@ -262,14 +265,6 @@ def require_lossless_ids(ranks: Float32, where: str) -> None:
             f"{where} has Cryptomatte ids that came through half floats or lossy compression "
             "(DWAA, DWAB); write that pass as 32-bit float with ZIP compression"
         )
-
-
-def _bits_and_shares(ranks: Float32) -> tuple[npt.NDArray[np.uint32], Float32]:
-    """Return two views of one array, as the kernels take them."""
-    if ranks.dtype != np.float32 or ranks.ndim != 3 or ranks.shape[2] != 4:
-        raise ValueError(f"ranks are float32 [H, W, 4], not {ranks.dtype} {ranks.shape}")
-    contiguous = np.ascontiguousarray(ranks)
-    return contiguous.view(np.uint32), contiguous
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -159,10 +158,6 @@ def from_display(codes: Codes) -> Float32:
 
     For 8 bits it is the inverse of `to_display`. The type's largest value is white.
     """
-    linear: Float32 = _linear_table(codes.dtype.itemsize)[codes]
+    table = SRGB.to_linear(np.linspace(0, 1, 256**codes.dtype.itemsize, dtype=np.float32))
+    linear: Float32 = table[codes]
     return linear
-
-
-@cache
-def _linear_table(size: int) -> Float32:
-    return SRGB.to_linear(np.linspace(0, 1, 256**size, dtype=np.float32))

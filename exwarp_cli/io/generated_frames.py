@@ -218,7 +218,7 @@ def read_string_attribute(data: bytes, name: str) -> str | None:
 
 def read_fingerprint(path: Path) -> str | None:
     """Return the fingerprint of an undamaged generated frame; None for anything else."""
-    if not _is_exr(path):
+    if path.suffix.lower() not in EXR:
         fingerprint = read_facts(path).get("recipe")
         return fingerprint if isinstance(fingerprint, str) else None
     try:
@@ -230,7 +230,7 @@ def read_fingerprint(path: Path) -> str | None:
 
 def read_facts(path: Path) -> dict[str, Any]:
     """Return the ``exwarp:`` attributes of a frame, without the prefix; {} if it has none."""
-    if not _is_exr(path):
+    if path.suffix.lower() not in EXR:
         return still_facts(path) or {}
     header = read_headers(path)[0]
     return {k[len(PREFIX) :]: v for k, v in header.items() if k.startswith(PREFIX)}
@@ -262,7 +262,7 @@ def filled_window(planes: Iterable[Plane], source: Window) -> Window:
 
 def read_picture(path: Path, view: str = "") -> Image:
     """Read the colour of one file; see `read_image` and `read_still`."""
-    return read_image(path, view) if _is_exr(path) else read_still(path)[0]
+    return read_image(path, view) if path.suffix.lower() in EXR else read_still(path)[0]
 
 
 def quantise_picture(pixels: Float32, template: FrameTemplate) -> Float32:
@@ -278,10 +278,6 @@ def quantise_picture(pixels: Float32, template: FrameTemplate) -> Float32:
             channel = plane.channel(pixels[..., i])
             out[..., i] = channel.rounded() if isinstance(channel, PendingHalf) else channel
     return out
-
-
-def _is_exr(path: Path) -> bool:
-    return path.suffix.lower() in EXR
 
 
 class FileState(Enum):
@@ -325,7 +321,7 @@ def find_authorship(path: Path) -> Authorship | None:
     if is_authentic:
         return Authorship(FileState.INTACT, facts)
     try:
-        if _is_exr(path):
+        if path.suffix.lower() in EXR:
             require_sound((path,))
         else:
             read_still(path)
@@ -338,7 +334,7 @@ def find_authorship(path: Path) -> Authorship | None:
 
 def _read_claim(path: Path, data: bytes) -> tuple[bool, dict[str, Any] | None]:
     """Return whether a file is as ExWarp wrote it, and its facts; None if it is foreign."""
-    if _is_exr(path):
+    if path.suffix.lower() in EXR:
         if not data.startswith(MAGIC):
             return False, None
         texts = {name: read_string_attribute(data, f"{PREFIX}{name}") for name in FACTS}

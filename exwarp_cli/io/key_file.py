@@ -92,12 +92,15 @@ class KeyFile:
             file.writelines(self.pieces())
 
     def is_at(self, target: Path) -> bool:
-        """Return True if a file holds the same bytes; raises OSError if it cannot be read."""
-        size = len(self.head) + self.source.stat().st_size - self.rest
-        if target.stat().st_size != size:
+        """Return True if a file holds the same bytes; False if it is absent or cannot be read."""
+        try:
+            size = len(self.head) + self.source.stat().st_size - self.rest
+            if target.stat().st_size != size:
+                return False
+            with target.open("rb") as file:
+                return all(file.read(len(piece)) == piece for piece in self.pieces())
+        except OSError:
             return False
-        with target.open("rb") as file:
-            return all(file.read(len(piece)) == piece for piece in self.pieces())
 
     def begins_with(self, data: bytes) -> bool:
         """Return True if these bytes are the beginning of the file; reads no more than it needs."""
@@ -109,10 +112,6 @@ class KeyFile:
             if not rest:
                 return True
         return False
-
-    def digest(self) -> str:
-        """Return the checksum of the file, hexadecimal; see `exwarp_cli.io.files`."""
-        return compute_checksum(self.pieces())
 
 
 def possible_key_files(source: Path, target: Path) -> tuple[KeyFile, ...]:
@@ -234,7 +233,7 @@ def digests(
                 key = KeyFile(path, *_with_rate(file, rate), file)
             except (ValueError, struct.error):
                 return digest, None
-            return digest, key.digest() if key.head else digest
+            return digest, compute_checksum(key.pieces()) if key.head else digest
 
     try:
         return with_retries(path, read)

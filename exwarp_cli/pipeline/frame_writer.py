@@ -34,7 +34,7 @@ from exwarp_cli.io.sequences import EXR
 from exwarp_cli.io.video_reader import open_clip
 from exwarp_cli.io.video_writer import VideoLook, VideoWriter
 from exwarp_cli.io.view_transform import DisplayLook
-from exwarp_cli.pipeline.output_plan import OutputPlan, key_is_there
+from exwarp_cli.pipeline.output_plan import OutputPlan
 from exwarp_cli.pipeline.scheduling import AsyncWriter, record_time
 from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.stop import check_stop
@@ -112,7 +112,7 @@ class FrameWriter(ResourceOwner):
         """Return True if an earlier run copied a key frame's file, and it is kept."""
         if not self.output.resumes:
             return False
-        return key_is_there(self.path(number), plan_key_file(source, self.key_rate))
+        return plan_key_file(source, self.key_rate).is_at(self.path(number))
 
     def is_in_the_way(self, number: int) -> bool:
         """Return True if a frame's file from before the run exists, which writing would replace."""
