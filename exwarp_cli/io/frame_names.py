@@ -21,7 +21,8 @@ from exwarp_cli.io.channels import CRYPTOMATTE_NAME, Role, role_named
 
 _TOKEN = re.compile(r"#+|@+|%[0-9]{0,2}d|\$F[0-9]{0,2}")
 _NUMBER = re.compile(r"-?[0-9]+")
-_VERSION = re.compile(r"(^|.*[^a-z])v(er(sion)?)?", re.DOTALL | re.IGNORECASE)
+# The text before a number that is written as a version: v001, ver2, Version3.
+VERSION = re.compile(r"(^|.*[^a-z])v(er(sion)?)?", re.DOTALL | re.IGNORECASE)
 _BETWEEN = re.compile(r"(?<![^._ -])-?[0-9]+(?=[._ -])")
 _TRAILING_NUMBER = re.compile(r"(?P<base>.*?)(?P<number>-?[0-9]+)", re.DOTALL)
 
@@ -64,11 +65,6 @@ class NamePattern:
     def __str__(self) -> str:
         return f"{self.base}{'#' * self.padding}{self.suffix}"
 
-    @property
-    def is_version(self) -> bool:
-        """True if the number is written as a version: ``v001``, ``ver2``, ``Version3``."""
-        return _VERSION.fullmatch(self.base) is not None
-
     def name(self, number: int) -> str:
         """Return a frame's name; a minus sign counts as one of the digits, as in C's ``%04d``."""
         return f"{self.base}{number:0{self.padding}d}{self.suffix}"
@@ -109,7 +105,7 @@ def split_names(names: Iterable[str], suffixes: tuple[str, ...]) -> dict[str, Na
                 base, number = base + number[0], number[1:]
             end = NamePattern(base, len(number), name[-length:])
         ends[name] = end
-        if end is None or end.is_version:
+        if end is None or VERSION.fullmatch(end.base):
             for match in _BETWEEN.finditer(stem):
                 start = match.start()
                 start += not _is_sign(name[:start], match[0])

@@ -232,6 +232,7 @@ class TestRefusals:
     def test_what_cannot_be_found(self, tmp_path, monkeypatch, spec, why):
         fill(tmp_path / "empty")
         fill(tmp_path / "single", "still.exr", "note.txt")
+        fill(tmp_path, "beside.exr")
         monkeypatch.chdir(tmp_path)
         with pytest.raises(InputError, match=why):
             find_sequence(spec)
