@@ -29,7 +29,7 @@ from exwarp_cli.io.generated_frames import (
     write_mask,
     write_picture,
 )
-from exwarp_cli.io.key_file import open_key_file, plan_key_file, plan_marked_file
+from exwarp_cli.io.key_file import open_key_file, plan_key_file
 from exwarp_cli.io.sequences import EXR
 from exwarp_cli.io.video_reader import open_clip
 from exwarp_cli.io.video_writer import VideoLook, VideoWriter
@@ -195,10 +195,7 @@ class FrameWriter(ResourceOwner):
 
     def _copy(self, number: int, source: Path, marks: Mapping[str, str | int] | None) -> None:
         with record_time(self.write_ms, number), ExitStack() as stack:
-            if marks is None:
-                file = stack.enter_context(open_key_file(source, self.key_rate))
-            else:
-                file = plan_marked_file(source, self.key_rate, marks)
+            file = stack.enter_context(open_key_file(source, self.key_rate, marks))
             file.write(self.path(number))
             if self.wants_sums:  # of what the source gives
                 self.sums[FRAME, number] = sum_of(file.pieces())
