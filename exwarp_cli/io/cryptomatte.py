@@ -126,9 +126,20 @@ def find_cryptomattes(
                 if match is not None and isinstance(value, str):
                     # What the first part says of a key counts.
                     entries.setdefault(match[1], {}).setdefault(match[2], value)
-        named = [entry for entry in entries.values() if entry.get("name")]
+        named = [(_words(entry["name"]), entry) for entry in entries.values() if entry.get("name")]
         for name, layers in _group_ranks(members).items():
-            entry = _header_entry(name, named)
+            # An entry of the same name, else one whose name ends in the layers', or theirs in its:
+            # writers put view layers, parts and views before it, or leave them out. The longest
+            # says most: "Crypto Object Material" is not the entry "Material".
+            entry: dict[str, str] | None = None
+            words, longest = _words(name), 0
+            for own, candidate in named:
+                if "".join(own) == "".join(words):
+                    entry = candidate
+                    break
+                count = min(len(own), len(words))
+                if own[-count:] == words[-count:] and len(candidate["name"]) > longest:
+                    entry, longest = candidate, len(candidate["name"])
             last = "".join(_words(name.rsplit(".", 1)[-1]))
             if entry is None and not any(word in last for word in _USUAL_NAMES):
                 continue
@@ -171,26 +182,6 @@ def _group_ranks(channels: Iterable[Channel]) -> dict[str, list[list[Channel]]]:
             ranks.setdefault(name, []).append(layer_channels)
             count += 1
     return ranks
-
-
-def _header_entry(name: str, entries: list[dict[str, str]]) -> dict[str, str] | None:
-    """Return the header's entry for layers of a name.
-
-    An entry of the same name, else one whose name ends in the layers', or theirs in its: writers
-    put view layers, parts and views before it, or leave them out.
-    """
-    words = _words(name)
-    for entry in entries:
-        if "".join(_words(entry["name"])) == "".join(words):
-            return entry
-    near = []
-    for entry in entries:
-        entry_words = _words(entry["name"])
-        count = min(len(entry_words), len(words))
-        if entry_words[-count:] == words[-count:]:
-            near.append(entry)
-    # The longest says most: "Crypto Object Material" is not the entry "Material".
-    return max(near, key=lambda entry: len(entry["name"]), default=None)
 
 
 def _words(name: str) -> list[str]:
@@ -244,11 +235,6 @@ def refine_ids_by_depth(ids: Int32, depth: Float32) -> Int32:
     refined = np.empty_like(ids)
     raw_channels.write_ids_by_depth(ids, depth, refined)
     return refined
-
-
-def surface_id(bits: int, rounded: bool = False) -> int:
-    """Return the id that `surface_ids` gives to the bits of a hash."""
-    return int(raw_channels.decode_id(np.uint32(bits), rounded))
 
 
 def require_lossless_ids(ranks: Float32, where: str) -> None:
@@ -316,38 +302,32 @@ def read_manifest(cryptomatte: Cryptomatte, path: Path) -> Manifest:
     Without names if none can be read: the ids are as good without.
     """
     text, source, problem = cryptomatte.manifest or "", "its header's manifest", ""
-    if not text.strip():
-        text, source, problem = _read_sidecar(cryptomatte.sidecar or "", path)
+    sidecar = cryptomatte.sidecar or ""
+    if not text.strip() and not sidecar:
+        problem = "its header has no manifest"
+    elif not text.strip():
+        source, problem = sidecar, f"its manifest {quote_name(sidecar)} is not there"
+        # Where the header says, else beside the image: paths are written on other systems, and
+        # frames are moved with their manifests.
+        plain = sidecar.replace("\\", "/")
+        for name in (sidecar, plain, plain.split("/")[-1]):
+            file = path.parent / name
+            with suppress(OSError, ValueError):  # too long, or with a zero byte
+                if file.is_file():
+                    source, problem = str(file), ""
+                    break
+        try:
+            if not problem and file.stat().st_size > MAX_MANIFEST_SIZE:
+                problem = f"{file} is larger than {MAX_MANIFEST_SIZE >> 20} MiB"
+            text = "" if problem else file.read_text("utf-8-sig", "surrogateescape")
+        except OSError as error:
+            problem = f"{file} cannot be read ({error.strerror})"
     if not problem and len(text) > MAX_MANIFEST_SIZE:
         problem = f"{source} is larger than {MAX_MANIFEST_SIZE >> 20} MiB"
     ids = {} if problem else parse_manifest(text)
     if not ids:
         problem = problem or f"{source} holds no names that can be read"
     return Manifest(ids, problem, cryptomatte.hashed)
-
-
-def _read_sidecar(sidecar: str, image: Path) -> tuple[str, str, str]:
-    """Return a manifest file's text, its path, and the problem, if any, as half a sentence."""
-    if not sidecar:
-        return "", "", "its header has no manifest"
-    # Where the header says, else beside the image: paths are written on other systems, and frames
-    # are moved with their manifests.
-    plain = sidecar.replace("\\", "/")
-    for name in (sidecar, plain, plain.split("/")[-1]):
-        path = image.parent / name
-        try:
-            if path.is_file():
-                break
-        except (OSError, ValueError):  # too long, or with a zero byte
-            continue
-    else:
-        return "", sidecar, f"its manifest {quote_name(sidecar)} is not there"
-    try:
-        if path.stat().st_size > MAX_MANIFEST_SIZE:
-            return "", str(path), f"{path} is larger than {MAX_MANIFEST_SIZE >> 20} MiB"
-        return path.read_text("utf-8-sig", "surrogateescape"), str(path), ""
-    except OSError as error:
-        return "", str(path), f"{path} cannot be read ({error.strerror})"
 
 
 def parse_manifest(text: str) -> dict[str, int]:
@@ -447,5 +427,6 @@ def find_dynamic_objects(
                 f"--dynamic {quote_name(glob)} cannot be looked up: {where} has no names, as "
                 f"{problem or 'there are no frames'}; {remedy}"
             )
-    dynamic = {surface_id(bits, rounded) for hashes in matching.values() for bits in hashes}
+    all_bits = {np.uint32(bits) for hashes in matching.values() for bits in hashes}
+    dynamic = {int(raw_channels.decode_id(bits, rounded)) for bits in all_bits}
     return DynamicObjects(tuple(sorted(dynamic)), tuple(sorted(matching)))
