@@ -14,13 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from exwarp_cli.errors import (
-    DamagedFileError,
-    ExwarpError,
-    InputError,
-    LayoutError,
-    UsageError,
-)
+from exwarp_cli.errors import DamagedFileError, ExwarpError, InputError, LayoutError, UsageError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect_layout
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.exr.header import Channel

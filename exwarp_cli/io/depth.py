@@ -142,14 +142,6 @@ def measure_depth_reading(depth: Float32, position: Float32) -> DepthReading | N
     return None
 
 
-def is_negative(depth: Float32) -> bool:
-    """Return True if depth values [H, W] are distances below 0, as along a camera's -z axis."""
-    with np.errstate(invalid="ignore"):
-        surface = depth[np.isfinite(depth) & (np.abs(depth) < FAR)]
-    # Filters that ring leave a few pixels below 0 in any depth, so more must lie below than above.
-    return int(np.count_nonzero(surface < 0)) > int(np.count_nonzero(surface > 0))
-
-
 def is_relative_to_camera(first: Float32, other: Float32) -> bool:
     """Return True if positions are relative to the camera that sees them, and not to the world.
 

@@ -144,14 +144,22 @@ def group_layers(
     for aov, channels in files.items():
         for name, members in _group_names(aov, channels):
             refs = tuple(ChannelRef(aov, member) for member in members)
+            own = tuple(channels[member] for member in members)
             # Layers of ranks, or the preview, of a Cryptomatte.
             if any(re.fullmatch(rf"{re.escape(base)}\d*", name) for base in cryptomattes):
                 kind = LayerKind.CRYPTOMATTE
             elif role := next((roles[ref] for ref in refs if ref in roles), None):
                 kind = _KIND_BY_ROLE.get(role, LayerKind.COLOUR)
             else:
-                kind = _kind_by_name(name, [channels[member] for member in members])
-            layers.append(Layer(name, kind, refs, tuple(channels[member] for member in members)))
+                leaf = re.sub(r"[^a-z0-9]", "", name.rsplit(".", 1)[-1].lower())
+                named = next((kind for kind, names in _NAMES if names.fullmatch(leaf)), None)
+                components = {ref.component.upper() for ref in refs}
+                # A vector of unknown meaning: a mixture of two directions may be none of both.
+                is_vector = len(components) > 1 and not components & (_FAMILIES["RGBA"] | _ALPHA)
+                kind = named or (LayerKind.DATA if is_vector else LayerKind.COLOUR)
+                if "uint" in {channel.pixel_type for channel in own}:
+                    kind = kind if kind is LayerKind.CRYPTOMATTE else LayerKind.ID
+            layers.append(Layer(name, kind, refs, own))
     return tuple(layers)
 
 
@@ -214,20 +222,6 @@ def _group_names(aov: str, channels: Mapping[str, Channel]) -> list[tuple[str, l
             name = f"{layer}.{letters}" if layer else aov or letters
         named[part, name] += members
     return [(name, members) for (_, name), members in named.items()]
-
-
-def _kind_by_name(name: str, channels: list[Channel]) -> LayerKind:
-    """Return the kind of a layer without a role, by type, name and components."""
-    leaf = re.sub(r"[^a-z0-9]", "", name.rsplit(".", 1)[-1].lower())
-    named = next((kind for kind, names in _NAMES if names.fullmatch(leaf)), None)
-    if any(channel.pixel_type == "uint" for channel in channels):
-        return named if named is LayerKind.CRYPTOMATTE else LayerKind.ID
-    if named is not None:
-        return named
-    components = {channel.name.rsplit(".", 1)[-1].upper() for channel in channels}
-    # A vector of unknown meaning: a mixture of two directions may be none of both.
-    is_vector = len(components) > 1 and not components & (_FAMILIES["RGBA"] | _ALPHA)
-    return LayerKind.DATA if is_vector else LayerKind.COLOUR
 
 
 def likely_vectors(refs: Iterable[ChannelRef]) -> tuple[tuple[ChannelRef, ...], ...]:
