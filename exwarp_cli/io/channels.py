@@ -143,9 +143,6 @@ _FOUND_BY_ENDING = (
 # mirror shows.
 _SPOILING_WORDS = frozenset({"shadow", "denoising", "noisy", "variance", "holdout", "bump"})
 
-# Roles' names of three letters or fewer that end longer names of nothing else.
-_SHORT_WORDS = frozenset({"mv"})
-
 # Words after a role's name that leave it that, as numbers and versions (`v2`) do.
 _SUFFIXES = frozenset(
     {"pass", "layer", "aov", "element", "channel", "channels", "raw", "nofilter", "unfiltered"}
@@ -164,7 +161,6 @@ _LEAVES = {
 }
 _PICTURES = _LEAVES[Role.COLOUR]
 _DATA = frozenset.union(*_LEAVES.values()) - _PICTURES
-_ALPHAS = frozenset({"a", "alpha"})
 _RGB = {"R", "G", "B"}
 _LONG_COMPONENTS = {"RED": "R", "GREEN": "G", "BLUE": "B", "ALPHA": "A"}
 
@@ -450,8 +446,8 @@ def _find_by_rules(layers: list[_Layer], rules: tuple[_Rule, ...], role: Role) -
     if role in (Role.NORMAL, Role.POSITION):
         spoiling |= _SPACES
     for leaf, rule in named if role in _FOUND_BY_ENDING else ():
-        # Single letters and "id" end names of anything.
-        if leaf in _PLAIN_WORDS or (len(leaf) <= 3 and leaf not in _SHORT_WORDS):
+        # Single letters and "id" end names of anything, "mv" of nothing else.
+        if leaf in _PLAIN_WORDS or (len(leaf) <= 3 and leaf != "mv"):
             continue
         for layer in layers:
             # beauty_1, beauty_2 are pictures of one light each.
@@ -472,7 +468,13 @@ def _alphas(layers: list[_Layer], roles: Mapping[Role, Refs]) -> Refs:
     for layer in layers:
         if set(layer.components) >= _RGB:
             continue  # its alpha is its own
-        usual = ("A", *_ONE) if layer.leaf in _ALPHAS else ("A",) if layer.leaf in _PICTURES else ()
+        usual = (
+            ("A", *_ONE)
+            if layer.leaf in ("a", "alpha")
+            else ("A",)
+            if layer.leaf in _PICTURES
+            else ()
+        )
         alphas += [layer.components[c] for c in usual if c in layer.components][:1]
     return tuple(ref for ref in alphas if ref.aov == colour[0].aov)
 

@@ -178,8 +178,7 @@ def _group_ranks(channels: Iterable[Channel]) -> dict[str, list[list[Channel]]]:
     for name, family in families.items():
         count = 0
         while len(family.get(count, ())) == len(set(_COMPONENTS.values())):
-            layer_channels = [channel for _, channel in sorted(family[count].items())]
-            ranks.setdefault(name, []).append(layer_channels)
+            ranks.setdefault(name, []).append([c for _, c in sorted(family[count].items())])
             count += 1
     return ranks
 

@@ -66,12 +66,6 @@ class DepthReading:
     # What a user should know of how it is read, or why it is left out; "" for nothing.
     evidence: str = field(default="", compare=False)
 
-    @classmethod
-    def of(cls, kind: DepthKind) -> DepthReading:
-        """Return how values of a kind are read where nothing else is known: by their order."""
-        offset, scale = (1.0, -1.0) if kind is DepthKind.REVERSED else (0.0, 1.0)
-        return cls(kind, offset, scale)
-
     def distance(self, depth: Float32) -> Float32:
         """Turn values, float32 [...], into distances that grow away from the camera.
 
@@ -94,13 +88,18 @@ class DepthReading:
             return np.where(distance > 0, distance, np.inf).astype(np.float32)
 
 
+# How values of a kind are read where nothing else is known: by their order.
+BY_ORDER = {kind: DepthReading(kind) for kind in DepthKind}
+BY_ORDER[DepthKind.REVERSED] = DepthReading(DepthKind.REVERSED, offset=1.0, scale=-1.0)
+
+
 def depth_reading_by_name(channels: Iterable[str]) -> DepthReading:
     """Return the reading that the names of depth channels, with their layers, suggest."""
     for name in channels:
         if re.search(r"disparity|(^|[._\s])inv(erse)?[._\s]?(depth|z)|depth[._\s]?inv", name, re.I):
-            return DepthReading.of(DepthKind.INVERSE)
+            return DepthReading(DepthKind.INVERSE)
         if re.search(r"(^|[._:])(hitPz|SceneDepth|WorldDepth)", name, re.I):
-            return DepthReading.of(DepthKind.AXIS)
+            return DepthReading(DepthKind.AXIS)
     return DepthReading()
 
 

@@ -157,5 +157,4 @@ def from_display(codes: Codes) -> Float32:
     For 8 bits it is the inverse of `to_display`. The type's largest value is white.
     """
     table = SRGB.to_linear(np.linspace(0, 1, 256**codes.dtype.itemsize, dtype=np.float32))
-    linear: Float32 = table[codes]
-    return linear
+    return np.take(table, codes)

@@ -129,11 +129,8 @@ def write_mask(
 
     The windows are data and display. Its bytes are returned, piece by piece.
     """
-    header = {
-        "compression": COMPRESSIONS["zips"],
-        **attributes,
-        **writer.scanline_attributes(*windows),
-    }
+    structure = writer.scanline_attributes(*windows)
+    header = {"compression": COMPRESSIONS["zips"], **attributes, **structure}
     return _write_exr(path, [(header, {"holes": mask.astype(np.float16)})], {})
 
 
@@ -229,12 +226,9 @@ def filled_window(planes: Iterable[Plane], source: Window) -> Window:
     rows, columns = np.flatnonzero(filled.any(axis=1)), np.flatnonzero(filled.any(axis=0))
     if rows.size == 0:
         return Window(window.x, window.y, 1, 1)
-    return Window(
-        window.x + int(columns[0]),
-        window.y + int(rows[0]),
-        int(columns[-1] - columns[0]) + 1,
-        int(rows[-1] - rows[0]) + 1,
-    )
+    left, right = int(columns[0]), int(columns[-1])
+    top, bottom = int(rows[0]), int(rows[-1])
+    return Window(window.x + left, window.y + top, right - left + 1, bottom - top + 1)
 
 
 def read_picture(path: Path, view: str = "") -> Image:
