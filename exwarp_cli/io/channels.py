@@ -468,13 +468,9 @@ def _alphas(layers: list[_Layer], roles: Mapping[Role, Refs]) -> Refs:
     for layer in layers:
         if set(layer.components) >= _RGB:
             continue  # its alpha is its own
-        usual = (
-            ("A", *_ONE)
-            if layer.leaf in ("a", "alpha")
-            else ("A",)
-            if layer.leaf in _PICTURES
-            else ()
-        )
+        usual: tuple[str, ...] = ("A",) if layer.leaf in _PICTURES else ()
+        if layer.leaf in ("a", "alpha"):
+            usual = ("A", *_ONE)
         alphas += [layer.components[c] for c in usual if c in layer.components][:1]
     return tuple(ref for ref in alphas if ref.aov == colour[0].aov)
 
