@@ -244,7 +244,7 @@ def _new_head(
         file.seek(0)
         data = file.read()
         if marks is not None or is_intact(data):  # a frame that ExWarp made gets a new checksum
-            return bytes(seal(head, data[rest:])[0]), rest
+            return bytes(seal(head, memoryview(data)[rest:])[0]), rest
     return head, rest
 
 

@@ -194,8 +194,8 @@ class FrameWriter(ResourceOwner):
         return self.output.frames.path(number)
 
     def _copy(self, number: int, source: Path, marks: Mapping[str, str | int] | None) -> None:
-        with record_time(self.write_ms, number), ExitStack() as stack:
-            file = stack.enter_context(open_key_file(source, self.key_rate, marks))
+        opened = open_key_file(source, self.key_rate, marks)
+        with record_time(self.write_ms, number), opened as file:
             file.write(self.path(number))
             if self.wants_sums:  # of what the source gives
                 self.sums[FRAME, number] = sum_of(file.pieces())
