@@ -45,9 +45,6 @@ _TEXTS = {
 }
 _TABLES = ("channels", "aovs")
 
-# Usual orders of components.
-_ORDERS = ("XYZW", "XYZ", "RGBA", "RGB", "UV", "XY", "RG")
-
 
 @dataclass(frozen=True)
 class AovFile:
@@ -138,16 +135,16 @@ def detect_aov(aov: AovFile, channels: Mapping[str, Channel], name: str, file: o
     own = detect_layout({"": channels.values()})
     layout = own if role in own else detect_layout({role.value: channels.values()})
     members = tuple(ref.name for ref in layout.roles.get(role, ()))
-    if role not in own and len({name.rpartition(".")[0] for name in channels}) == 1:
+    if role not in own and len({channel.rpartition(".")[0] for channel in channels}) == 1:
         # Of a file's only layer all channels, in their usual order, if they fit.
         least, most, _ = CHANNEL_COUNTS[role]
-        by_letter = {name.rpartition(".")[2].upper(): name for name in channels}
-        orders = ("XYZW", "XYZ", "UV", "XY") if role is Role.MOTION else _ORDERS
-        fitting = [o for o in orders if least <= len(o) <= most and set(o) == set(by_letter)]
-        all_channels = [tuple(by_letter[letter] for letter in order) for order in fitting]
-        if len(channels) == least == most == 1:
-            all_channels = [tuple(channels)]
-        members = max([members, *all_channels], key=len)
+        by_letter = {channel.rpartition(".")[2].upper(): channel for channel in channels}
+        all_channels = tuple(channels) if len(channels) == least == most == 1 else ()
+        for letters in ("XYZW", "XYZ", "RGBA", "RGB", "UV", "XY", "RG"):
+            fits = least <= len(letters) <= most and set(letters) == set(by_letter)
+            if fits and not (role is Role.MOTION and letters[0] == "R"):
+                all_channels = tuple(by_letter[letter] for letter in letters)
+        members = max(members, all_channels, key=len)
     if not members:
         raise LayoutError(
             f"{file} has no {role.value} channels that are recognised, only "

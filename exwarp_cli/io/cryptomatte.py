@@ -126,20 +126,9 @@ def find_cryptomattes(
                 if match is not None and isinstance(value, str):
                     # What the first part says of a key counts.
                     entries.setdefault(match[1], {}).setdefault(match[2], value)
-        named = [(_words(entry["name"]), entry) for entry in entries.values() if entry.get("name")]
+        named = [entry for entry in entries.values() if entry.get("name")]
         for name, layers in _group_ranks(members).items():
-            # An entry of the same name, else one whose name ends in the layers', or theirs in its:
-            # writers put view layers, parts and views before it, or leave them out. The longest
-            # says most: "Crypto Object Material" is not the entry "Material".
-            entry: dict[str, str] | None = None
-            words, longest = _words(name), 0
-            for own, candidate in named:
-                if "".join(own) == "".join(words):
-                    entry = candidate
-                    break
-                count = min(len(own), len(words))
-                if own[-count:] == words[-count:] and len(candidate["name"]) > longest:
-                    entry, longest = candidate, len(candidate["name"])
+            entry = _header_entry(name, named)
             last = "".join(_words(name.rsplit(".", 1)[-1]))
             if entry is None and not any(word in last for word in _USUAL_NAMES):
                 continue
@@ -181,6 +170,25 @@ def _group_ranks(channels: Iterable[Channel]) -> dict[str, list[list[Channel]]]:
             ranks.setdefault(name, []).append([c for _, c in sorted(family[count].items())])
             count += 1
     return ranks
+
+
+def _header_entry(name: str, entries: list[dict[str, str]]) -> dict[str, str] | None:
+    """Return the header's entry for layers of a name.
+
+    An entry of the same name, else one whose name ends in the layers', or theirs in its: writers
+    put view layers, parts and views before it, or leave them out.
+    """
+    words = _words(name)
+    near = []
+    for entry in entries:
+        own = _words(entry["name"])
+        if "".join(own) == "".join(words):
+            return entry
+        count = min(len(own), len(words))
+        if own[-count:] == words[-count:]:
+            near.append(entry)
+    # The longest says most: "Crypto Object Material" is not the entry "Material".
+    return max(near, key=lambda entry: len(entry["name"]), default=None)
 
 
 def _words(name: str) -> list[str]:

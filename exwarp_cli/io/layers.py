@@ -157,8 +157,9 @@ def group_layers(
                 # A vector of unknown meaning: a mixture of two directions may be none of both.
                 is_vector = len(components) > 1 and not components & (_FAMILIES["RGBA"] | _ALPHA)
                 kind = named or (LayerKind.DATA if is_vector else LayerKind.COLOUR)
-                if "uint" in {channel.pixel_type for channel in own}:
-                    kind = kind if kind is LayerKind.CRYPTOMATTE else LayerKind.ID
+                has_integers = any(channel.pixel_type == "uint" for channel in own)
+                if has_integers and kind is not LayerKind.CRYPTOMATTE:
+                    kind = LayerKind.ID
             layers.append(Layer(name, kind, refs, own))
     return tuple(layers)
 

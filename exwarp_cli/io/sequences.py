@@ -15,7 +15,7 @@ from exwarp_cli.errors import InputError, MissingFrameError, OutputError, UsageE
 from exwarp_cli.io import frame_names
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.files import path_exists
-from exwarp_cli.io.frame_names import SEPARATORS, NamePattern, is_padded_to, split_pass
+from exwarp_cli.io.frame_names import SEPARATORS, NamePattern, PassName, is_padded_to, split_pass
 
 EXR = (".exr",)
 
@@ -278,23 +278,11 @@ def _find_pass_sets(sequences: list[Sequence]) -> list[AovSet]:
         passes: dict[int, dict[str, Sequence]] = defaultdict(dict)
         without_beauty: dict[str, list[int]] = defaultdict(list)
         for index, name in data.items():
-            # By beauty, the length of the shot's name and the name of the pass.
-            fitting: dict[int, tuple[int, str]] = {}
-            for i, beauty in beauties.items():
-                if beauty.role is Role.COLOUR and beauty.shot == name.shot:
-                    fitting[i] = (len(beauty.shot), name.name)
-                elif name.extends(beauty.stem):
-                    # FinalImage and FinalImageMovieRenderQueue_WorldDepth are of one shot too.
-                    shot = beauty.shot if beauty.role is Role.COLOUR else beauty.stem
-                    fitting[i] = (len(shot), name.stem[len(beauty.stem) :].lstrip(SEPARATORS))
-            if not fitting:
+            pass_names = _beauties_of(name, beauties)
+            for beauty, pass_name in pass_names.items():
+                passes[beauty][pass_name] = sequences[index]
+            if not pass_names:
                 without_beauty[name.shot].append(index)
-                continue
-            longest = max(length for length, _ in fitting.values())
-            for i, (length, pass_name) in fitting.items():
-                # Several beauties only where they share the longest name of a shot.
-                if length == longest:
-                    passes[i][pass_name] = sequences[index]
         for index, aovs in passes.items():
             colour, shot = sequences[index], beauties[index].shot
             # These may be further passes: their names begin as the shot's, and are not known.
@@ -303,14 +291,33 @@ def _find_pass_sets(sequences: list[Sequence]) -> list[AovSet]:
                 for i, name in beauties.items()
                 if i not in passes and name.role is None and name.extends(shot)
             }
-            more = {key: s for key, s in more.items() if set(colour.files) <= set(s.files)}
-            sets.append(AovSet(colour, aovs | more | aovs))  # known ones first, and rather
+            for pass_name, sequence in more.items():
+                if set(colour.files) <= set(sequence.files):
+                    aovs.setdefault(pass_name, sequence)
+            sets.append(AovSet(colour, aovs))
         for indices in without_beauty.values():
             aovs = {split[i].name: sequences[i] for i in indices}
             motion = [split[i].name for i in indices if split[i].role is Role.MOTION]
             if motion and len(indices) > 1:
                 sets.append(AovSet(aovs[motion[0]], aovs))
     return sets
+
+
+def _beauties_of(name: PassName, beauties: dict[int, PassName]) -> dict[int, str]:
+    """Return the beauties that a pass belongs to, with its name as a pass of each.
+
+    Several only where they share the longest name of a shot.
+    """
+    fitting: dict[int, tuple[int, str]] = {}
+    for index, beauty in beauties.items():
+        if beauty.role is Role.COLOUR and beauty.shot == name.shot:
+            fitting[index] = (len(beauty.shot), name.name)
+        elif name.extends(beauty.stem):
+            # FinalImage and FinalImageMovieRenderQueue_WorldDepth are of one shot too.
+            shot = beauty.shot if beauty.role is Role.COLOUR else beauty.stem
+            fitting[index] = (len(shot), name.stem[len(beauty.stem) :].lstrip(SEPARATORS))
+    longest = max((length for length, _ in fitting.values()), default=0)
+    return {index: pass_name for index, (length, pass_name) in fitting.items() if length == longest}
 
 
 def _find_by_name(spec: str, suffixes: tuple[str, ...]) -> Sequence:
