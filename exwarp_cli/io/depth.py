@@ -89,8 +89,8 @@ class DepthReading:
 
 
 # How values of a kind are read where nothing else is known: by their order.
-BY_ORDER = {kind: DepthReading(kind) for kind in DepthKind}
-BY_ORDER[DepthKind.REVERSED] = DepthReading(DepthKind.REVERSED, offset=1.0, scale=-1.0)
+DEFAULT_READINGS = {kind: DepthReading(kind) for kind in DepthKind}
+DEFAULT_READINGS[DepthKind.REVERSED] = DepthReading(DepthKind.REVERSED, offset=1.0, scale=-1.0)
 
 
 def depth_reading_by_name(channels: Iterable[str]) -> DepthReading:

@@ -29,7 +29,7 @@ from exwarp_cli.io.channels import (
     detect_layout,
 )
 from exwarp_cli.io.cryptomatte import Cryptomatte, IdReading, cryptomatte_refs, find_cryptomattes
-from exwarp_cli.io.depth import BY_ORDER, DepthReading, depth_reading_by_name
+from exwarp_cli.io.depth import DEFAULT_READINGS, DepthReading, depth_reading_by_name
 from exwarp_cli.io.exr.header import Channel, Part
 from exwarp_cli.io.exr.reader import ExrFile, FileHeader, HeaderCache, deep_image_error
 from exwarp_cli.io.frame_names import split_pass
@@ -233,7 +233,7 @@ def _with_readings(shot: Shot, own: Layout) -> Shot:
     by_name = depth_reading_by_name(ref.name for ref in roles.get(Role.DEPTH, ()))
     depth = by_name
     if shot.channel_map is not None and shot.channel_map.depth_kind is not None:
-        depth = BY_ORDER[shot.channel_map.depth_kind]
+        depth = DEFAULT_READINGS[shot.channel_map.depth_kind]
     by_hand: dict[str, Any] = {
         role.value: [ref.label for ref in roles.get(role, ())]
         for role in Role

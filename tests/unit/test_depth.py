@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.io.depth import (
-    BY_ORDER,
+    DEFAULT_READINGS,
     DepthKind,
     DepthReading,
     depth_reading_by_name,
@@ -150,7 +150,7 @@ class TestNamed:
 def test_without_positions_the_order_is_right(kind):
     names = {"inverse": "inverse", "reversed": "reversed", "normalised": "normalised"}
     z, _, _, sky = geometry()
-    distance = BY_ORDER[kind].distance(written(names[kind.value]))
+    distance = DEFAULT_READINGS[kind].distance(written(names[kind.value]))
     assert np.isinf(distance[sky]).all() and np.isfinite(distance[~sky]).all()
     near_first = np.argsort(distance[~sky], kind="stable")
     assert (np.diff(z[~sky][near_first]) >= -1e-4).all()
@@ -160,4 +160,4 @@ def test_without_positions_the_order_is_right(kind):
 @pytest.mark.parametrize("kind", [DepthKind.INVERSE, DepthKind.REVERSED])
 def test_unusable_values_are_background(kind):
     depth = np.array([[0.0, -1.0, np.nan, -np.inf]], np.float32)
-    assert np.isposinf(BY_ORDER[kind].distance(depth)).all()
+    assert np.isposinf(DEFAULT_READINGS[kind].distance(depth)).all()
