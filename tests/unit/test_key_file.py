@@ -150,6 +150,7 @@ def test_chunks_are_copied_and_only_the_rate_changes(tmp_path, kind):
     for one, other in zip(decoded(source), decoded(target), strict=True):
         assert one.size and np.array_equal(one, other)
     assert file.is_at(target) and not file.is_at(source)
+    assert not file.is_at(tmp_path / "absent.exr") and not file.is_at(tmp_path)
     digest = hashlib.sha256(target.read_bytes()).digest()
     assert hashlib.sha256(b"".join(file.pieces())).digest() == digest
 
