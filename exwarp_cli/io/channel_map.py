@@ -14,18 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from exwarp_cli.errors import (
-    DamagedFileError,
-    ExwarpError,
-    InputError,
-    LayoutError,
-    OutputExistsError,
-    UsageError,
-)
+from exwarp_cli.errors import DamagedFileError, ExwarpError, InputError, LayoutError, UsageError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect_layout
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.exr.header import Channel
-from exwarp_cli.io.files import atomic_write_text, read_toml
+from exwarp_cli.io.files import read_toml
 
 SCHEMA = "exwarp.channel-map/1"
 
@@ -142,8 +135,16 @@ def detect_aov(aov: AovFile, channels: Mapping[str, Channel], name: str, file: o
     own = detect_layout({"": channels.values()})
     layout = own if role in own else detect_layout({role.value: channels.values()})
     members = tuple(ref.name for ref in layout.roles.get(role, ()))
-    if role not in own:
-        members = max(members, _only_layer(role, channels), key=len)
+    if role not in own and len({channel.rpartition(".")[0] for channel in channels}) == 1:
+        # Of a file's only layer all channels, in their usual order, if they fit.
+        least, most, _ = CHANNEL_COUNTS[role]
+        by_letter = {channel.rpartition(".")[2].upper(): channel for channel in channels}
+        all_channels = tuple(channels) if len(channels) == least == most == 1 else ()
+        for letters in ("XYZW", "XYZ", "RGBA", "RGB", "UV", "XY", "RG"):
+            fits = least <= len(letters) <= most and set(letters) == set(by_letter)
+            if fits and not (role is Role.MOTION and letters[0] == "R"):
+                all_channels = tuple(by_letter[letter] for letter in letters)
+        members = max(members, all_channels, key=len)
     if not members:
         raise LayoutError(
             f"{file} has no {role.value} channels that are recognised, only "
@@ -155,22 +156,6 @@ def detect_aov(aov: AovFile, channels: Mapping[str, Channel], name: str, file: o
         own.producer,
         alphas=tuple(ChannelRef(name, ref.name) for ref in layout.alphas if role is Role.COLOUR),
     )
-
-
-def _only_layer(role: Role, channels: Mapping[str, Channel]) -> tuple[str, ...]:
-    """Return the channels of a file's only layer in their usual order, () if they do not fit."""
-    layers = {name.rpartition(".")[0] for name in channels}
-    by_letter = {name.rpartition(".")[2].upper(): name for name in channels}
-    least, most, _ = CHANNEL_COUNTS[role]
-    if len(layers) != 1:
-        return ()
-    if len(channels) == least == most == 1:
-        return tuple(channels)
-    for letters in ("XYZW", "XYZ", "RGBA", "RGB", "UV", "XY", "RG"):
-        fits = least <= len(letters) <= most and set(by_letter) == set(letters)
-        if fits and not (role is Role.MOTION and letters[0] == "R"):
-            return tuple(by_letter[letter] for letter in letters)
-    return ()
 
 
 def find_channel(name: str, channels: Iterable[str], option: str, file: object) -> str:
@@ -277,13 +262,6 @@ def _find_problems(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     kinds = [kind.value for kind in DepthKind]
     if document.get("depth_kind", kinds[0]) not in kinds:
         yield "depth_kind", f"is {document['depth_kind']!r}; write one of {', '.join(kinds)}"
-
-
-def write_channel_map(path: Path, text: str, overwrite: bool) -> None:
-    """Write the text of a channel map atomically; OutputExistsError, OutputError if it cannot."""
-    if path.exists() and not overwrite:
-        raise OutputExistsError(f"{path} exists; choose another name, or add --overwrite")
-    atomic_write_text(path, text)
 
 
 def channel_map_text(

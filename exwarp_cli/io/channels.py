@@ -143,9 +143,6 @@ _FOUND_BY_ENDING = (
 # mirror shows.
 _SPOILING_WORDS = frozenset({"shadow", "denoising", "noisy", "variance", "holdout", "bump"})
 
-# Roles' names of three letters or fewer that end longer names of nothing else.
-_SHORT_WORDS = frozenset({"mv"})
-
 # Words after a role's name that leave it that, as numbers and versions (`v2`) do.
 _SUFFIXES = frozenset(
     {"pass", "layer", "aov", "element", "channel", "channels", "raw", "nofilter", "unfiltered"}
@@ -164,7 +161,6 @@ _LEAVES = {
 }
 _PICTURES = _LEAVES[Role.COLOUR]
 _DATA = frozenset.union(*_LEAVES.values()) - _PICTURES
-_ALPHAS = frozenset({"a", "alpha"})
 _RGB = {"R", "G", "B"}
 _LONG_COMPONENTS = {"RED": "R", "GREEN": "G", "BLUE": "B", "ALPHA": "A"}
 
@@ -308,15 +304,6 @@ def split_words(name: str) -> list[str]:
     return [word.lower() for word in _WORD.findall(name)]
 
 
-def vector_direction(layer: str) -> str:
-    """Return "forward" or "backward" if the name of a layer of vectors ends so, else ""."""
-    name = re.sub(r"[^a-z]", "", layer.lower())
-    for direction, names in (("forward", FORWARD_NAMES), ("backward", BACKWARD_NAMES)):
-        if name.endswith(names):
-            return direction
-    return ""
-
-
 def _group_by_layer(
     channels: Mapping[str, Iterable[Channel]], excluded: Collection[ChannelRef]
 ) -> list[_Layer]:
@@ -327,13 +314,15 @@ def _group_by_layer(
     layers: dict[tuple[str, str, int], _Layer] = {}
     for aov, listed in channels.items():
         members = [c for c in listed if ChannelRef(aov, c.name) not in excluded]
-        # What the parts' names say of channels that carry no layer of their own.
+        # Channels that carry no layer of their own, and what the names of their parts say of them.
+        by_part = {c for c in members if "." not in c.raw_name and c.name != c.raw_name}
         letters: dict[int, set[str]] = {}
         names: dict[str, list[str]] = {}
         for channel in members:
-            if _is_named_by_part(channel):
+            if channel in by_part:
                 layer, _, component = channel.name.rpartition(".")
-                letters.setdefault(channel.part, set()).add(_letter(component))
+                letter = _LONG_COMPONENTS.get(component.upper(), component.upper())
+                letters.setdefault(channel.part, set()).add(letter)
                 names[layer] = _NAME_WORD.findall(layer.rsplit(".", 1)[-1])
         pictures = {part for part, components in letters.items() if components >= _RGB}
         # Words that all these names begin and end with: of `rgba_main` and `depth_main`, 0 and 1.
@@ -342,7 +331,8 @@ def _group_by_layer(
         for channel in members:
             if CRYPTOMATTE_NAME.search(channel.name.rpartition(".")[0] or aov):
                 continue
-            layer, last, component, part = _locate(channel, pictures, leading, trailing)
+            is_by_part = channel in by_part
+            layer, last, component, part = _locate(channel, is_by_part, pictures, leading, trailing)
             key = (aov, layer, part)
             if key not in layers:
                 own_file = bool(aov) and layer == ""
@@ -354,24 +344,24 @@ def _group_by_layer(
                     _endings(last),
                     own_file,
                     channel.part,
-                    layer != "" and _is_named_by_part(channel),
+                    layer != "" and is_by_part,
                 )
             layers[key].components.setdefault(component, ChannelRef(aov, channel.name))
     return list(layers.values())
 
 
 def _locate(
-    channel: Channel, pictures: Collection[int], leading: int, trailing: int
+    channel: Channel, by_part: bool, pictures: Collection[int], leading: int, trailing: int
 ) -> tuple[str, str, str, int]:
     """Return a channel's layer, the last element of its name, the component, and the part.
 
-    The part is -1 where layers of one name are one layer, whatever their parts. `pictures` are the
-    parts with R, G and B that have no layer; `leading` and `trailing` count the shared words of the
-    names of parts.
+    The part is -1 where layers of one name are one layer, whatever their parts. `by_part` is True
+    if the layer is no more than the part's name. `pictures` are the parts with R, G and B that have
+    no layer; `leading` and `trailing` count the shared words of the names of parts.
     """
     layer, _, component = channel.name.rpartition(".")
-    component, last = _letter(component), layer.rsplit(".", 1)[-1]
-    by_part = _is_named_by_part(channel)
+    component, last = component.upper(), layer.rsplit(".", 1)[-1]
+    component = _LONG_COMPONENTS.get(component, component)
     repeats_layer = _plain(component) == _plain(last)
     if len(component) > 1 and (not layer or by_part or repeats_layer):
         return channel.name, channel.name.rsplit(".", 1)[-1], "V", -1
@@ -388,10 +378,6 @@ def _locate(
     return layer, last, component, -1
 
 
-def _is_named_by_part(channel: Channel) -> bool:
-    return "." not in channel.raw_name and channel.name != channel.raw_name
-
-
 def _shared_word_count(names: list[list[str]]) -> int:
     """Count the words that all names begin with and that change no role; one word stays."""
     if len(names) < 2:
@@ -403,10 +389,6 @@ def _shared_word_count(names: list[list[str]]) -> int:
             break
         count += 1
     return count
-
-
-def _letter(component: str) -> str:
-    return _LONG_COMPONENTS.get(component.upper(), component.upper())
 
 
 def _plain(name: str) -> str:
@@ -454,28 +436,27 @@ def _find_role(layers: list[_Layer], role: Role) -> Refs:
 
 
 def _find_by_rules(layers: list[_Layer], rules: tuple[_Rule, ...], role: Role) -> Refs:
-    for by_ending in (False, True) if role in _FOUND_BY_ENDING else (False,):
-        for rule in rules:
-            for leaf in rule.leaves:
-                for layer in layers:
-                    fits = _ends_in(layer, leaf, role) if by_ending else layer.leaf == leaf
-                    if fits and (refs := layer.first_match(rule)):
-                        return refs
+    """Find a layer by its whole name, else by the last words of its name."""
+    named = [(leaf, rule) for rule in rules for leaf in rule.leaves]
+    for leaf, rule in named:
+        for layer in layers:
+            if layer.leaf == leaf and (refs := layer.first_match(rule)):
+                return refs
+    spoiling = _SPOILING_WORDS
+    if role in (Role.NORMAL, Role.POSITION):
+        spoiling |= _SPACES
+    for leaf, rule in named if role in _FOUND_BY_ENDING else ():
+        # Single letters and "id" end names of anything, "mv" of nothing else.
+        if leaf in _PLAIN_WORDS or (len(leaf) <= 3 and leaf != "mv"):
+            continue
+        for layer in layers:
+            # beauty_1, beauty_2 are pictures of one light each.
+            is_light = role is Role.COLOUR and not layer.leaf.endswith(leaf)
+            if is_light or leaf not in layer.endings or layer.endings[leaf] in spoiling:
+                continue
+            if refs := layer.first_match(rule):
+                return refs
     return ()
-
-
-def _ends_in(layer: _Layer, leaf: str, role: Role) -> bool:
-    """True if a layer's name ends in a role's, and the word before does not change the role."""
-    # Single letters and "id" end names of anything.
-    is_short = len(leaf) <= 3 and leaf not in _SHORT_WORDS
-    if is_short or leaf in _PLAIN_WORDS or leaf not in layer.endings:
-        return False
-    if role is Role.COLOUR and not layer.leaf.endswith(leaf):
-        return False  # beauty_1, beauty_2: pictures of one light each
-    before = layer.endings[leaf]
-    if role in (Role.NORMAL, Role.POSITION) and before in _SPACES:
-        return False
-    return before not in _SPOILING_WORDS
 
 
 def _alphas(layers: list[_Layer], roles: Mapping[Role, Refs]) -> Refs:
@@ -487,7 +468,9 @@ def _alphas(layers: list[_Layer], roles: Mapping[Role, Refs]) -> Refs:
     for layer in layers:
         if set(layer.components) >= _RGB:
             continue  # its alpha is its own
-        usual = ("A", *_ONE) if layer.leaf in _ALPHAS else ("A",) if layer.leaf in _PICTURES else ()
+        usual: tuple[str, ...] = ("A",) if layer.leaf in _PICTURES else ()
+        if layer.leaf in ("a", "alpha"):
+            usual = ("A", *_ONE)
         alphas += [layer.components[c] for c in usual if c in layer.components][:1]
     return tuple(ref for ref in alphas if ref.aov == colour[0].aov)
 

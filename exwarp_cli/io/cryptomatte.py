@@ -27,7 +27,6 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Float32, Int32
 from exwarp_cli.errors import DamagedFileError, LayoutError, UsageError
@@ -168,8 +167,7 @@ def _group_ranks(channels: Iterable[Channel]) -> dict[str, list[list[Channel]]]:
     for name, family in families.items():
         count = 0
         while len(family.get(count, ())) == len(set(_COMPONENTS.values())):
-            layer_channels = [channel for _, channel in sorted(family[count].items())]
-            ranks.setdefault(name, []).append(layer_channels)
+            ranks.setdefault(name, []).append([c for _, c in sorted(family[count].items())])
             count += 1
     return ranks
 
@@ -181,14 +179,13 @@ def _header_entry(name: str, entries: list[dict[str, str]]) -> dict[str, str] | 
     put view layers, parts and views before it, or leave them out.
     """
     words = _words(name)
-    for entry in entries:
-        if "".join(_words(entry["name"])) == "".join(words):
-            return entry
     near = []
     for entry in entries:
-        entry_words = _words(entry["name"])
-        count = min(len(entry_words), len(words))
-        if entry_words[-count:] == words[-count:]:
+        own = _words(entry["name"])
+        if "".join(own) == "".join(words):
+            return entry
+        count = min(len(own), len(words))
+        if own[-count:] == words[-count:]:
             near.append(entry)
     # The longest says most: "Crypto Object Material" is not the entry "Material".
     return max(near, key=lambda entry: len(entry["name"]), default=None)
@@ -220,10 +217,14 @@ def surface_ids(
     Of 10,000 objects some two share an id with a probability of 2.3 % (1.2 % with all 32 bits);
     rounded, some six pairs do.
     """
-    bits, shares = _bits_and_shares(ranks)
-    ids = np.empty(bits.shape[:2], np.int32)
+    if ranks.dtype != np.float32 or ranks.ndim != 3 or ranks.shape[2] != 4:
+        raise ValueError(f"ranks are float32 [H, W, 4], not {ranks.dtype} {ranks.shape}")
+    ranks = np.ascontiguousarray(ranks)
+    ids = np.empty(ranks.shape[:2], np.int32)
     moving = np.array(sorted(dynamic or ()), np.int32)
-    raw_channels.write_dominant_ids(bits, shares, LEAD, rounded, moving, dynamic is None, ids)
+    raw_channels.write_dominant_ids(
+        ranks.view(np.uint32), ranks, LEAD, rounded, moving, dynamic is None, ids
+    )
     return ids
 
 
@@ -243,14 +244,9 @@ def refine_ids_by_depth(ids: Int32, depth: Float32) -> Int32:
     return refined
 
 
-def surface_id(bits: int, rounded: bool = False) -> int:
-    """Return the id that `surface_ids` gives to the bits of a hash."""
-    return int(raw_channels.decode_id(np.uint32(bits), rounded))
-
-
 def require_lossless_ids(ranks: Float32, where: str) -> None:
     """Refuse ids that a lossy step has destroyed: half floats or DWA compression."""
-    bits = _bits_and_shares(ranks)[0][..., 0].ravel()
+    bits = np.ascontiguousarray(ranks).view(np.uint32)[..., 0].ravel()
     bits = bits[(bits & raw_channels.MAGNITUDE) != 0]
     distinct = np.unique(bits[:: max(1, bits.size // SAMPLES)])
     exponent = distinct & EXPONENT
@@ -262,14 +258,6 @@ def require_lossless_ids(ranks: Float32, where: str) -> None:
             f"{where} has Cryptomatte ids that came through half floats or lossy compression "
             "(DWAA, DWAB); write that pass as 32-bit float with ZIP compression"
         )
-
-
-def _bits_and_shares(ranks: Float32) -> tuple[npt.NDArray[np.uint32], Float32]:
-    """Return two views of one array, as the kernels take them."""
-    if ranks.dtype != np.float32 or ranks.ndim != 3 or ranks.shape[2] != 4:
-        raise ValueError(f"ranks are float32 [H, W, 4], not {ranks.dtype} {ranks.shape}")
-    contiguous = np.ascontiguousarray(ranks)
-    return contiguous.view(np.uint32), contiguous
 
 
 @dataclass(frozen=True)
@@ -321,38 +309,32 @@ def read_manifest(cryptomatte: Cryptomatte, path: Path) -> Manifest:
     Without names if none can be read: the ids are as good without.
     """
     text, source, problem = cryptomatte.manifest or "", "its header's manifest", ""
-    if not text.strip():
-        text, source, problem = _read_sidecar(cryptomatte.sidecar or "", path)
+    sidecar = cryptomatte.sidecar or ""
+    if not text.strip() and not sidecar:
+        problem = "its header has no manifest"
+    elif not text.strip():
+        source, problem = sidecar, f"its manifest {quote_name(sidecar)} is not there"
+        # Where the header says, else beside the image: paths are written on other systems, and
+        # frames are moved with their manifests.
+        plain = sidecar.replace("\\", "/")
+        for name in (sidecar, plain, plain.split("/")[-1]):
+            file = path.parent / name
+            with suppress(OSError, ValueError):  # too long, or with a zero byte
+                if file.is_file():
+                    source, problem = str(file), ""
+                    break
+        try:
+            if not problem and file.stat().st_size > MAX_MANIFEST_SIZE:
+                problem = f"{file} is larger than {MAX_MANIFEST_SIZE >> 20} MiB"
+            text = "" if problem else file.read_text("utf-8-sig", "surrogateescape")
+        except OSError as error:
+            problem = f"{file} cannot be read ({error.strerror})"
     if not problem and len(text) > MAX_MANIFEST_SIZE:
         problem = f"{source} is larger than {MAX_MANIFEST_SIZE >> 20} MiB"
     ids = {} if problem else parse_manifest(text)
     if not ids:
         problem = problem or f"{source} holds no names that can be read"
     return Manifest(ids, problem, cryptomatte.hashed)
-
-
-def _read_sidecar(sidecar: str, image: Path) -> tuple[str, str, str]:
-    """Return a manifest file's text, its path, and the problem, if any, as half a sentence."""
-    if not sidecar:
-        return "", "", "its header has no manifest"
-    # Where the header says, else beside the image: paths are written on other systems, and frames
-    # are moved with their manifests.
-    plain = sidecar.replace("\\", "/")
-    for name in (sidecar, plain, plain.split("/")[-1]):
-        path = image.parent / name
-        try:
-            if path.is_file():
-                break
-        except (OSError, ValueError):  # too long, or with a zero byte
-            continue
-    else:
-        return "", sidecar, f"its manifest {quote_name(sidecar)} is not there"
-    try:
-        if path.stat().st_size > MAX_MANIFEST_SIZE:
-            return "", str(path), f"{path} is larger than {MAX_MANIFEST_SIZE >> 20} MiB"
-        return path.read_text("utf-8-sig", "surrogateescape"), str(path), ""
-    except OSError as error:
-        return "", str(path), f"{path} cannot be read ({error.strerror})"
 
 
 def parse_manifest(text: str) -> dict[str, int]:
@@ -452,5 +434,6 @@ def find_dynamic_objects(
                 f"--dynamic {quote_name(glob)} cannot be looked up: {where} has no names, as "
                 f"{problem or 'there are no frames'}; {remedy}"
             )
-    dynamic = {surface_id(bits, rounded) for hashes in matching.values() for bits in hashes}
+    all_bits = {np.uint32(bits) for hashes in matching.values() for bits in hashes}
+    dynamic = {int(raw_channels.decode_id(bits, rounded)) for bits in all_bits}
     return DynamicObjects(tuple(sorted(dynamic)), tuple(sorted(matching)))

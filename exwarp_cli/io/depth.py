@@ -66,12 +66,6 @@ class DepthReading:
     # What a user should know of how it is read, or why it is left out; "" for nothing.
     evidence: str = field(default="", compare=False)
 
-    @classmethod
-    def of(cls, kind: DepthKind) -> DepthReading:
-        """Return how values of a kind are read where nothing else is known: by their order."""
-        offset, scale = (1.0, -1.0) if kind is DepthKind.REVERSED else (0.0, 1.0)
-        return cls(kind, offset, scale)
-
     def distance(self, depth: Float32) -> Float32:
         """Turn values, float32 [...], into distances that grow away from the camera.
 
@@ -94,13 +88,18 @@ class DepthReading:
             return np.where(distance > 0, distance, np.inf).astype(np.float32)
 
 
+# How values of a kind are read where nothing else is known: by their order.
+DEFAULT_READINGS = {kind: DepthReading(kind) for kind in DepthKind}
+DEFAULT_READINGS[DepthKind.REVERSED] = DepthReading(DepthKind.REVERSED, offset=1.0, scale=-1.0)
+
+
 def depth_reading_by_name(channels: Iterable[str]) -> DepthReading:
     """Return the reading that the names of depth channels, with their layers, suggest."""
     for name in channels:
         if re.search(r"disparity|(^|[._\s])inv(erse)?[._\s]?(depth|z)|depth[._\s]?inv", name, re.I):
-            return DepthReading.of(DepthKind.INVERSE)
+            return DepthReading(DepthKind.INVERSE)
         if re.search(r"(^|[._:])(hitPz|SceneDepth|WorldDepth)", name, re.I):
-            return DepthReading.of(DepthKind.AXIS)
+            return DepthReading(DepthKind.AXIS)
     return DepthReading()
 
 
@@ -140,14 +139,6 @@ def measure_depth_reading(depth: Float32, position: Float32) -> DepthReading | N
         if np.corrcoef(ranks[0], ranks[1])[0, 1] < -0.9 and (values > 0).all():
             return DepthReading(DepthKind.INVERSE, measured=True)  # in the right order, at least
     return None
-
-
-def is_negative(depth: Float32) -> bool:
-    """Return True if depth values [H, W] are distances below 0, as along a camera's -z axis."""
-    with np.errstate(invalid="ignore"):
-        surface = depth[np.isfinite(depth) & (np.abs(depth) < FAR)]
-    # Filters that ring leave a few pixels below 0 in any depth, so more must lie below than above.
-    return int(np.count_nonzero(surface < 0)) > int(np.count_nonzero(surface > 0))
 
 
 def is_relative_to_camera(first: Float32, other: Float32) -> bool:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -84,11 +84,17 @@ def primaries_of(header: Mapping[str, Any]) -> Primaries | None:
     adaptation it becomes neutral in Rec. 709. None also for a header without chromaticities, where
     OpenEXR assumes Rec. 709, and for chromaticities that no colours can have.
     """
-    chromaticities = _finite_numbers(header.get("chromaticities"), 8)
-    if chromaticities is None:
+    finite: dict[str, Float64] = {}
+    for attribute, count in (("chromaticities", 8), ("adoptedNeutral", 2)):
+        with suppress(TypeError, ValueError):
+            values = np.array(header.get(attribute), np.float64).ravel()
+            if values.shape == (count,) and np.isfinite(values).all():
+                finite[attribute] = values
+    if "chromaticities" not in finite:
         return None
-    neutral = _finite_numbers(header.get("adoptedNeutral"), 2)
-    if neutral is None or not neutral[1] > 0:
+    chromaticities = finite["chromaticities"]
+    neutral = finite.get("adoptedNeutral", chromaticities[6:])
+    if not neutral[1] > 0:
         neutral = chromaticities[6:]
     if np.allclose([*chromaticities[:6], *neutral], REC709, rtol=0, atol=TOLERANCE):
         return None
@@ -108,15 +114,6 @@ def primaries_of(header: Mapping[str, Any]) -> Primaries | None:
             name = space
             break
     return Primaries(name, tuple(tuple(map(float, row)) for row in matrix))
-
-
-def _finite_numbers(value: object, count: int) -> Float64 | None:
-    """Return an attribute's numbers; None unless they are finite and so many."""
-    try:
-        numbers = np.array(value, np.float64).ravel()
-    except (TypeError, ValueError):
-        return None
-    return numbers if numbers.shape == (count,) and np.isfinite(numbers).all() else None
 
 
 def _rgb_to_xyz(chromaticities: Float64) -> Float64:
@@ -159,10 +156,5 @@ def from_display(codes: Codes) -> Float32:
 
     For 8 bits it is the inverse of `to_display`. The type's largest value is white.
     """
-    linear: Float32 = _linear_table(codes.dtype.itemsize)[codes]
-    return linear
-
-
-@cache
-def _linear_table(size: int) -> Float32:
-    return SRGB.to_linear(np.linspace(0, 1, 256**size, dtype=np.float32))
+    table = SRGB.to_linear(np.linspace(0, 1, 256**codes.dtype.itemsize, dtype=np.float32))
+    return np.take(table, codes)

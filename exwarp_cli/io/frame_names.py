@@ -21,7 +21,8 @@ from exwarp_cli.io.channels import CRYPTOMATTE_NAME, Role, role_named
 
 _TOKEN = re.compile(r"#+|@+|%[0-9]{0,2}d|\$F[0-9]{0,2}")
 _NUMBER = re.compile(r"-?[0-9]+")
-_VERSION = re.compile(r"(^|.*[^a-z])v(er(sion)?)?", re.DOTALL | re.IGNORECASE)
+# The text before a number that is written as a version: v001, ver2, Version3.
+VERSION = re.compile(r"(^|.*[^a-z])v(er(sion)?)?", re.DOTALL | re.IGNORECASE)
 _BETWEEN = re.compile(r"(?<![^._ -])-?[0-9]+(?=[._ -])")
 _TRAILING_NUMBER = re.compile(r"(?P<base>.*?)(?P<number>-?[0-9]+)", re.DOTALL)
 
@@ -64,11 +65,6 @@ class NamePattern:
     def __str__(self) -> str:
         return f"{self.base}{'#' * self.padding}{self.suffix}"
 
-    @property
-    def is_version(self) -> bool:
-        """True if the number is written as a version: ``v001``, ``ver2``, ``Version3``."""
-        return _VERSION.fullmatch(self.base) is not None
-
     def name(self, number: int) -> str:
         """Return a frame's name; a minus sign counts as one of the digits, as in C's ``%04d``."""
         return f"{self.base}{number:0{self.padding}d}{self.suffix}"
@@ -88,40 +84,29 @@ def _is_sign(base: str, number: str) -> bool:
     return int(number) != 0 and not (base and base[-1].isalnum())
 
 
-def split_name(name: str, suffixes: tuple[str, ...]) -> NamePattern | None:
-    """Read a frame's name: the digits right before one of `suffixes` (any case) are its number.
-
-    The padding is the one that this name alone suggests. None without suffix or digits.
-    """
-    length = _suffix_length(name, suffixes)
-    match = _TRAILING_NUMBER.fullmatch(name[:-length]) if length else None
-    if match is None:
-        return None
-    base, number = match["base"], match["number"]
-    if not _is_sign(base, number):
-        base, number = base + number[0], number[1:]
-    return NamePattern(base, len(number), name[-length:])
-
-
-def _suffix_length(name: str, suffixes: tuple[str, ...]) -> int:
-    """Return the length of the suffix, in any case, that a name ends in; 0 if it has none."""
-    return next((len(s) for s in suffixes if name.lower().endswith(s)), 0)
-
-
 def split_names(names: Iterable[str], suffixes: tuple[str, ...]) -> dict[str, NamePattern]:
     """Return the patterns of a folder's files by name, without names that have no frame number.
 
-    The digits right before the suffix are the number, as `split_name` has it. Names without such
-    digits, or with those of a version that no other file has, are read by the number between
-    separators that varies most among the files; of several, or of a file that stands alone, the
-    last.
+    The digits right before one of `suffixes` (any case) are the number; their count is the padding.
+    Names without such digits, or with those of a version that no other file has, are read by the
+    number between separators that varies most among the files; of several, or of a file that stands
+    alone, the last.
     """
-    ends = {name: split_name(name, suffixes) for name in names}
+    ends: dict[str, NamePattern | None] = {}
     inner: dict[str, list[NamePattern]] = defaultdict(list)
-    for name, end in ends.items():
-        length = _suffix_length(name, suffixes)
-        if length and (end is None or end.is_version):
-            for match in _BETWEEN.finditer(name[:-length]):
+    for name in names:
+        length = next((len(s) for s in suffixes if name.lower().endswith(s)), 0)
+        if not length:
+            continue
+        stem, end = name[:-length], None
+        if match := _TRAILING_NUMBER.fullmatch(stem):
+            base, number = match["base"], match["number"]
+            if not _is_sign(base, number):
+                base, number = base + number[0], number[1:]
+            end = NamePattern(base, len(number), name[-length:])
+        ends[name] = end
+        if end is None or VERSION.fullmatch(end.base):
+            for match in _BETWEEN.finditer(stem):
                 start = match.start()
                 start += not _is_sign(name[:start], match[0])
                 width = match.end() - start

@@ -23,43 +23,16 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, Image, Window, place_on_canvas
 from exwarp_cli.errors import DamagedFileError, InputError, OutputError, UsageError
+from exwarp_cli.io import files, stills
+from exwarp_cli.io.exr import writer
 from exwarp_cli.io.exr.header import MAGIC, replace_non_utf8, restore_non_utf8
 from exwarp_cli.io.exr.reader import read_headers
-from exwarp_cli.io.exr.writer import (
-    COMPRESSIONS,
-    PREFIX,
-    Buffer,
-    OpenExrCompression,
-    OutputPart,
-    PendingHalf,
-    Plane,
-    PlaneKey,
-    Template,
-    encode,
-    scanline_attributes,
-)
-from exwarp_cli.io.files import (
-    CHECKSUM_DIGITS,
-    CHECKSUM_NAME,
-    CHECKSUM_ZEROS,
-    atomic_write_bytes,
-    compute_checksum,
-    with_retries,
-)
+from exwarp_cli.io.exr.writer import COMPRESSIONS, PREFIX, Buffer, OutputPart, Plane, PlaneKey
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.sequences import EXR
 from exwarp_cli.io.shot import require_sound
-from exwarp_cli.io.stills import (
-    SEALED,
-    StillTemplate,
-    parse_still_facts,
-    quantise_still,
-    read_still,
-    still_facts,
-    write_still,
-)
 
-CHECKSUM = f"{PREFIX}{CHECKSUM_NAME}"
+CHECKSUM = f"{PREFIX}{files.CHECKSUM_NAME}"
 FINGERPRINT = f"{PREFIX}recipe"
 
 # Attributes of generated frames: numbers and digests of the key frames on both sides; and the run's
@@ -70,17 +43,17 @@ FACTS = ("kind", "method", REQUESTED_METHOD, KEY_FRAMES)
 
 # Compressions that OpenEXR can make, too; see `io.exr.writer` for what that takes.
 OPENEXR_COMPRESSIONS = {
-    f"{name}:4": OpenExrCompression(COMPRESSIONS[name]) for name in ("zips", "zip", "pxr24")
+    f"{name}:4": writer.OpenExrCompression(COMPRESSIONS[name]) for name in ("zips", "zip", "pxr24")
 }
 
 # What a generated frame takes over from its key frame's file.
-FrameTemplate: TypeAlias = Template | StillTemplate
+FrameTemplate: TypeAlias = writer.Template | stills.StillTemplate
 
 # The attribute's digits are the group. It is searched for in the whole file: a Cryptomatte's
 # manifest, which comes before it, may be megabytes long.
 _CHECKSUM_PATTERN = re.compile(
-    re.escape(CHECKSUM.encode() + b"\0string\0" + CHECKSUM_DIGITS.to_bytes(4, "little"))
-    + b"(.{%d})" % CHECKSUM_DIGITS,
+    re.escape(CHECKSUM.encode() + b"\0string\0" + files.CHECKSUM_DIGITS.to_bytes(4, "little"))
+    + b"(.{%d})" % files.CHECKSUM_DIGITS,
     re.DOTALL,
 )
 _PROGRAM_NAME = re.compile(rb"ExWarp \d")
@@ -128,9 +101,9 @@ def write_picture(
         Every other channel that the template has; None for stills.
     """
     own = {name: value for name, value in attributes.items() if name.startswith(PREFIX)}
-    if isinstance(template, StillTemplate):
+    if isinstance(template, stills.StillTemplate):
         facts = {name.removeprefix(PREFIX): value for name, value in own.items()}
-        return write_still(path, image, template, facts)
+        return stills.write_still(path, image, template, facts)
     planes = dict(extra_planes or {})
     for i, plane in enumerate(template.colour):
         planes[plane.key] = Plane(image.pixels[..., i], image.data_window)
@@ -144,7 +117,7 @@ def write_picture(
             target.name: target.channel(place_on_canvas(plane.values, plane.window, window))
             for target, plane in members.items()
         }
-        structure = scanline_attributes(window, image.display_window)
+        structure = writer.scanline_attributes(window, image.display_window)
         parts.append(({**part.header, **shared, **structure}, channels))
     return _write_exr(path, parts, own)
 
@@ -156,25 +129,26 @@ def write_mask(
 
     The windows are data and display. Its bytes are returned, piece by piece.
     """
-    header = {"compression": COMPRESSIONS["zips"], **attributes, **scanline_attributes(*windows)}
+    structure = writer.scanline_attributes(*windows)
+    header = {"compression": COMPRESSIONS["zips"], **attributes, **structure}
     return _write_exr(path, [(header, {"holes": mask.astype(np.float16)})], {})
 
 
 def _write_exr(path: Path, parts: list[OutputPart], own: Mapping[str, Any]) -> list[Buffer]:
     """Encode in memory, with `own` attributes in the first part, seal, and write."""
     header, channels = parts[0]
-    parts[0] = {**header, **own, CHECKSUM: CHECKSUM_ZEROS}, channels
+    parts[0] = {**header, **own, CHECKSUM: files.CHECKSUM_ZEROS}, channels
     utf8_parts = [
         ({k: replace_non_utf8(v) if isinstance(v, str) else v for k, v in header.items()}, channels)
         for header, channels in parts
     ]
     try:
-        head, *pieces = encode(utf8_parts)
+        head, *pieces = writer.encode(utf8_parts)
     except (RuntimeError, ValueError, TypeError) as error:
         raise OutputError(f"cannot encode {path}: {error}; try another --compression") from error
     head = restore_non_utf8(memoryview(head), (header for header, _ in parts))
     sealed = seal(head, *pieces)
-    atomic_write_bytes(path, *sealed)
+    files.atomic_write_bytes(path, *sealed)
     return sealed
 
 
@@ -190,8 +164,8 @@ def seal(head: Buffer, *rest: Buffer) -> list[Buffer]:
     if sealed.readonly:
         sealed = memoryview(bytearray(head))
     digits = sealed[match.start(1) : match.end(1)]
-    digits[:] = CHECKSUM_ZEROS.encode()
-    digits[:] = compute_checksum((sealed, *rest)).encode()
+    digits[:] = files.CHECKSUM_ZEROS.encode()
+    digits[:] = files.compute_checksum((sealed, *rest)).encode()
     return [sealed, *rest]
 
 
@@ -201,8 +175,8 @@ def is_intact(data: bytes) -> bool:
     if match is None:
         return False
     view = memoryview(data)
-    pieces = (view[: match.start(1)], CHECKSUM_ZEROS.encode(), view[match.end(1) :])
-    return compute_checksum(pieces).encode() == match[1]
+    pieces = (view[: match.start(1)], files.CHECKSUM_ZEROS.encode(), view[match.end(1) :])
+    return files.compute_checksum(pieces).encode() == match[1]
 
 
 def read_string_attribute(data: bytes, name: str) -> str | None:
@@ -218,7 +192,7 @@ def read_string_attribute(data: bytes, name: str) -> str | None:
 
 def read_fingerprint(path: Path) -> str | None:
     """Return the fingerprint of an undamaged generated frame; None for anything else."""
-    if not _is_exr(path):
+    if path.suffix.lower() not in EXR:
         fingerprint = read_facts(path).get("recipe")
         return fingerprint if isinstance(fingerprint, str) else None
     try:
@@ -230,8 +204,8 @@ def read_fingerprint(path: Path) -> str | None:
 
 def read_facts(path: Path) -> dict[str, Any]:
     """Return the ``exwarp:`` attributes of a frame, without the prefix; {} if it has none."""
-    if not _is_exr(path):
-        return still_facts(path) or {}
+    if path.suffix.lower() not in EXR:
+        return stills.still_facts(path) or {}
     header = read_headers(path)[0]
     return {k[len(PREFIX) :]: v for k, v in header.items() if k.startswith(PREFIX)}
 
@@ -252,17 +226,14 @@ def filled_window(planes: Iterable[Plane], source: Window) -> Window:
     rows, columns = np.flatnonzero(filled.any(axis=1)), np.flatnonzero(filled.any(axis=0))
     if rows.size == 0:
         return Window(window.x, window.y, 1, 1)
-    return Window(
-        window.x + int(columns[0]),
-        window.y + int(rows[0]),
-        int(columns[-1] - columns[0]) + 1,
-        int(rows[-1] - rows[0]) + 1,
-    )
+    left, right = int(columns[0]), int(columns[-1])
+    top, bottom = int(rows[0]), int(rows[-1])
+    return Window(window.x + left, window.y + top, right - left + 1, bottom - top + 1)
 
 
 def read_picture(path: Path, view: str = "") -> Image:
     """Read the colour of one file; see `read_image` and `read_still`."""
-    return read_image(path, view) if _is_exr(path) else read_still(path)[0]
+    return read_image(path, view) if path.suffix.lower() in EXR else stills.read_still(path)[0]
 
 
 def quantise_picture(pixels: Float32, template: FrameTemplate) -> Float32:
@@ -270,18 +241,14 @@ def quantise_picture(pixels: Float32, template: FrameTemplate) -> Float32:
 
     Values beyond the range of an EXR channel's type become its largest, not infinity.
     """
-    if isinstance(template, StillTemplate):
-        return quantise_still(pixels, template)
+    if isinstance(template, stills.StillTemplate):
+        return stills.quantise_still(pixels, template)
     out = pixels.copy()
     for i, plane in enumerate(template.colour):
         if plane.dtype.kind == "f":
             channel = plane.channel(pixels[..., i])
-            out[..., i] = channel.rounded() if isinstance(channel, PendingHalf) else channel
+            out[..., i] = channel.rounded() if isinstance(channel, writer.PendingHalf) else channel
     return out
-
-
-def _is_exr(path: Path) -> bool:
-    return path.suffix.lower() in EXR
 
 
 class FileState(Enum):
@@ -311,42 +278,38 @@ def find_authorship(path: Path) -> Authorship | None:
     Raises UnreadableError when the system does not let the file through.
     """
     try:
-        data = with_retries(path, path.read_bytes)
-    except IsADirectoryError:
-        return Authorship(FileState.FOREIGN)
-    except OSError:  # there is none, or the path is wrong, which is reported when it is written
-        return None
+        data = files.with_retries(path, path.read_bytes)
+    except OSError as error:
+        # There is none, or the path is wrong, which is reported when it is written.
+        is_folder = isinstance(error, IsADirectoryError)
+        return Authorship(FileState.FOREIGN) if is_folder else None
     if not data.strip(b"\0"):
         # After a power cut files are empty, or have their length and no content.
         return Authorship(FileState.DAMAGED)
-    is_authentic, facts = _read_claim(path, data)
+    suffix = path.suffix.lower()
+    # Whether it is as ExWarp wrote it, and its facts; None if it is foreign.
+    is_authentic, facts = True, None
+    if suffix in stills.SEALED:
+        is_authentic, facts = stills.parse_still_facts(data)
+    elif suffix not in EXR:
+        facts = {} if _PROGRAM_NAME.search(data[:_NAME_RANGE] + data[-_NAME_RANGE:]) else None
+    elif data.startswith(MAGIC):
+        texts = {name: read_string_attribute(data, f"{PREFIX}{name}") for name in FACTS}
+        facts = {name: text for name, text in texts.items() if text is not None}
+        is_authentic = is_intact(data)
+        if not (is_authentic or facts or read_string_attribute(data, CHECKSUM) is not None):
+            facts = None
     if facts is None:
         return Authorship(FileState.FOREIGN)
     if is_authentic:
         return Authorship(FileState.INTACT, facts)
     try:
-        if _is_exr(path):
+        if suffix in EXR:
             require_sound((path,))
         else:
-            read_still(path)
+            stills.read_still(path)
     except DamagedFileError:
         return Authorship(FileState.DAMAGED, facts)
     except InputError:  # never ExWarp's: deep, subsampled, other channels, EXR under that name
         pass
     return Authorship(FileState.EDITED, facts)
-
-
-def _read_claim(path: Path, data: bytes) -> tuple[bool, dict[str, Any] | None]:
-    """Return whether a file is as ExWarp wrote it, and its facts; None if it is foreign."""
-    if _is_exr(path):
-        if not data.startswith(MAGIC):
-            return False, None
-        texts = {name: read_string_attribute(data, f"{PREFIX}{name}") for name in FACTS}
-        facts = {name: text for name, text in texts.items() if text is not None}
-        is_authentic = is_intact(data)
-        has_claim = is_authentic or facts or read_string_attribute(data, CHECKSUM) is not None
-        return is_authentic, facts if has_claim else None
-    if path.suffix.lower() in SEALED:
-        return parse_still_facts(data)
-    ends = data[:_NAME_RANGE] + data[-_NAME_RANGE:]
-    return True, {} if _PROGRAM_NAME.search(ends) else None

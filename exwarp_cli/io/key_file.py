@@ -10,27 +10,23 @@ from __future__ import annotations
 import hashlib
 import os
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
 from exwarp_cli.domain.timeline import parse_rate
 from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.io import files
 from exwarp_cli.io.exr.header import MULTIPART, Attribute, RawHeader
 from exwarp_cli.io.exr.reader import HeaderCache, damaged_error, parse_header
 from exwarp_cli.io.exr.writer import PREFIX
-from exwarp_cli.io.files import (
-    CHECKSUM_ZEROS,
-    atomic_path,
-    compute_checksum,
-    new_checksum,
-    with_retries,
-)
 from exwarp_cli.io.generated_frames import CHECKSUM, is_intact, seal
 from exwarp_cli.io.sequences import EXR
+
+T = TypeVar("T")
 
 RATE = b"framesPerSecond"
 
@@ -78,26 +74,25 @@ class KeyFile:
                     file = None  # a stale handle stays stale
                     raise
 
-            while True:
-                with _report_unsound(self.source):
-                    piece = with_retries(self.source, read_piece)
-                if not piece:
-                    return
+            while piece := _read_source(self.source, read_piece):
                 position += len(piece)
                 yield piece
 
     def write(self, target: Path) -> None:
         """Write the file atomically; errors are those of `pieces`, and OutputError."""
-        with atomic_path(target) as temporary, temporary.open("wb") as file:
+        with files.atomic_path(target) as temporary, temporary.open("wb") as file:
             file.writelines(self.pieces())
 
     def is_at(self, target: Path) -> bool:
-        """Return True if a file holds the same bytes; raises OSError if it cannot be read."""
-        size = len(self.head) + self.source.stat().st_size - self.rest
-        if target.stat().st_size != size:
+        """Return True if a file holds the same bytes; False if it is absent or cannot be read."""
+        try:
+            size = len(self.head) + self.source.stat().st_size - self.rest
+            if target.stat().st_size != size:
+                return False
+            with target.open("rb") as file:
+                return all(file.read(len(piece)) == piece for piece in self.pieces())
+        except OSError:
             return False
-        with target.open("rb") as file:
-            return all(file.read(len(piece)) == piece for piece in self.pieces())
 
     def begins_with(self, data: bytes) -> bool:
         """Return True if these bytes are the beginning of the file; reads no more than it needs."""
@@ -109,10 +104,6 @@ class KeyFile:
             if not rest:
                 return True
         return False
-
-    def digest(self) -> str:
-        """Return the checksum of the file, hexadecimal; see `exwarp_cli.io.files`."""
-        return compute_checksum(self.pieces())
 
 
 def possible_key_files(source: Path, target: Path) -> tuple[KeyFile, ...]:
@@ -130,74 +121,44 @@ def possible_key_files(source: Path, target: Path) -> tuple[KeyFile, ...]:
         return (plain,)  # the target or the source is no sound EXR, or the target has no rate
 
 
-def plan_key_file(source: Path, rate: Fraction | None) -> KeyFile:
+def plan_key_file(
+    source: Path, rate: Fraction | None, marks: Mapping[str, str | int] | None = None
+) -> KeyFile:
     """Return what is written for a key frame; as `open_key_file`, but the source is closed."""
-    with open_key_file(source, rate) as key:
+    with open_key_file(source, rate, marks) as key:
         return replace(key, opened=None)
 
 
 @contextmanager
-def open_key_file(source: Path, rate: Fraction | None) -> Iterator[KeyFile]:
-    """Open a key frame whose header is to have a frame rate, to write it or to read it once more.
+def open_key_file(
+    source: Path, rate: Fraction | None, marks: Mapping[str, str | int] | None = None
+) -> Iterator[KeyFile]:
+    """Open a key frame whose header is to change, to write it or to read it once more.
 
-    `rate` is in frames per second; if None, or if the source is no EXR, it is copied as it is.
+    `rate` is in frames per second; None keeps the file's own. `marks` are attributes of ExWarp's
+    own for the first part of a rendered EXR file, by name without prefix; a checksum of the file
+    joins them, and those that ExWarp may have written before are left out. Without both, or if the
+    source is no EXR, it is copied as it is.
 
     Raises InputError if there is no such file, UnreadableError if the system refuses it,
     DamagedFileError if its header or its chunk offset table is broken.
     """
-    if rate is None or source.suffix.lower() not in EXR:
+    if (rate is None and marks is None) or source.suffix.lower() not in EXR:
         yield KeyFile(source)
         return
     with ExitStack() as stack:
 
         def read() -> KeyFile:
             file = stack.enter_context(source.open("rb", buffering=0))
-            return KeyFile(source, *_with_rate(file, rate), file)
+            return KeyFile(source, *_new_head(file, rate, marks), file)
 
-        with _report_unsound(source):
-            key = with_retries(source, read)
-        yield key
+        yield _read_source(source, read)
 
 
-def plan_marked_file(
-    source: Path, rate: Fraction | None, marks: Mapping[str, str | int]
-) -> KeyFile:
-    """Return what is written for a rendered EXR file that gets attributes of ExWarp's own.
-
-    Attributes that ExWarp may have written into its headers before are left out. `rate` None keeps
-    the file's own rate. `marks` are attributes of the first part, by name without prefix; a
-    checksum of the file joins them. Errors are those of `open_key_file`.
-    """
-    values = {f"{PREFIX}{name}": value for name, value in marks.items()}
-    values[CHECKSUM] = CHECKSUM_ZEROS
-    new = b""
-    for name, value in values.items():
-        if isinstance(value, int):
-            kind, data = b"int", struct.pack("<i", value)
-        else:
-            kind, data = b"string", value.encode("utf-8", "surrogateescape")
-        new += name.encode() + b"\0" + kind + b"\0" + struct.pack("<I", len(data)) + data
-
-    def read() -> KeyFile:
-        with source.open("rb", buffering=0) as file:
-            header = RawHeader.read(file, os.fstat(file.fileno()).st_size)
-            changes = [] if rate is None else _rate_changes(header, rate)
-            own = (a for a in header.attributes if a.name.startswith(PREFIX.encode()))
-            changes += [(attribute.at, attribute.end, b"") for attribute in own]
-            end = next(a.end for a in reversed(header.attributes) if a.part == 0)
-            head, rest = _changed_head(file, header, [*changes, (end, end, new)])
-            file.seek(rest)
-            return KeyFile(source, bytes(seal(head, file.read())[0]), rest)
-
-    with _report_unsound(source):
-        return with_retries(source, read)
-
-
-@contextmanager
-def _report_unsound(source: Path) -> Iterator[None]:
-    """Translate what goes wrong while a key frame's file is read."""
+def _read_source(source: Path, read: Callable[[], T]) -> T:
+    """Call a reader of a key frame's file as `with_retries` does, and translate its errors."""
     try:
-        yield
+        return files.with_retries(source, read)
     except OSError as error:
         raise InputError(
             f"cannot read {source}: {error.strerror or error}; check the path and its rights"
@@ -224,38 +185,66 @@ def digests(
 
     def read() -> tuple[str, str | None]:
         with path.open("rb", buffering=0) as file:
-            digest = hashlib.file_digest(file, new_checksum).hexdigest()
+            digest = hashlib.file_digest(file, files.new_checksum).hexdigest()
             is_exr = path.suffix.lower() in EXR
             if headers is not None and is_exr:
                 headers.keep(path, parse_header(path, file))
             if rate is None or not is_exr:
                 return digest, digest
             try:
-                key = KeyFile(path, *_with_rate(file, rate), file)
+                key = KeyFile(path, *_new_head(file, rate), file)
             except (ValueError, struct.error):
                 return digest, None
-            return digest, key.digest() if key.head else digest
+            return digest, files.compute_checksum(key.pieces()) if key.head else digest
 
     try:
-        return with_retries(path, read)
+        return files.with_retries(path, read)
     except OSError as error:
         raise DamagedFileError(
             f"cannot read {path}: {error.strerror}; render or copy it again"
         ) from error
 
 
-def _with_rate(file: BinaryIO, rate: Fraction) -> tuple[bytes, int]:
-    """Return the headers and chunk offset table with a rate, and where the source goes on."""
+def _new_head(
+    file: BinaryIO, rate: Fraction | None, marks: Mapping[str, str | int] | None = None
+) -> tuple[bytes, int]:
+    """Return the headers and chunk offset table as they are to be, and where the source goes on.
+
+    Empty and 0 if nothing changes; `rate` and `marks` as in `open_key_file`.
+    """
     header = RawHeader.read(file, os.fstat(file.fileno()).st_size)
-    changes = _rate_changes(header, rate)
+    changes: list[Change] = []
+    if rate is not None:
+        value = struct.pack("<Iii", 8, rate.numerator, rate.denominator)
+        text = RATE + b"\0rational\0" + value
+        for part in range(header.part_count):
+            attributes = [attribute for attribute in header.attributes if attribute.part == part]
+            own = next((attribute for attribute in attributes if attribute.name == RATE), None)
+            if own is None:
+                changes.append((attributes[-1].end, attributes[-1].end, text))
+            elif _parse_rate(own) != rate:
+                changes.append((own.at, own.end, text))
+    if marks is not None:
+        earlier = (a for a in header.attributes if a.name.startswith(PREFIX.encode()))
+        changes += [(attribute.at, attribute.end, b"") for attribute in earlier]
+        new = b""
+        for name, mark in {**marks, files.CHECKSUM_NAME: files.CHECKSUM_ZEROS}.items():
+            if isinstance(mark, int):
+                kind, data = b"int", struct.pack("<i", mark)
+            else:
+                kind, data = b"string", mark.encode("utf-8", "surrogateescape")
+            new += f"{PREFIX}{name}".encode() + b"\0" + kind + b"\0"
+            new += struct.pack("<I", len(data)) + data
+        end = next(a.end for a in reversed(header.attributes) if a.part == 0)
+        changes.append((end, end, new))
     if not changes:
         return b"", 0
     head, rest = _changed_head(file, header, changes)
-    if CHECKSUM.encode() in head:
+    if marks is not None or CHECKSUM.encode() in head:
         file.seek(0)
         data = file.read()
-        if is_intact(data):  # a frame that ExWarp made gets a new checksum
-            return bytes(seal(head, data[rest:])[0]), rest
+        if marks is not None or is_intact(data):  # a frame that ExWarp made gets a new checksum
+            return bytes(seal(head, memoryview(data)[rest:])[0]), rest
     return head, rest
 
 
@@ -289,20 +278,6 @@ def _changed_head(file: BinaryIO, header: RawHeader, changes: list[Change]) -> t
     if first < rest or first == size:
         raise ValueError("the table of chunks is broken")
     return head + struct.pack(f"<{len(moved)}Q", *moved), rest
-
-
-def _rate_changes(header: RawHeader, rate: Fraction) -> list[Change]:
-    """Return the changes that give all parts a frame rate."""
-    text = RATE + b"\0rational\0" + struct.pack("<Iii", 8, rate.numerator, rate.denominator)
-    changes = []
-    for part in range(header.part_count):
-        attributes = [attribute for attribute in header.attributes if attribute.part == part]
-        own = next((attribute for attribute in attributes if attribute.name == RATE), None)
-        if own is None:
-            changes.append((attributes[-1].end, attributes[-1].end, text))
-        elif _parse_rate(own) != rate:
-            changes.append((own.at, own.end, text))
-    return changes
 
 
 def _parse_rate(attribute: Attribute) -> Fraction | None:

@@ -54,11 +54,6 @@ class Layer:
     refs: tuple[ChannelRef, ...]
     channels: tuple[Channel, ...]
 
-    @property
-    def leaf(self) -> str:
-        """Last element of the name, without what the artist put before it."""
-        return self.name.rsplit(".", 1)[-1]
-
     def rendered_in(self, others: Iterable[Layer]) -> Layer | None:
         """Return the layer of a slot's own file that can be taken unchanged, or None.
 
@@ -149,14 +144,23 @@ def group_layers(
     for aov, channels in files.items():
         for name, members in _group_names(aov, channels):
             refs = tuple(ChannelRef(aov, member) for member in members)
+            own = tuple(channels[member] for member in members)
             # Layers of ranks, or the preview, of a Cryptomatte.
             if any(re.fullmatch(rf"{re.escape(base)}\d*", name) for base in cryptomattes):
                 kind = LayerKind.CRYPTOMATTE
             elif role := next((roles[ref] for ref in refs if ref in roles), None):
                 kind = _KIND_BY_ROLE.get(role, LayerKind.COLOUR)
             else:
-                kind = _kind_by_name(name, [channels[member] for member in members])
-            layers.append(Layer(name, kind, refs, tuple(channels[member] for member in members)))
+                leaf = re.sub(r"[^a-z0-9]", "", name.rsplit(".", 1)[-1].lower())
+                named = next((kind for kind, names in _NAMES if names.fullmatch(leaf)), None)
+                components = {ref.component.upper() for ref in refs}
+                # A vector of unknown meaning: a mixture of two directions may be none of both.
+                is_vector = len(components) > 1 and not components & (_FAMILIES["RGBA"] | _ALPHA)
+                kind = named or (LayerKind.DATA if is_vector else LayerKind.COLOUR)
+                has_integers = any(channel.pixel_type == "uint" for channel in own)
+                if has_integers and kind is not LayerKind.CRYPTOMATTE:
+                    kind = LayerKind.ID
+            layers.append(Layer(name, kind, refs, own))
     return tuple(layers)
 
 
@@ -177,7 +181,10 @@ def select_layers(layers: tuple[Layer, ...], text: str, layout: Layout) -> tuple
         matching = {
             layer
             for layer in layers
-            if pattern == ALL or any(fnmatchcase(n, pattern) for n in (layer.name, layer.leaf))
+            if pattern == ALL
+            or fnmatchcase(layer.name, pattern)
+            # Or the last element, without what the artist put before it.
+            or fnmatchcase(layer.name.rsplit(".", 1)[-1], pattern)
         }
         if not matching:
             names = ", ".join(dict.fromkeys(layer.name for layer in layers))
@@ -197,7 +204,14 @@ def _group_names(aov: str, channels: Mapping[str, Channel]) -> list[tuple[str, l
     groups: dict[tuple[int, str, str], list[str]] = defaultdict(list)
     for name, channel in channels.items():
         layer, _, component = name.rpartition(".")
-        family = _family(component, components[channel.part, layer])
+        letter, present = component.upper(), components[channel.part, layer]
+        family = next((f for f, letters in _FAMILIES.items() if letter in letters), component)
+        if letter in _ALPHA:
+            # Coverage of a colour, or of texture coordinates.
+            others = [f for f, letters in _FAMILIES.items() if letters & present]
+            family = "RGBA" if "RGBA" in others or not others else others[0]
+        elif letter == "Z" and "X" not in present:
+            family = component  # a depth beside a colour
         groups[channel.part, layer, family].append(name)
     family_counts = Counter((part, layer) for part, layer, _ in groups)
     named: dict[tuple[int, str], list[str]] = defaultdict(list)
@@ -209,33 +223,6 @@ def _group_names(aov: str, channels: Mapping[str, Channel]) -> list[tuple[str, l
             name = f"{layer}.{letters}" if layer else aov or letters
         named[part, name] += members
     return [(name, members) for (_, name), members in named.items()]
-
-
-def _family(component: str, components: set[str]) -> str:
-    """Return what a component makes a value with, of the `components` of its layer; else itself."""
-    letter = component.upper()
-    present = [name for name, letters in _FAMILIES.items() if letters & components]
-    if letter in _ALPHA and "RGBA" not in present and present:
-        return present[0]  # coverage of texture coordinates
-    if letter == "Z" and "X" not in components:
-        return component  # a depth beside a colour
-    if letter in _ALPHA:
-        return "RGBA"
-    return next((name for name, letters in _FAMILIES.items() if letter in letters), component)
-
-
-def _kind_by_name(name: str, channels: list[Channel]) -> LayerKind:
-    """Return the kind of a layer without a role, by type, name and components."""
-    leaf = re.sub(r"[^a-z0-9]", "", name.rsplit(".", 1)[-1].lower())
-    named = next((kind for kind, names in _NAMES if names.fullmatch(leaf)), None)
-    if any(channel.pixel_type == "uint" for channel in channels):
-        return named if named is LayerKind.CRYPTOMATTE else LayerKind.ID
-    if named is not None:
-        return named
-    components = {channel.name.rsplit(".", 1)[-1].upper() for channel in channels}
-    # A vector of unknown meaning: a mixture of two directions may be none of both.
-    is_vector = len(components) > 1 and not components & (_FAMILIES["RGBA"] | _ALPHA)
-    return LayerKind.DATA if is_vector else LayerKind.COLOUR
 
 
 def likely_vectors(refs: Iterable[ChannelRef]) -> tuple[tuple[ChannelRef, ...], ...]:
@@ -269,13 +256,7 @@ def is_colour_alone(shot: Shot) -> bool:
         return False
     # Some renderers keep the beauty's alpha in a layer of its own.
     more = [ref for ref in shot.unused if ref.component.lower() not in ("a", "alpha")]
-    return not more and not _neighbouring_vectors(shot)
-
-
-def _neighbouring_vectors(shot: Shot) -> list[str]:
-    """Return the patterns of sequences beside a shot whose names have a word of motion."""
-    sequences = {} if shot.aovs else neighbouring_sequences(shot.sequence)
-    return [member.pattern for name, member in sequences.items() if _has_motion_word(name)]
+    return not more and not any(map(_has_motion_word, neighbouring_sequences(shot.sequence)))
 
 
 def _has_motion_word(name: str) -> bool:
@@ -312,8 +293,11 @@ def no_vectors_message(shot: Shot, estimable: bool = True) -> str:
         pattern = (shot.aovs[aov] if aov else shot.sequence).pattern
         channels = ",".join(ref.name for ref in likely[0])
         likeliest = f"; likeliest: {names}, to be named as in --aov motion={pattern}:{channels}"
-    elif patterns := _neighbouring_vectors(shot):
-        likeliest = f"; likeliest: {patterns[0]}, to be named as in --aov motion={patterns[0]}:R,G"
+    else:
+        beside = {} if shot.aovs else neighbouring_sequences(shot.sequence)
+        pattern = next((s.pattern for name, s in beside.items() if _has_motion_word(name)), "")
+        if pattern:
+            likeliest = f"; likeliest: {pattern}, to be named as in --aov motion={pattern}:R,G"
     remedy = ", or allow --estimate-motion" if estimable and not is_colour_alone(shot) else ""
     return (
         f"{shot.sequence.pattern} has no motion vectors that are recognised{partly}{unknown}"

@@ -12,18 +12,10 @@ from pathlib import Path
 
 from exwarp_cli.domain.timeline import fill_gaps, ranges
 from exwarp_cli.errors import InputError, MissingFrameError, OutputError, UsageError
+from exwarp_cli.io import frame_names
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.files import path_exists
-from exwarp_cli.io.frame_names import (
-    SEPARATORS,
-    NamePattern,
-    PassName,
-    file_type,
-    group_names,
-    is_padded_to,
-    split_names,
-    split_pass,
-)
+from exwarp_cli.io.frame_names import SEPARATORS, NamePattern, PassName, is_padded_to, split_pass
 
 EXR = (".exr",)
 
@@ -59,7 +51,7 @@ class FramePattern(NamePattern):
     @property
     def type(self) -> str:
         """Image suffix in lower case, for example ``.exr``."""
-        return file_type(self.suffix)
+        return frame_names.file_type(self.suffix)
 
     @property
     def pattern(self) -> str:
@@ -85,7 +77,7 @@ class Sequence(FramePattern):
     @property
     def version_note(self) -> str | None:
         """A sentence where the numbers may be versions of one picture; None elsewhere."""
-        if len(self.files) < 2 or not self.is_version:
+        if len(self.files) < 2 or not frame_names.VERSION.fullmatch(self.base):
             return None
         return (
             f"the numbers of {self} look like versions and are taken for frames; if they are "
@@ -247,7 +239,7 @@ def _list_candidates(folder: Path, suffixes: tuple[str, ...]) -> list[AovSet]:
     """Return the sequences of a folder, those of one shot as one set."""
     # Names that start with a dot are other programs' bookkeeping, such as macOS' "._" files.
     names = [name for name in _file_names(folder) if not name.startswith(".")]
-    patterns = set(split_names(names, suffixes).values())
+    patterns = set(frame_names.split_names(names, suffixes).values())
     # Text after the number is read where no file has its number at the end.
     plain = {pattern for pattern in patterns if pattern.suffix.lower() in suffixes}
     stems = {replace(pattern, padding=1) for pattern in plain or patterns}
@@ -281,12 +273,11 @@ def _find_pass_sets(sequences: list[Sequence]) -> list[AovSet]:
     sets = []
     for suffix in dict.fromkeys(sequence.suffix for sequence in sequences):
         split = {i: split_pass(s.base) for i, s in enumerate(sequences) if s.suffix == suffix}
-        beauties = {i: name for i, name in split.items() if not name.is_data}
+        data = {i: name for i, name in split.items() if name.is_data}
+        beauties = {i: name for i, name in split.items() if i not in data}
         passes: dict[int, dict[str, Sequence]] = defaultdict(dict)
         without_beauty: dict[str, list[int]] = defaultdict(list)
-        for index, name in split.items():
-            if not name.is_data:
-                continue
+        for index, name in data.items():
             pass_names = _beauties_of(name, beauties)
             for beauty, pass_name in pass_names.items():
                 passes[beauty][pass_name] = sequences[index]
@@ -331,10 +322,22 @@ def _beauties_of(name: PassName, beauties: dict[int, PassName]) -> dict[int, str
 
 def _find_by_name(spec: str, suffixes: tuple[str, ...]) -> Sequence:
     """Find the sequence of a pattern or of one frame."""
-    path = _with_suffix_case(Path(spec))
+    path = Path(spec)
     pattern, is_frame = NamePattern.parse(path.name), path.is_file()
     if not is_frame and not path.parent.is_dir():
         raise InputError(f"the folder {path.parent} does not exist; check the path {spec!r}")
+    if not is_frame and spec:
+        # The suffix in the case that files have, if they all have the same.
+        ending = path.suffix if pattern is None else pattern.suffix
+        start = path.name.removesuffix(ending) if pattern is None else pattern.base
+        endings = {
+            name[len(name) - len(ending) :]
+            for name in _file_names(path.parent)
+            if name.startswith(start) and name.lower().endswith(ending.lower())
+        }
+        if len(endings) == 1:
+            path = path.with_name(path.name.removesuffix(ending) + endings.pop())
+            pattern, is_frame = NamePattern.parse(path.name), path.is_file()
     if not is_frame and pattern is None:
         raise InputError(
             f"there is no file or folder {spec!r}; "
@@ -347,7 +350,7 @@ def _find_by_name(spec: str, suffixes: tuple[str, ...]) -> Sequence:
         )
     names = _file_names(path.parent)
     if is_frame or pattern is None:
-        stem = split_names(names, suffixes).get(path.name)
+        stem = frame_names.split_names(names, suffixes).get(path.name)
         if stem is None:
             raise InputError(
                 f"{path} has no frame number before its suffix, so it is no frame of a sequence; "
@@ -371,26 +374,9 @@ def _find_by_name(spec: str, suffixes: tuple[str, ...]) -> Sequence:
     return replace(exact[0], padding=pattern.padding)
 
 
-def _with_suffix_case(path: Path) -> Path:
-    """Return a path with its suffix in the case that files have, if they all have the same."""
-    if path.is_file() or not path.parent.is_dir():
-        return path
-    pattern = NamePattern.parse(path.name)
-    ending = path.suffix if pattern is None else pattern.suffix
-    start = path.name.removesuffix(ending) if pattern is None else pattern.base
-    endings = {
-        name[len(name) - len(ending) :]
-        for name in _file_names(path.parent)
-        if name.startswith(start) and name.lower().endswith(ending.lower())
-    }
-    if len(endings) != 1:
-        return path
-    return path.with_name(path.name.removesuffix(ending) + endings.pop())
-
-
 def _group_files(folder: Path, stem: NamePattern, names: Iterable[str]) -> list[Sequence]:
     sequences = []
-    for padding, files in group_names(stem, names):
+    for padding, files in frame_names.group_names(stem, names):
         paths = {number: folder / name for number, name in files.items()}
         sequences.append(Sequence(stem.base, padding, stem.suffix, folder, paths))
     return sequences

@@ -6,9 +6,11 @@ in a frame, pixels that are no numbers too, shows when it is decoded.
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,25 +20,21 @@ from exwarp_cli.domain.frame import Bool, Window, nonfinite_pixels
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.channel_map import AovFile, ChannelMap, detect_aov, find_channel
-from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect_layout, vector_direction
-from exwarp_cli.io.cryptomatte import (
-    Cryptomatte,
-    IdReading,
-    cryptomatte_refs,
-    find_cryptomattes,
+from exwarp_cli.io.channels import (
+    BACKWARD_NAMES,
+    FORWARD_NAMES,
+    ChannelRef,
+    Layout,
+    Role,
+    detect_layout,
 )
-from exwarp_cli.io.depth import DepthReading, depth_reading_by_name
+from exwarp_cli.io.cryptomatte import Cryptomatte, IdReading, cryptomatte_refs, find_cryptomattes
+from exwarp_cli.io.depth import DEFAULT_READINGS, DepthReading, depth_reading_by_name
 from exwarp_cli.io.exr.header import Channel, Part
 from exwarp_cli.io.exr.reader import ExrFile, FileHeader, HeaderCache, deep_image_error
 from exwarp_cli.io.frame_names import split_pass
 from exwarp_cli.io.sequences import AovSet, Sequence, find_aov_set, find_sequence
-from exwarp_cli.io.views import (
-    choose_view,
-    expand_view,
-    list_views,
-    view_channels,
-    view_in_file,
-)
+from exwarp_cli.io.views import choose_view, expand_view, list_views, view_channels, view_in_file
 
 T = TypeVar("T")
 
@@ -160,7 +158,9 @@ def open_shot(
         view = view or channel_map.view
         aovs += tuple(aov for aov in channel_map.aovs if aov.role not in roles)
         roles.update((aov.role for aov in aovs), channel_map.channels)
-    files = find_files(spec, keep_going, roles, view)
+    pattern, view_in_name, views = expand_view(spec, view)
+    aov_set = find_aov_set(pattern, keep_going, partial(_needed_aovs, decided=roles))
+    files = ShotFiles(aov_set.leader, aov_set.aovs, view_in_name, views)
     numbers = files.leader.numbers if keep_going else files.leader.numbers[:1]
     return first_usable(
         numbers, lambda number: _open_view(files, number, view, aovs, channel_map, keep_going)
@@ -233,7 +233,7 @@ def _with_readings(shot: Shot, own: Layout) -> Shot:
     by_name = depth_reading_by_name(ref.name for ref in roles.get(Role.DEPTH, ()))
     depth = by_name
     if shot.channel_map is not None and shot.channel_map.depth_kind is not None:
-        depth = DepthReading.of(shot.channel_map.depth_kind)
+        depth = DEFAULT_READINGS[shot.channel_map.depth_kind]
     by_hand: dict[str, Any] = {
         role.value: [ref.label for ref in roles.get(role, ())]
         for role in Role
@@ -247,22 +247,12 @@ def _with_readings(shot: Shot, own: Layout) -> Shot:
     return replace(shot, layout=layout, cryptomattes=mattes, depth=depth, by_hand=by_hand)
 
 
-def find_files(
-    spec: str, gaps: bool, decided: Collection[Role] = (), view: str | None = None
-) -> ShotFiles:
-    """Find the sequences that a name stands for; with `gaps`, list missing frames.
-
-    `decided` are the roles whose channels the user names. If `view` is None, it is the hero.
-
-    Raises LayoutError if two passes are of one role, and nothing tells which one is meant.
-    """
-    spec, view_in_name, views = expand_view(spec, view)
-    aov_set = find_aov_set(spec, gaps=gaps, needed=lambda members: _needed_aovs(members, decided))
-    return ShotFiles(aov_set.leader, aov_set.aovs, view_in_name, views)
-
-
 def _needed_aovs(aov_set: AovSet, decided: Collection[Role]) -> list[str]:
-    """Return the AOVs of a set that its colour's own files do not hold."""
+    """Return the AOVs of a set that its colour's own files do not hold.
+
+    `decided` are the roles whose channels the user names. Raises LayoutError if two passes are of
+    one role, and nothing tells which one is meant.
+    """
     own: set[Role] = set()
     for path in () if aov_set.colour is None else aov_set.colour.files.values():
         try:
@@ -280,8 +270,10 @@ def _needed_aovs(aov_set: AovSet, decided: Collection[Role]) -> list[str]:
     ]
     for role in (Role.MOTION, Role.DEPTH):
         rivals = [name for name in names if roles[name] is role and role not in decided]
-        directions = {vector_direction(name) for name in rivals}
-        if len(rivals) > 1 and directions != {"forward", "backward"}:
+        words = [re.sub(r"[^a-z]", "", name.lower()) for name in rivals]
+        ends = {(w.endswith(FORWARD_NAMES), w.endswith(BACKWARD_NAMES)) for w in words}
+        # Forward and backward vectors belong together.
+        if len(rivals) > 1 and ends != {(True, False), (False, True)}:
             listed = " and ".join(aov_set.aovs[name].pattern for name in rivals)
             raise LayoutError(
                 f"{listed} both go by a name of {role.value}; say which one holds it with "

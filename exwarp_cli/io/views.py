@@ -12,7 +12,6 @@ for every view of a shot.
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable
 from dataclasses import replace
@@ -123,10 +122,8 @@ def expand_view(spec: str, wanted: str | None) -> tuple[str, str, tuple[str, ...
 
     Raises InputError if no files fit, LayoutError if none of that view.
     """
-    if not _TOKEN.search(spec):
-        return spec, "", ()
     try:
-        if Path(spec).exists():
+        if not _TOKEN.search(spec) or Path(spec).exists():
             return spec, "", ()
         texts = _find_views(spec)
     except OSError as error:
@@ -151,9 +148,7 @@ def _find_views(spec: str) -> dict[str, str]:
     path = Path(spec)
     pieces = re.split(_TOKEN, str(path))
     if (pattern := NamePattern.parse(path.name)) is not None:
-        folder = f"{path.parent}{os.sep}".replace(2 * os.sep, os.sep)
-        folder = "" if path.parent == Path() else folder
-        pieces = re.split(_TOKEN, folder + pattern.base)
+        pieces = re.split(_TOKEN, str(path).removesuffix(path.name) + pattern.base)
         pieces += ["#", *re.split(_TOKEN, pattern.suffix)]
     wildcard, expression = "", ""
     for piece in pieces:

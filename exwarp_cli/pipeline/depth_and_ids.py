@@ -15,9 +15,9 @@ from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io import cryptomatte
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.depth import (
+    FAR,
     DepthKind,
     DepthReading,
-    is_negative,
     is_relative_to_camera,
     measure_depth_reading,
 )
@@ -53,7 +53,12 @@ def with_depth_measured(shot: Shot) -> Shot:
     if Role.DEPTH in shot.layout and stated in kinds:
         ref = shot.layout.roles[Role.DEPTH][0]
         written = read_planes(shot, shot.first, (ref,))[ref].values
-        if is_negative(written.astype(np.float32, copy=False)):
+        written = written.astype(np.float32, copy=False)
+        with np.errstate(invalid="ignore"):
+            surface = written[np.isfinite(written) & (np.abs(written) < FAR)]
+        # Distances along a camera's -z axis. Filters that ring leave a few pixels below 0 in any
+        # depth, so more must lie below than above.
+        if np.count_nonzero(surface < 0) > np.count_nonzero(surface > 0):
             evidence = f"{_depth_layer(shot)!r} is negative and read as the distance |z|"
             return replace(shot, depth=DepthReading(DepthKind.NEGATIVE, evidence=evidence))
     is_certain = stated in (DepthKind.AXIS, DepthKind.RAY, DepthKind.NEGATIVE) or (

@@ -15,6 +15,7 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.channels import Role
+from exwarp_cli.io.files import compute_checksum
 from exwarp_cli.io.footage import ClipSequence, digest_frame, is_plain
 from exwarp_cli.io.key_file import digests, file_digest, plan_key_file
 from exwarp_cli.io.sequences import Sequence
@@ -127,7 +128,7 @@ class Fingerprinter:
             digest, rewritten = self._digest(shot, number)
             if rewritten is None:
                 file = plan_key_file(shot.sequence.files[number], self.key_rate)
-                rewritten = file.digest() if file.head else json.loads(digest)[""]
+                rewritten = compute_checksum(file.pieces()) if file.head else json.loads(digest)[""]
             written[number] = rewritten
         return written
 

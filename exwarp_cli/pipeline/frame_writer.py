@@ -29,12 +29,12 @@ from exwarp_cli.io.generated_frames import (
     write_mask,
     write_picture,
 )
-from exwarp_cli.io.key_file import open_key_file, plan_key_file, plan_marked_file
+from exwarp_cli.io.key_file import open_key_file, plan_key_file
 from exwarp_cli.io.sequences import EXR
 from exwarp_cli.io.video_reader import open_clip
 from exwarp_cli.io.video_writer import VideoLook, VideoWriter
 from exwarp_cli.io.view_transform import DisplayLook
-from exwarp_cli.pipeline.output_plan import OutputPlan, key_is_there
+from exwarp_cli.pipeline.output_plan import OutputPlan
 from exwarp_cli.pipeline.scheduling import AsyncWriter, record_time
 from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.stop import check_stop
@@ -112,7 +112,7 @@ class FrameWriter(ResourceOwner):
         """Return True if an earlier run copied a key frame's file, and it is kept."""
         if not self.output.resumes:
             return False
-        return key_is_there(self.path(number), plan_key_file(source, self.key_rate))
+        return plan_key_file(source, self.key_rate).is_at(self.path(number))
 
     def is_in_the_way(self, number: int) -> bool:
         """Return True if a frame's file from before the run exists, which writing would replace."""
@@ -194,11 +194,8 @@ class FrameWriter(ResourceOwner):
         return self.output.frames.path(number)
 
     def _copy(self, number: int, source: Path, marks: Mapping[str, str | int] | None) -> None:
-        with record_time(self.write_ms, number), ExitStack() as stack:
-            if marks is None:
-                file = stack.enter_context(open_key_file(source, self.key_rate))
-            else:
-                file = plan_marked_file(source, self.key_rate, marks)
+        opened = open_key_file(source, self.key_rate, marks)
+        with record_time(self.write_ms, number), opened as file:
             file.write(self.path(number))
             if self.wants_sums:  # of what the source gives
                 self.sums[FRAME, number] = sum_of(file.pieces())

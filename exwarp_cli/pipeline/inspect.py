@@ -11,12 +11,13 @@ from typing import Any
 from exwarp_cli.domain.motion import MotionFinding
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import Timeline, ranges
-from exwarp_cli.errors import MotionError, UsageError
-from exwarp_cli.io.channel_map import channel_map_text, write_channel_map
+from exwarp_cli.errors import MotionError, OutputExistsError, UsageError
+from exwarp_cli.io.channel_map import channel_map_text
 from exwarp_cli.io.channels import UNKNOWN, ChannelRef, Role
 from exwarp_cli.io.cryptomatte import Cryptomatte, Manifest
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.exr.header import Part
+from exwarp_cli.io.files import atomic_write_text
 from exwarp_cli.io.footage import describe_footage
 from exwarp_cli.io.shot import MAIN, Shot
 from exwarp_cli.pipeline.depth_and_ids import read_ids, sound_cryptomattes, with_depth_ordered
@@ -179,5 +180,7 @@ def save_channel_map(inspection: Inspection, path: Path, overwrite: bool) -> Non
     if any(aov.role is Role.COLOUR for aov in shot.aov_files):
         aovs.add("")
     unused = [labels[ref] for ref in shot.unused if ref.aov not in aovs]
+    if path.exists() and not overwrite:
+        raise OutputExistsError(f"{path} exists; choose another name, or add --overwrite")
     text = channel_map_text(about, texts, channels, shot.aov_files, unused)
-    write_channel_map(path, text, overwrite)
+    atomic_write_text(path, text)

@@ -31,7 +31,7 @@ from exwarp_cli.io.generated_frames import (
     FileState,
     find_authorship,
 )
-from exwarp_cli.io.key_file import KeyFile, file_digest, possible_key_files
+from exwarp_cli.io.key_file import file_digest, possible_key_files
 from exwarp_cli.io.sequences import EXR, FramePattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.io.video_reader import is_clip
@@ -188,14 +188,6 @@ def frame_suffix(output: str, source: Sequence) -> str:
     suffix = Path(output).suffix
     named = suffix.lower() in (*EXR, *STILLS) and not Path(output).is_dir()
     return suffix if named else source.suffix
-
-
-def key_is_there(target: Path, source: KeyFile) -> bool:
-    """Return True if a key frame was passed through already: the bytes that this job writes."""
-    try:
-        return target.exists() and source.is_at(target)
-    except OSError:
-        return False
 
 
 def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> VideoLook:
@@ -429,4 +421,4 @@ class _Ownership:
 
 def _is_copy(path: Path, source: Path) -> bool:
     """Return True if a file holds a key frame, as it is or with another rate in its header."""
-    return any(key_is_there(path, form) for form in possible_key_files(source, path))
+    return any(form.is_at(path) for form in possible_key_files(source, path))

@@ -13,10 +13,10 @@ from exwarp_cli.io.cryptomatte import (
     hash_name,
     read_manifest,
     require_lossless_ids,
-    surface_id,
     surface_ids,
 )
 from exwarp_cli.io.frames import read_plane
+from tests.reference.ranked import identity
 from tests.unit.cryptomatte_files import found_in, ranks_in
 
 SCRIPT = Path(__file__).with_name("cryptomatte_shot")
@@ -53,7 +53,7 @@ def test_every_pixel_shows_what_is_in_the_scene(keys):
     for path in keys:
         found = found_in(path)[0]
         shown = surface_ids(ranks_in(path, found))
-        ids = {surface_id(hash_name(name)) for name in MOVERS | STANDING}
+        ids = {identity(hash_name(name)) for name in MOVERS | STANDING}
         assert set(np.unique(shown)) - {-1, 0} == ids
         assert (shown < 0).mean() < 0.03
         sky = read_plane(path, "ViewLayer.Depth.Z")[0] > 1e9

@@ -8,14 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from exwarp_cli.errors import ExwarpError, InputError, OutputExistsError
+from exwarp_cli.errors import ExwarpError, InputError
 from exwarp_cli.io.channel_map import (
     AovFile,
     ChannelMap,
     channel_map_text,
     quote_toml,
     read_channel_map,
-    write_channel_map,
 )
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.depth import DepthKind
@@ -134,12 +133,3 @@ class TestWrite:
         for word in ("# producer: ", "# motion: ", "# albedo = []", "# depth_kind: "):
             assert any(line.startswith(word) for line in comments)
         assert "# motion = []" not in comments, "it lies in [aovs]"
-
-    def test_a_file_is_replaced_only_on_request(self, tmp_path):
-        path = tmp_path / "map.toml"
-        write_channel_map(path, "one", overwrite=False)
-        with pytest.raises(OutputExistsError, match=r"map\.toml exists; .* --overwrite"):
-            write_channel_map(path, "two", overwrite=False)
-        assert path.read_text() == "one"
-        write_channel_map(path, "two", overwrite=True)
-        assert path.read_text() == "two"

@@ -196,6 +196,11 @@ class TestPlain:
         assert names(layout, Role.DEPTH) == ["camera_depth.Z"]
         assert names(layout, Role.POSITION) == expand("object_world_position.XYZ")
 
+    def test_mv_is_the_only_short_name_that_ends_longer_ones(self):
+        layout = found("RGB", "scene_mv.RG", "scene_id.X", "scene_z.R")
+        assert names(layout, Role.MOTION) == expand("scene_mv.RG")
+        assert set(layout.roles) == {Role.COLOUR, Role.MOTION}
+
     def test_a_beauty_without_shadows_and_noise(self):
         layout = found("noisy_beauty.RGB", "shadow_beauty.RGB", "x_beauty.RGB")
         assert names(layout, Role.COLOUR) == expand("x_beauty.RGB")

@@ -16,10 +16,10 @@ from exwarp_cli.io.cryptomatte import (
     hash_name,
     read_manifest,
     require_lossless_ids,
-    surface_id,
     surface_ids,
 )
 from exwarp_cli.io.exr.reader import ExrFile
+from tests.reference.ranked import identity
 from tests.unit.cryptomatte_files import (
     COMPRESSIONS,
     SPELLINGS,
@@ -37,7 +37,7 @@ LEFT, RIGHT = np.zeros((6, 8), np.float32), np.zeros((6, 8), np.float32)
 LEFT[:, :4], RIGHT[:, 5:] = 1, 1
 SHARES = {"left": LEFT, "right": RIGHT}
 EXPECTED = np.where(
-    LEFT > 0, surface_id(hash_name("left")), np.where(RIGHT > 0, surface_id(hash_name("right")), 0)
+    LEFT > 0, identity(hash_name("left")), np.where(RIGHT > 0, identity(hash_name("right")), 0)
 )
 
 

@@ -21,8 +21,8 @@ from exwarp_cli.io.cryptomatte import (
     parse_manifest,
     quote_name,
     read_manifest,
-    surface_id,
 )
+from tests.reference.ranked import identity
 from tests.unit.cryptomatte_files import Style, found_in, manifest_of, write_cryptomatte
 
 BLENDER = (
@@ -241,7 +241,7 @@ class TestDynamic:
     def test_names_of_all_frames(self, option, names):
         found = find_dynamic_objects(option, self.FRAMES, "shot")
         assert found.names == names
-        assert found.ids == tuple(sorted(surface_id(hash_name(name)) for name in names))
+        assert found.ids == tuple(sorted(identity(hash_name(name)) for name in names))
 
     def test_one_glob_without_a_match_is_an_error(self):
         with pytest.raises(UsageError) as caught:
@@ -265,7 +265,7 @@ class TestDynamic:
     def test_whole_names_need_no_manifest(self):
         frames = [Manifest(problem="its header has no manifest")] * 2
         found = find_dynamic_objects("ball,box", frames, "shot")
-        assert found.ids == tuple(sorted(surface_id(hash_name(name)) for name in ("ball", "box")))
+        assert found.ids == tuple(sorted(identity(hash_name(name)) for name in ("ball", "box")))
         with pytest.raises(UsageError) as caught:
             find_dynamic_objects("ball,b*", frames, "shot")
         assert str(caught.value) == (
@@ -276,4 +276,4 @@ class TestDynamic:
     def test_a_name_with_another_id_in_another_frame(self):
         other = Manifest({"ball": 0x12345678})
         found = find_dynamic_objects("ball", [*self.FRAMES, other], "shot")
-        assert found.ids == tuple(sorted((surface_id(hash_name("ball")), 0x12345678)))
+        assert found.ids == tuple(sorted((identity(hash_name("ball")), 0x12345678)))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.io.depth import (
+    DEFAULT_READINGS,
     DepthKind,
     DepthReading,
     depth_reading_by_name,
@@ -131,7 +132,7 @@ class TestNamed:
         "name", ["disparity.R", "A.Inverse Depth.Z", "inv_depth", "depth_inv.R"]
     )
     def test_inverse(self, name):
-        assert depth_reading_by_name([name]) == DepthReading.of(DepthKind.INVERSE)
+        assert depth_reading_by_name([name]) == DepthReading(DepthKind.INVERSE)
 
     @pytest.mark.parametrize("name", ["hitPz", "ray:hitPz", "X_WorldDepth.R"])
     def test_along_the_axis(self, name):
@@ -149,7 +150,7 @@ class TestNamed:
 def test_without_positions_the_order_is_right(kind):
     names = {"inverse": "inverse", "reversed": "reversed", "normalised": "normalised"}
     z, _, _, sky = geometry()
-    distance = DepthReading.of(kind).distance(written(names[kind.value]))
+    distance = DEFAULT_READINGS[kind].distance(written(names[kind.value]))
     assert np.isinf(distance[sky]).all() and np.isfinite(distance[~sky]).all()
     near_first = np.argsort(distance[~sky], kind="stable")
     assert (np.diff(z[~sky][near_first]) >= -1e-4).all()
@@ -159,4 +160,4 @@ def test_without_positions_the_order_is_right(kind):
 @pytest.mark.parametrize("kind", [DepthKind.INVERSE, DepthKind.REVERSED])
 def test_unusable_values_are_background(kind):
     depth = np.array([[0.0, -1.0, np.nan, -np.inf]], np.float32)
-    assert np.isposinf(DepthReading.of(kind).distance(depth)).all()
+    assert np.isposinf(DEFAULT_READINGS[kind].distance(depth)).all()

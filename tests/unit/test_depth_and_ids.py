@@ -67,7 +67,7 @@ def test_without_positions_nothing_is_measured(tmp_path, distance):
 
 def test_what_is_known_stands(tmp_path, distance):
     opened = shot(tmp_path, "Z", 1 / distance)
-    given = replace(opened, depth=DepthReading.of(DepthKind.RAY))
+    given = replace(opened, depth=DepthReading(DepthKind.RAY))
     assert with_depth_measured(given) is given
     blender = replace(opened, layout=replace(opened.layout, producer="Blender"))
     assert with_depth_measured(blender) is blender
@@ -75,14 +75,14 @@ def test_what_is_known_stands(tmp_path, distance):
 
 def test_a_kind_that_is_given_stands(tmp_path, distance):
     opened = shot(tmp_path, "Z", 1 / distance)
-    given = replace(opened, depth=DepthReading.of(DepthKind.NORMALISED))
+    given = replace(opened, depth=DepthReading(DepthKind.NORMALISED))
     assert with_depth_measured(given) is given
 
 
 def test_the_range_of_a_kind_that_is_given_is_measured(tmp_path, distance):
     # A graphics card's depth is an inverse that grows with the distance: its kind alone misleads.
     opened = shot(tmp_path, "Z", 40 / 39 * (1 - 1 / distance))
-    found = with_depth_measured(replace(opened, depth=DepthReading.of(DepthKind.INVERSE)))
+    found = with_depth_measured(replace(opened, depth=DepthReading(DepthKind.INVERSE)))
     read, solid = read_raw(found, 1).gbuffer.depth, np.isfinite(distance)
     assert read is not None
     np.testing.assert_allclose(read[solid], distance[solid], rtol=1e-2)

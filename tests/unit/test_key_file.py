@@ -16,7 +16,7 @@ from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.exr.header import MULTIPART, attributes_in
 from exwarp_cli.io.exr.writer import COMPRESSIONS
 from exwarp_cli.io.generated_frames import is_intact, read_fingerprint, seal
-from exwarp_cli.io.key_file import plan_key_file, plan_marked_file
+from exwarp_cli.io.key_file import plan_key_file
 
 RATE = Fraction(96)
 
@@ -150,6 +150,7 @@ def test_chunks_are_copied_and_only_the_rate_changes(tmp_path, kind):
     for one, other in zip(decoded(source), decoded(target), strict=True):
         assert one.size and np.array_equal(one, other)
     assert file.is_at(target) and not file.is_at(source)
+    assert not file.is_at(tmp_path / "absent.exr") and not file.is_at(tmp_path)
     digest = hashlib.sha256(target.read_bytes()).digest()
     assert hashlib.sha256(b"".join(file.pieces())).digest() == digest
 
@@ -186,7 +187,7 @@ MARKS: dict[str, str | int] = {"kind": "rendered", "slot": 2, "recipe": "ab12"}
 def test_marks_and_a_checksum_join_the_first_header(tmp_path, kind):
     source, target = tmp_path / "a.exr", tmp_path / "b.exr"
     KINDS[kind](source)
-    plan_marked_file(source, RATE, MARKS).write(target)
+    plan_key_file(source, RATE, MARKS).write(target)
     (before, places, chunks), (after, moved, copied) = map(
         layout, (source.read_bytes(), target.read_bytes())
     )
@@ -205,7 +206,7 @@ def test_marks_take_the_place_of_earlier_ones(tmp_path):
     earlier = {"exwarp:kind": "generated", "exwarp:xxh128": "0" * 32, "exwarp:key": 1}
     parts = [OpenEXR.Part(header(**earlier), planes(), name) for name in "ab"]
     OpenEXR.File(parts).write(str(source))
-    plan_marked_file(source, None, MARKS).write(target)
+    plan_key_file(source, None, MARKS).write(target)
     names = [one.name for one in attributes_in(target.read_bytes())]
     assert names.count(b"exwarp:kind") == 1 and b"exwarp:key" not in names
     assert is_intact(target.read_bytes())

@@ -196,7 +196,7 @@ class TestStructure:
             channels = view_channels(file.parts, "right")
             layers = group_layers({"": channels}, detect_layout({"": channels.values()}))
             read = file.read(layers[1].channels)
-        assert [layer.leaf for layer in layers] == ["Combined", "Object Index"]
+        assert [layer.name.rsplit(".", 1)[-1] for layer in layers] == ["Combined", "Object Index"]
         assert [layer.channels[0].part for layer in layers] == [2, 3]
         assert [layer.channels[0].pixel_type for layer in layers] == ["half", "uint"]
         assert (read[layers[1].channels[0]] == 2**24 + 1).all()
@@ -206,7 +206,7 @@ class TestRendered:
     def test_a_slots_own_layer_of_the_same_name_and_components(self):
         layers, _ = found(part(BLENDER))
         own, _ = found(part(f"R G B {spelled('V.Depth', 'Z')} {spelled('V.Normal', 'XY')}"))
-        taken = {layer.leaf: layer.rendered_in(own) for layer in layers}
+        taken = {layer.name.rsplit(".", 1)[-1]: layer.rendered_in(own) for layer in layers}
         assert {name for name, layer in taken.items() if layer is not None} == {"Depth"}
         assert taken["Depth"] is own[1]
 

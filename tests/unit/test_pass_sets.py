@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from exwarp_cli.errors import InputError, LayoutError
-from exwarp_cli.io.channels import Role
+from exwarp_cli.io.channel_map import parse_aovs
 from exwarp_cli.io.sequences import find_aov_set, find_sequence
-from exwarp_cli.io.shot import find_files
+from exwarp_cli.io.shot import open_shot
+from tests.unit.exr_files import rgba, write_single
 
 
 @pytest.fixture
@@ -73,10 +76,15 @@ def test_versions_and_views_are_no_passes(folder):
 def test_two_passes_of_vectors_are_named(folder):
     spec = str(folder("shot.", "shot.MotionVectors.", "shot.velocity."))
     with pytest.raises(LayoutError, match=r"MotionVectors.*velocity.*--aov motion="):
-        find_files(spec, gaps=False)
-    assert set(find_files(spec, False, {Role.MOTION}).aovs) == {"MotionVectors", "velocity"}
+        open_shot(spec)
+    for path in Path(spec).iterdir():
+        write_single(path, rgba(2, 2))
+    aovs = parse_aovs([f"motion={spec}/shot.velocity.####.exr:R,G"])
+    assert set(open_shot(spec, aovs=aovs).aovs) == {"MotionVectors", "velocity"}
 
 
 def test_forward_and_backward_belong_together(folder):
     spec = str(folder("shot.", "shot.motionFore.", "shot.motionBack."))
-    assert set(find_files(spec, gaps=False).aovs) == {"motionFore", "motionBack"}
+    for path in Path(spec).iterdir():
+        write_single(path, rgba(2, 2))
+    assert set(open_shot(spec).aovs) == {"motionFore", "motionBack"}

@@ -13,12 +13,13 @@ from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import LayoutError, MissingFrameError
 from exwarp_cli.io.channel_map import ChannelMap, parse_aovs
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.cryptomatte import IdReading, hash_name, surface_id
+from exwarp_cli.io.cryptomatte import IdReading, hash_name
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.frames import read_image, read_raw
 from exwarp_cli.io.shot import open_shot
 from exwarp_cli.pipeline.source import each_view
 from tests.matrix import spread
+from tests.reference.ranked import identity
 from tests.stereo_layouts import LAYOUTS
 from tests.stereo_shots import arguments, eyes_at, write_stereo
 from tests.unit.cryptomatte_files import Style, write_cryptomatte
@@ -209,7 +210,7 @@ class TestAovs:
         assert {ref.aov for rank in found.ranks for ref in rank} == {found.aov} == {"main"}
         assert Role.STENCIL not in shot.layout and shot.ids is None
         raw = read_raw(replace(shot, ids=IdReading(found)), 2, objects=True)
-        assert (raw.gbuffer.objects == surface_id(hash_name("box"))).all()
+        assert (raw.gbuffer.objects == identity(hash_name("box"))).all()
         assert raw.gbuffer.stencil is None
         assert read_raw(replace(shot, ids=IdReading(found)), 2).gbuffer.objects is None
         joined = self.open(split, "stencil=z")
