@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.colour import PEAK, encode_display, round_display
-from exwarp_cli.domain.frame import Bool, Float32, UInt8
+from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.metric import DEFAULT_METRICS
 from exwarp_cli.domain.results import Score
 from exwarp_cli.kernels.picture_errors import (
@@ -58,16 +58,14 @@ class MetricMap:
     margin: int = 0  # pixels left out at every edge, unless a mask selects pixels
     finish: Callable[[float], float] = float  # turns the average into the metric's value
 
-    def overall(self) -> float:
-        """Return the value over all pixels."""
+    def value(self, mask: Bool | None = None) -> float:
+        """Return the value over all pixels, or over those of a mask, bool [H, W], not empty."""
         height, width = self.per_pixel.shape
         m = self.margin
-        inner = self.per_pixel[m : height - m, m : width - m]
-        return self.finish(float(inner.mean(dtype=np.float64)))
-
-    def within(self, mask: Bool) -> float:
-        """Return the value over the pixels of a mask, bool [H, W], which is not empty."""
-        return self.finish(float(self.per_pixel[mask].mean(dtype=np.float64)))
+        chosen = (
+            self.per_pixel[m : height - m, m : width - m] if mask is None else self.per_pixel[mask]
+        )
+        return self.finish(float(chosen.mean(dtype=np.float64)))
 
 
 def measure_psnr(reference: Float32, test: Float32) -> MetricMap:
@@ -210,9 +208,9 @@ def score_frame(
         else:
             encoded = encoded or (encode_display(reference), encode_display(test))
             metric_map = METRICS[name](*encoded)
-        overall[name] = metric_map.overall()
+        overall[name] = metric_map.value()
         if holes is not None:
-            masked[name] = metric_map.within(holes)
+            masked[name] = metric_map.value(holes)
     if "pulse" in names:
         overall["pulse"] = measure_pulse(reference, test)
     return Score(**overall), Score(**masked) if holes is not None else None
@@ -224,19 +222,11 @@ def score_like_extranet(reference: Float32, test: Float32) -> Score:
     PSNR is at most 100 dB, where theirs is infinite. SSIM is None for frames smaller than the
     window.
     """
-    shown, judged = round_display(reference), round_display(test)
-    difference = shown.astype(np.float64) - judged
-    return Score(
-        psnr_db=psnr_from_mse(float(np.mean(difference**2))),
-        ssim=uniform_ssim(shown, judged),
-    )
-
-
-def uniform_ssim(reference: UInt8, test: UInt8) -> float | None:
-    """Return the structural similarity of two uint8 [H, W, C], over whole windows only."""
-    if min(reference.shape[:2]) < WINDOW:
-        return None
-    x, y = reference.astype(np.float64), test.astype(np.float64)
+    x, y = (round_display(pixels).astype(np.float64) for pixels in (reference, test))
+    psnr_db = psnr_from_mse(float(np.mean((x - y) ** 2)))
+    if min(x.shape[:2]) < WINDOW:
+        return Score(psnr_db=psnr_db)
+    # SSIM over whole windows only.
     mean_x, mean_y = _window_means(x), _window_means(y)
     count = WINDOW * WINDOW
     unbiased = count / (count - 1)
@@ -245,7 +235,7 @@ def uniform_ssim(reference: UInt8, test: UInt8) -> float | None:
     covariance = unbiased * (_window_means(x * y) - mean_x * mean_y)
     top = (2 * mean_x * mean_y + SSIM_C1) * (2 * covariance + SSIM_C2)
     bottom = (mean_x**2 + mean_y**2 + SSIM_C1) * (variance_x + variance_y + SSIM_C2)
-    return float((top / bottom).mean())
+    return Score(psnr_db=psnr_db, ssim=float((top / bottom).mean()))
 
 
 def _window_means(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

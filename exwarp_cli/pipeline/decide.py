@@ -202,7 +202,7 @@ def outcomes_of(
             if as_written is not None:
                 pixels = as_written(pixels)
             test = encode_display(place_on_canvas(pixels, canvas, display or canvas))
-            scores[node, choice] = [METRICS[name](encoded[slot], test).overall() for name in JUDGED]
+            scores[node, choice] = [METRICS[name](encoded[slot], test).value() for name in JUDGED]
     return np.array([[scores[node, choice] for choice in CHOICES] for node in NODES])
 
 

@@ -24,11 +24,8 @@ from exwarp_cli.io.frames import GEOMETRY, read_raw
 from exwarp_cli.metrics.temporal import (
     Transition,
     compare_with_previous,
-    compare_with_rendered,
     display_error,
     frame_flicker,
-    interpolate_gradient,
-    interval_flicker,
     mean_gradient,
     pulse,
 )
@@ -81,19 +78,29 @@ def flicker_of(
     """Return the flicker of an interval's slots, in order, over all pixels and in holes.
 
     `errors` are by slot, from `metrics.temporal.display_error`; the key frames around have none.
-    The flicker of a slot that is missing is (None, None). `masks` are by slot, bool [H, W].
+    The flicker of a slot that is missing is (None, None). `masks` are by slot, bool [H, W]. In
+    holes only the transition into the frame counts, as what fills a hole did not exist before or
+    after; None if the frame before shows no pixel of the mask.
     """
     slots = sorted(steps.fields)
-    transitions: list[Transition | None] = []
+    transitions: list[float | None] = []
+    inside: list[float | None] = []
     for slot in slots:
-        change = None
+        value = masked = None
         if slot in errors and (slot == 1 or slot - 1 in errors):
             before, step = errors.get(slot - 1), (steps.fields[slot], steps.hidden[slot])
             change = compare_with_previous(errors[slot], before, *step)
-        transitions.append(change)
-    last = errors.get(slots[-1]) if steps.followed else None
-    transitions.append(None if last is None else compare_with_rendered(last))
-    return interval_flicker(transitions, [masks.get(slot) for slot in slots])
+            value = change.mean()
+            masked = change.mean(masks[slot]) if slot in masks else None
+        transitions.append(value)
+        inside.append(masked)
+    # The transition to a rendered frame, whose error is 0, is taken at all pixels of the slot
+    # itself, and needs no motion.
+    value, last = None, errors.get(slots[-1]) if steps.followed else None
+    if last is not None:
+        value = Transition(np.abs(last).mean(axis=-1), np.ones(last.shape[:2], np.bool_)).mean()
+    transitions.append(value)
+    return list(zip(frame_flicker(transitions), inside, strict=True))
 
 
 def vmaf_of(truth: Mapping[int, Float32], rows: Sequence[Sequence[Float32]]) -> list[list[float]]:
@@ -279,8 +286,10 @@ class KeyedPulses:
                         image = read_sequence_picture(keys.sequence, number, keys.view)
                         self.add(following, image)
                 after = self._gradients.get(following)
-            before = self._gradients[Slot(slot.key, 0)]
-            expected = interpolate_gradient(before, after, float(timeline.time(slot)))
+            expected = self._gradients[Slot(slot.key, 0)]
+            if after is not None:
+                time = float(timeline.time(slot))
+                expected = (1 - time) * expected + time * after
             yield replace(record, key_pulse=pulse(self._gradients[slot], expected))
 
 

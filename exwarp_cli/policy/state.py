@@ -11,7 +11,7 @@ sequence is decided alike.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,7 +31,7 @@ from exwarp_cli.domain.decision import (
     Plan,
     walk_tree,
 )
-from exwarp_cli.domain.frame import Bool, GBuffer, Int32
+from exwarp_cli.domain.frame import Bool, GBuffer
 from exwarp_cli.domain.tiles import LOOK_AHEAD_FEATURES, TILE_FEATURES, TilePlan
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels.connected_components import measure_component_areas
@@ -46,8 +46,8 @@ F64 = npt.NDArray[np.float64]
 
 BLOCK = 16  # side of the blocks whose mean motion has the variance, pixels
 
-# Objects smaller than this share of the frame, or than this many pixels, are not counted: leaves
-# and sparks would outnumber what matters for warping.
+# Objects are connected areas of one id above 0. Smaller ones than this share of the frame, or than
+# this many pixels, are not counted: leaves and sparks would outnumber what matters for warping.
 MIN_AREA, MIN_PIXELS = 1e-4, 4
 
 STATE_COUNT = 4  # the current one and three before
@@ -70,17 +70,6 @@ PRECEDING_NODES = {
 }
 
 
-class FrameStatistics:
-    """The statistics of an instant's geometry that are compared with another instant's."""
-
-    def __init__(self, gbuffer: GBuffer) -> None:
-        self.shown: Bool = ~gbuffer.background  # pixels that show a surface
-        self.normals, self.positions = (
-            None if part is None else ValueDistribution(part, self.shown)
-            for part in (gbuffer.normal, gbuffer.position)
-        )
-
-
 def observe(now: GBuffer, before: GBuffer | None, span: int) -> Features:
     """Return the features of an instant, per slot; missing parts give 0.
 
@@ -95,45 +84,44 @@ def observe(now: GBuffer, before: GBuffer | None, span: int) -> Features:
         raise ValueError(f"features span {span} slots; give 1 or more")
     if before is not None and before.window != now.window:
         raise ValueError(f"features of {now.window} cannot be compared with {before.window}")
-    statistics = FrameStatistics(now)
-    emd_normal, emd_position = 0.0, 0.0
+    shown: Bool = ~now.background
+    distances = {"normal": 0.0, "position": 0.0}
     if before is not None:
-        earlier = FrameStatistics(before)
-        emd_normal, emd_position = (
-            0.0 if a is None or b is None else float(earth_movers_distances(a, b).mean())
-            for a, b in (
-                (earlier.normals, statistics.normals),
-                (earlier.positions, statistics.positions),
-            )
-        )
+        earlier_shown: Bool = ~before.background
+        for part in distances:
+            earlier, later = getattr(before, part), getattr(now, part)
+            if earlier is not None and later is not None:
+                distributions = (
+                    ValueDistribution(earlier, earlier_shown),
+                    ValueDistribution(later, shown),
+                )
+                distances[part] = float(earth_movers_distances(*distributions).mean())
     # Of the means of blocks, over the whole span.
     var_x, var_y = 0.0, 0.0
     motion = now.to_next if now.to_previous is None else now.to_previous
     if motion is not None:
         height, width = now.window.shape
         means = np.empty((-(-height // BLOCK), -(-width // BLOCK), 2))
-        block_means(motion, statistics.shown, BLOCK, means)
+        block_means(motion, shown, BLOCK, means)
         known = means[~np.isnan(means[..., 0])]
         if len(known):
             var_x, var_y = map(float, known.var(axis=0))
+    objects = 0
+    if now.stencil is not None:
+        areas = np.empty(now.stencil.size + 1, np.int64)
+        count = measure_component_areas(now.stencil, areas)
+        least = max(MIN_AREA * now.stencil.size, MIN_PIXELS)
+        objects = int((areas[1:count] >= least).sum())
     return Features(
-        objects=0 if now.stencil is None else count_objects(now.stencil),
-        emd_normal=emd_normal / span,
-        emd_position=emd_position / span,
+        objects=objects,
+        emd_normal=distances["normal"] / span,
+        emd_position=distances["position"] / span,
         var_x=var_x / span**2,
         var_y=var_y / span**2,
         width=now.window.width,
         height=now.window.height,
-        distance=_median_distance(now, statistics.shown),
+        distance=_median_distance(now, shown),
     )
-
-
-def count_objects(stencil: Int32) -> int:
-    """Return N_d: the connected areas of one id above 0, of at least MIN_AREA and MIN_PIXELS."""
-    areas = np.empty(stencil.size + 1, np.int64)
-    count = measure_component_areas(stencil, areas)
-    least = max(MIN_AREA * stencil.size, MIN_PIXELS)
-    return int((areas[1:count] >= least).sum())
 
 
 def _median_distance(gbuffer: GBuffer, shown: Bool) -> float:
@@ -199,14 +187,7 @@ class StateHistory:
 
 
 def state(features: Features, node: str) -> F64:
-    """Return one state, float64 [11], 0 to 1: scaled features and the node."""
-    return np.concatenate(
-        [scale_features(features), np.array([name == node for name in NODES], float)]
-    )
-
-
-def scale_features(features: Features) -> F64:
-    """Return the features scaled, float64 [6], 0 to 1, in the order of FEATURES."""
+    """Return one state, float64 [11], 0 to 1: features scaled, as FEATURES has them, and node."""
     relative = {
         "N_d": features.objects,
         "EMD_Wn": features.emd_normal,
@@ -215,7 +196,8 @@ def scale_features(features: Features) -> F64:
         "Var_y": features.var_y / features.width**2,
         "R": features.resolution / 1e6,
     }
-    return np.array([SCALES[name](relative[name]) for name in FEATURES])
+    scaled = [SCALES[name](relative[name]) for name in FEATURES]
+    return np.array([*scaled, *(name == node for name in NODES)], float)
 
 
 def plan_slots(policy: MlpKernel, history: StateHistory) -> Plan:
@@ -295,13 +277,6 @@ def tile_inputs(
     return np.concatenate(parts, axis=-1)
 
 
-def tile_paths(chosen: Mapping[str, npt.NDArray[np.bool_]]) -> npt.NDArray[np.str_]:
-    """Return the path of each tile, by whether each node of TILE_NODES extrapolates."""
-    after_e = np.where(chosen["d4"], "S3", "S4")
-    after_w = np.where(chosen["d5"], "S5", "S6")
-    return np.where(chosen["d2"], after_e, after_w)
-
-
 def plan_tiles(policy: MlpKernel, features: Sequence[F64], width: int) -> TilePlan:
     """Decide all tiles; the larger output wins, a tie goes to warping.
 
@@ -310,11 +285,13 @@ def plan_tiles(policy: MlpKernel, features: Sequence[F64], width: int) -> TilePl
     """
     rows, columns = features[0].shape[:2]
     slots = [scale_tile_features(f, width).reshape(-1, len(TILE_FEATURES)) for f in features]
-    chosen = {}
+    chosen = {}  # whether each node extrapolates
     for node in TILE_NODES:
         _, choices = policy.decide_many(to_fixed(tile_inputs(slots, node)))
         chosen[node] = choices == 1
-    return TilePlan(columns, rows, tuple(map(str, tile_paths(chosen))))
+    after_e = np.where(chosen["d4"], "S3", "S4")
+    after_w = np.where(chosen["d5"], "S5", "S6")
+    return TilePlan(columns, rows, tuple(map(str, np.where(chosen["d2"], after_e, after_w))))
 
 
 def choose_tiles(policy: MlpKernel, features: F64, time: float) -> Bool:

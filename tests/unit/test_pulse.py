@@ -12,7 +12,6 @@ from exwarp_cli.metrics.registry import score_frame
 from exwarp_cli.metrics.temporal import (
     MAX_PULSE,
     ROWS_AT_ONCE,
-    interpolate_gradient,
     mean_gradient,
     measure_pulse,
     pulse,
@@ -108,8 +107,3 @@ def test_alpha_and_holes_do_not_count() -> None:
     assert measure_pulse(truth, test) == measure_pulse(truth[..., :3], test[..., :3])
     _, inside = score_frame(truth, test, np.ones((9, 12), bool))
     assert inside is not None and inside.pulse is None
-
-
-def test_the_reference_goes_from_one_key_frame_to_the_next() -> None:
-    assert interpolate_gradient(4.0, 8.0, 0.25) == 5
-    assert interpolate_gradient(4.0, None, 0.75) == 4
