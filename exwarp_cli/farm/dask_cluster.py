@@ -357,7 +357,7 @@ class VideoFromFrames(ResourceOwner):
         for slot in (slot for key in keys for slot in timeline.slots_of(key)):
             is_missing = timeline.number(slot) in missing
             self._writer.submit(
-                self._frames.show_again if is_missing else partial(self._show, slot)
+                partial(self._frames.show, None) if is_missing else partial(self._show, slot)
             )
 
     def _show(self, slot: Slot) -> None:

@@ -64,6 +64,7 @@ class FrameWriter(ResourceOwner):
     write_ms: dict[int, float] = field(default_factory=dict)
     # Checksums of what is written, where they are wanted; complete at the end.
     sums: Sums = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()  # what a user has to know of the video, once it is open
     _video: VideoWriter | None = None
     _last_shown: np.ndarray | None = None  # by the video
 
@@ -79,11 +80,7 @@ class FrameWriter(ResourceOwner):
                 self.output.video, width, height, self.fps, self.look, self.output.codec
             )
             self._video = stack.enter_context(video)
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What a user has to know of the video; see `VideoWriter.remarks`."""
-        return () if self._video is None else self._video.remarks
+            self.remarks = video.remarks
 
     def name(self, number: int) -> str:
         """Return the name of a frame's file, or of the video without files, without its folder."""
@@ -112,7 +109,7 @@ class FrameWriter(ResourceOwner):
         """Return True if an earlier run copied a key frame's file, and it is kept."""
         if not self.output.resumes:
             return False
-        return key_is_there(self.path(number), plan_key_file(source, self.key_rate))
+        return key_is_there(self.path(number), [plan_key_file(source, self.key_rate)])
 
     def is_in_the_way(self, number: int) -> bool:
         """Return True if a frame's file from before the run exists, which writing would replace."""
@@ -124,29 +121,37 @@ class FrameWriter(ResourceOwner):
 
     def has_rendered(self, number: int, source: Path, recipe: str) -> bool:
         """Return True if an earlier run wrote a rendered frame of a slot, and it is kept."""
-        if self.copies(source) and not self._is_marked(source):
+        is_marked = source.suffix.lower() in EXR and not self.output.keeps_bytes
+        if self.copies(source) and not is_marked:
             return self.has_copy(number, source)
         return self.has(number, recipe, masked=False)
 
     def pass_frame(
-        self, number: int, source: Path, marks: Mapping[str, str | int] | None = None
+        self,
+        number: int,
+        source: Path,
+        marks: Mapping[str, str | int] | None = None,
+        inline: bool = False,
     ) -> None:
         """Copy the file of a rendered frame, all its layers and attributes but for the frame rate.
 
         If it is EXR and key frames get a rate, it gets ExWarp's own attributes, too: `marks`.
+        `inline` is as for `write`.
         """
-        copy = partial(self._copy, number, source, marks if self._is_marked(source) else None)
-        if self.output.resumes and self.is_in_the_way(number):
-            # At once. The frames around a key frame name its digest, by which a later run knows a
-            # copy of an earlier render. If they are replaced first and the run is killed, none
-            # names that copy.
-            copy()
-        else:
-            self._writer.submit(copy)
-
-    def _is_marked(self, source: Path) -> bool:
-        """Return True if a rendered frame's header gets ExWarp's own attributes."""
-        return source.suffix.lower() in EXR and not self.output.keeps_bytes
+        # At once where it replaces a file. The frames around a key frame name its digest, by which
+        # a later run knows a copy of an earlier render. If they are replaced first and the run is
+        # killed, none names that copy.
+        if not (inline or (self.output.resumes and self.is_in_the_way(number))):
+            self._writer.submit(partial(self.pass_frame, number, source, marks, inline=True))
+            return
+        with record_time(self.write_ms, number), ExitStack() as stack:
+            if marks is None or source.suffix.lower() not in EXR or self.output.keeps_bytes:
+                file = stack.enter_context(open_key_file(source, self.key_rate))
+            else:
+                file = plan_marked_file(source, self.key_rate, marks)
+            file.write(self.path(number))
+            if self.wants_sums:  # of what the source gives
+                self.sums[FRAME, number] = sum_of(file.pieces())
 
     def write(
         self,
@@ -161,57 +166,13 @@ class FrameWriter(ResourceOwner):
         """Write a frame that is not copied, and its hole mask if masks are written and it has one.
 
         `mask` is bool [H, W] on the display window; `template`, `attributes` and `layers` are as
-        for `io.generated_frames.write_picture`. With `inline` this thread writes, and does not
+        for `io.write_picture`. With `inline` this thread writes, and does not
         return before; any thread may.
         """
-        put = partial(self._put, number, image, template, attributes, mask, layers)
-        if inline:
-            put()
-        else:
-            self._writer.submit(put)
-
-    def show(self, image: Image) -> None:
-        """Append a frame to the video, if there is one."""
-        if self._video is not None:
-            pixels = image.on(self.display).pixels
-            self._last_shown = self._encode(self.display_look.apply(pixels, self.output.exposure))
-            self._video.write(self._last_shown)
-
-    def show_again(self) -> None:
-        """Append the last frame to the video again, or a black one, to keep sound in step."""
-        if self._video is not None:
-            black = np.zeros((*self.display.shape, 3), np.float32)
-            shown = self._encode(black) if self._last_shown is None else self._last_shown
-            self._video.write(shown)
-
-    def read(self, number: int) -> Image:
-        """Read a frame that an earlier run wrote."""
-        return read_picture(self.path(number), self.view)
-
-    def path(self, number: int) -> Path:
-        """Return where a frame's file is, where there are files."""
-        assert self.output.frames is not None
-        return self.output.frames.path(number)
-
-    def _copy(self, number: int, source: Path, marks: Mapping[str, str | int] | None) -> None:
-        with record_time(self.write_ms, number), ExitStack() as stack:
-            if marks is None:
-                file = stack.enter_context(open_key_file(source, self.key_rate))
-            else:
-                file = plan_marked_file(source, self.key_rate, marks)
-            file.write(self.path(number))
-            if self.wants_sums:  # of what the source gives
-                self.sums[FRAME, number] = sum_of(file.pieces())
-
-    def _put(
-        self,
-        number: int,
-        image: Image,
-        template: FrameTemplate,
-        attributes: Mapping[str, Any],
-        mask: Bool | None,
-        layers: Mapping[PlaneKey, Plane] | None,
-    ) -> None:
+        if not inline:
+            put = partial(self.write, number, image, template, attributes, mask, layers)
+            self._writer.submit(partial(put, inline=True))
+            return
         if self.output.frames is not None:
             with record_time(self.write_ms, number):
                 pieces = write_picture(self.path(number), image, template, attributes, layers)
@@ -223,6 +184,30 @@ class FrameWriter(ResourceOwner):
             pieces = write_mask(self.output.holes.path(number), mask, windows, marks)
             if self.wants_sums:
                 self.sums[HOLES, number] = sum_of(pieces)
+
+    def show(self, image: Image | None) -> None:
+        """Append a frame to the video, if there is one.
+
+        None for the last one again, or a black one, to keep sound in step.
+        """
+        if self._video is None:
+            return
+        shown = self._last_shown
+        if image is not None:
+            pixels = self.display_look.apply(image.on(self.display).pixels, self.output.exposure)
+            shown = self._last_shown = self._encode(pixels)
+        elif shown is None:
+            shown = self._encode(np.zeros((*self.display.shape, 3), np.float32))
+        self._video.write(shown)
+
+    def read(self, number: int) -> Image:
+        """Read a frame that an earlier run wrote."""
+        return read_picture(self.path(number), self.view)
+
+    def path(self, number: int) -> Path:
+        """Return where a frame's file is, where there are files."""
+        assert self.output.frames is not None
+        return self.output.frames.path(number)
 
 
 def sum_of(pieces: Iterable[Buffer]) -> str:
