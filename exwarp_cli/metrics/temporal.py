@@ -116,8 +116,3 @@ def pulse(gradient: float, reference: float) -> float:
     if gradient == reference:
         return 0.0
     return MAX_PULSE if reference == 0 else min(100 * (gradient / reference - 1), MAX_PULSE)
-
-
-def measure_pulse(reference: Float32, test: Float32) -> float:
-    """Return the pulse of a frame against the true one, both scene-linear."""
-    return pulse(mean_gradient(test), mean_gradient(reference))

@@ -19,28 +19,12 @@ import numpy.typing as npt
 
 from exwarp_cli.accelerator.mlp import QuantisedMlp, to_fixed
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
-from exwarp_cli.domain.decision import (
-    CHOICES,
-    FEATURES,
-    FIRST_NODE,
-    NODE_SLOTS,
-    NODES,
-    PATHS,
-    Decision,
-    Features,
-    Plan,
-    walk_tree,
-)
+from exwarp_cli.domain import decision
 from exwarp_cli.domain.frame import Bool, GBuffer
 from exwarp_cli.domain.tiles import LOOK_AHEAD_FEATURES, TILE_FEATURES, TilePlan
 from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.kernels import frame_statistics
 from exwarp_cli.kernels.connected_components import measure_component_areas
-from exwarp_cli.kernels.frame_statistics import (
-    ValueDistribution,
-    block_means,
-    earth_movers_distances,
-    positive_median,
-)
 
 F64 = npt.NDArray[np.float64]
 
@@ -52,7 +36,7 @@ MIN_AREA, MIN_PIXELS = 1e-4, 4
 
 STATE_COUNT = 4  # the current one and three before
 
-STATE_SIZE = len(FEATURES) + len(NODES)
+STATE_SIZE = len(decision.FEATURES) + len(decision.NODES)
 INPUTS = STATE_COUNT * STATE_SIZE  # 44
 
 STATE_VERSION = 1  # of the order and the scales below; ``state`` in a policy's metadata
@@ -63,14 +47,14 @@ OLDER_KEYS = 3  # key frames before F_k whose features count: at d1 all of them
 PRECEDING_NODES = {
     node: next(
         tuple(path.choices)[: tuple(path.choices).index(node)]
-        for path in PATHS.values()
+        for path in decision.PATHS.values()
         if node in path.choices
     )
-    for node in NODES
+    for node in decision.NODES
 }
 
 
-def observe(now: GBuffer, before: GBuffer | None, span: int) -> Features:
+def observe(now: GBuffer, before: GBuffer | None, span: int) -> decision.Features:
     """Return the features of an instant, per slot; missing parts give 0.
 
     `before` is the instant before, on the same window; without it, at the first, earth mover's
@@ -92,17 +76,19 @@ def observe(now: GBuffer, before: GBuffer | None, span: int) -> Features:
             earlier, later = getattr(before, part), getattr(now, part)
             if earlier is not None and later is not None:
                 distributions = (
-                    ValueDistribution(earlier, earlier_shown),
-                    ValueDistribution(later, shown),
+                    frame_statistics.ValueDistribution(earlier, earlier_shown),
+                    frame_statistics.ValueDistribution(later, shown),
                 )
-                distances[part] = float(earth_movers_distances(*distributions).mean())
+                distances[part] = float(
+                    frame_statistics.earth_movers_distances(*distributions).mean()
+                )
     # Of the means of blocks, over the whole span.
     var_x, var_y = 0.0, 0.0
     motion = now.to_next if now.to_previous is None else now.to_previous
     if motion is not None:
         height, width = now.window.shape
         means = np.empty((-(-height // BLOCK), -(-width // BLOCK), 2))
-        block_means(motion, shown, BLOCK, means)
+        frame_statistics.block_means(motion, shown, BLOCK, means)
         known = means[~np.isnan(means[..., 0])]
         if len(known):
             var_x, var_y = map(float, known.var(axis=0))
@@ -112,7 +98,7 @@ def observe(now: GBuffer, before: GBuffer | None, span: int) -> Features:
         count = measure_component_areas(now.stencil, areas)
         least = max(MIN_AREA * now.stencil.size, MIN_PIXELS)
         objects = int((areas[1:count] >= least).sum())
-    return Features(
+    return decision.Features(
         objects=objects,
         emd_normal=distances["normal"] / span,
         emd_position=distances["position"] / span,
@@ -129,7 +115,7 @@ def _median_distance(gbuffer: GBuffer, shown: Bool) -> float:
     median = np.float64(0)
     with np.errstate(over="ignore"):
         if gbuffer.depth is not None:
-            median = np.float64(positive_median(gbuffer.depth, shown))
+            median = np.float64(frame_statistics.positive_median(gbuffer.depth, shown))
         elif gbuffer.position is not None:
             # The median distance of the positions from their mean: the camera's place is unknown,
             # but the extent of the visible scene grows with the distance.
@@ -174,19 +160,21 @@ class StateHistory:
 
     # At t, t + 1/4 and t + 1/2, for slots 1 to 3; with G-buffers of key frames only, three times
     # F_k's
-    now: tuple[Features, Features, Features]
-    before: tuple[Features, ...]  # of F_k-1, F_k-2 and F_k-3, the newer first, as far as they exist
+    now: tuple[decision.Features, decision.Features, decision.Features]
+    before: tuple[
+        decision.Features, ...
+    ]  # of F_k-1, F_k-2 and F_k-3, the newer first, as far as they exist
 
     def inputs(self, node: str) -> F64:
         """Return the network's inputs at a node, float64 [44], 0 to 1."""
         nodes = [node, *reversed(PRECEDING_NODES[node])]
-        states = [(self.now[NODE_SLOTS[name] - 1], name) for name in nodes]
-        states += [(features, FIRST_NODE) for features in self.before]
+        states = [(self.now[decision.NODE_SLOTS[name] - 1], name) for name in nodes]
+        states += [(features, decision.FIRST_NODE) for features in self.before]
         states = (states + [states[-1]] * STATE_COUNT)[:STATE_COUNT]
         return np.concatenate([state(features, name) for features, name in states])
 
 
-def state(features: Features, node: str) -> F64:
+def state(features: decision.Features, node: str) -> F64:
     """Return one state, float64 [11], 0 to 1: features scaled, as FEATURES has them, and node."""
     relative = {
         "N_d": features.objects,
@@ -196,22 +184,26 @@ def state(features: Features, node: str) -> F64:
         "Var_y": features.var_y / features.width**2,
         "R": features.resolution / 1e6,
     }
-    scaled = [SCALES[name](relative[name]) for name in FEATURES]
-    return np.array([*scaled, *(name == node for name in NODES)], float)
+    scaled = [SCALES[name](relative[name]) for name in decision.FEATURES]
+    return np.array([*scaled, *(name == node for name in decision.NODES)], float)
 
 
-def plan_slots(policy: MlpKernel, history: StateHistory) -> Plan:
+def plan_slots(policy: MlpKernel, history: StateHistory) -> decision.Plan:
     """Decide all slots of a key interval; the larger output wins, a tie goes to warping."""
-    decisions: list[Decision] = []
+    decisions: list[decision.Decision] = []
 
     def choose(node: str) -> str:
         fixed = to_fixed(history.inputs(node))
         outputs, chosen = policy.decide(fixed)
-        features = history.now[NODE_SLOTS[node] - 1]
-        decisions.append(Decision(node, CHOICES[chosen], features, tuple(fixed.tolist()), outputs))
-        return CHOICES[chosen]
+        features = history.now[decision.NODE_SLOTS[node] - 1]
+        decisions.append(
+            decision.Decision(
+                node, decision.CHOICES[chosen], features, tuple(fixed.tolist()), outputs
+            )
+        )
+        return decision.CHOICES[chosen]
 
-    return Plan(walk_tree(choose), tuple(decisions))
+    return decision.Plan(decision.walk_tree(choose), tuple(decisions))
 
 
 # Nodes that decide about a tile; d1 always warps, as repeated frames are not wanted.
@@ -235,13 +227,8 @@ def scale_tile_features(features: F64, width: int) -> F64:
     `width`: that of the frame, in pixels.
     """
     units = {name: (width * FACTOR) ** 2 if name.startswith("Var") else 1 for name in TILE_SCALES}
-    return np.stack(
-        [
-            TILE_SCALES[name](features[..., index] / units[name])
-            for index, name in enumerate(TILE_FEATURES)
-        ],
-        axis=-1,
-    )
+    scaled = [TILE_SCALES[n](features[..., i] / units[n]) for i, n in enumerate(TILE_FEATURES)]
+    return np.stack(scaled, axis=-1)
 
 
 # Of `LOOK_AHEAD_FEATURES`: a share of pixels, squared display levels, and a proportion.
@@ -257,8 +244,8 @@ def look_ahead_inputs(features: F64, time: float) -> F64:
     """
     scaled = [scale(features[:, i]) for i, scale in enumerate(LOOK_AHEAD_SCALES)]
     slot = min(max(round(time * FACTOR), 1), FACTOR - 1)
-    first = next(node for node in NODES if NODE_SLOTS[node] == slot)
-    marks = [np.full(len(features), node == first, np.float64) for node in NODES]
+    first = next(node for node in decision.NODES if decision.NODE_SLOTS[node] == slot)
+    marks = [np.full(len(features), node == first, np.float64) for node in decision.NODES]
     return np.tile(np.stack([*scaled, *marks], axis=-1), STATE_COUNT)
 
 
@@ -272,8 +259,10 @@ def tile_inputs(
     count = len(slots[0])
     parts = []
     for name in nodes:
-        marks = np.tile(np.array([name == node_name for node_name in NODES], float), (count, 1))
-        parts += [slots[NODE_SLOTS[name] - 1], marks]
+        marks = np.tile(
+            np.array([name == node_name for node_name in decision.NODES], float), (count, 1)
+        )
+        parts += [slots[decision.NODE_SLOTS[name] - 1], marks]
     return np.concatenate(parts, axis=-1)
 
 

@@ -72,7 +72,7 @@ def _scoring(reference: Float32, test: Float32) -> dict[str, tuple[Work, Work]]:
         "PSNR": (lambda: registry.measure_psnr(shown, judged).value(), whole),
         "SSIM": (lambda: registry.measure_ssim(shown, judged).value(), whole),
         "FLIP": (lambda: registry.measure_flip(shown, judged).value(), whole),
-        "pulse": (lambda: temporal.measure_pulse(reference, test), whole),
+        "pulse": (lambda: temporal.pulse(*map(temporal.mean_gradient, (test, reference))), whole),
     }
 
 

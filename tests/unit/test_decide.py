@@ -98,7 +98,7 @@ class TestKeySetting:
 
     def test_in_a_row_each_is_looked_at_once(self, monkeypatch):
         counted = []
-        monkeypatch.setattr(decide, "observe", lambda *a: counted.append(a) or observe(*a))
+        monkeypatch.setattr(decide.state, "observe", lambda *a: counted.append(a) or observe(*a))
         row = Observer(DISPLAY, "key")
         found = [row.surroundings(k, keys(k), ()) for k in range(5)]
         assert len(counted) == 5
