@@ -328,7 +328,7 @@ class _Ownership:
         elif self.rendered is not None:
             copied_from = self.rendered.files.get(self.source.timeline.number(slot))
         # As it is, or with another rate in its header.
-        if copied_from and key_is_there(path, possible_key_files(copied_from, path)):
+        if copied_from is not None and key_is_there(path, possible_key_files(copied_from, path)):
             return None
         reason = self._why_not_written(path)
         if reason is None:

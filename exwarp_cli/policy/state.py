@@ -68,20 +68,19 @@ def observe(now: GBuffer, before: GBuffer | None, span: int) -> decision.Feature
         raise ValueError(f"features span {span} slots; give 1 or more")
     if before is not None and before.window != now.window:
         raise ValueError(f"features of {now.window} cannot be compared with {before.window}")
-    shown: Bool = ~now.background
-    distances = {"normal": 0.0, "position": 0.0}
+    shown: Bool = ~now.background  # pixels that show a surface
+    emd_normal = emd_position = 0.0
     if before is not None:
         earlier_shown: Bool = ~before.background
-        for part in distances:
-            earlier, later = getattr(before, part), getattr(now, part)
-            if earlier is not None and later is not None:
-                distributions = (
-                    frame_statistics.ValueDistribution(earlier, earlier_shown),
-                    frame_statistics.ValueDistribution(later, shown),
-                )
-                distances[part] = float(
-                    frame_statistics.earth_movers_distances(*distributions).mean()
-                )
+        emd_normal, emd_position = (
+            0.0
+            if earlier is None or later is None
+            else frame_statistics.earth_movers_distances(
+                frame_statistics.ValueDistribution(earlier, earlier_shown),
+                frame_statistics.ValueDistribution(later, shown),
+            ).mean()
+            for earlier, later in ((before.normal, now.normal), (before.position, now.position))
+        )
     # Of the means of blocks, over the whole span.
     var_x, var_y = 0.0, 0.0
     motion = now.to_next if now.to_previous is None else now.to_previous
@@ -100,8 +99,8 @@ def observe(now: GBuffer, before: GBuffer | None, span: int) -> decision.Feature
         objects = int((areas[1:count] >= least).sum())
     return decision.Features(
         objects=objects,
-        emd_normal=distances["normal"] / span,
-        emd_position=distances["position"] / span,
+        emd_normal=float(emd_normal) / span,
+        emd_position=float(emd_position) / span,
         var_x=var_x / span**2,
         var_y=var_y / span**2,
         width=now.window.width,
