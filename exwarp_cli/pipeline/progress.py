@@ -11,12 +11,11 @@ import os
 import sys
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Protocol, TextIO
 
 from exwarp_cli import errors
-from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.domain.wording import one_line, pluralise
 from exwarp_cli.runtime.compilation import compilation
 
@@ -37,11 +36,6 @@ def kind_of(index: int) -> str:
     """Return the kind of work of a slot by its index in the key interval, 0 for the key frame."""
     # Methods differ by index: `s3` warps slot 1 and extrapolates slots 2 and 3.
     return f"slot {index}" if index else "key"
-
-
-def kinds_of(slots: Iterable[Slot]) -> Counter[str]:
-    """Count slots by their kind of work."""
-    return Counter(kind_of(slot.index) for slot in slots)
 
 
 class Progress:

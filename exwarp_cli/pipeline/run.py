@@ -8,6 +8,7 @@ does (`slot_renderer`, `scheduling`). Threads behind write the files (`frame_wri
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
@@ -35,7 +36,7 @@ from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.key_frames import window_note
 from exwarp_cli.pipeline.messages import announce_skipped
 from exwarp_cli.pipeline.output_plan import is_video_kept, video_fingerprint, video_look, video_note
-from exwarp_cli.pipeline.progress import FrameListener, Progress, kind_of, kinds_of
+from exwarp_cli.pipeline.progress import FrameListener, Progress, kind_of
 from exwarp_cli.pipeline.scoring import IntervalScores, KeyedPulses, broken_pixels_of
 from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, header_attributes
 from exwarp_cli.runtime.cores import hold_cores
@@ -63,7 +64,7 @@ def run_job(job: Job, progress: Progress, listener: FrameListener | None) -> Run
     job.targets.make_folders()
     job.announce(progress)
     begin = perf_counter()
-    progress.start(len(job.slots), kinds_of(job.slots))
+    progress.start(len(job.slots), Counter(kind_of(slot.index) for slot in job.slots))
     try:
         if listener is not None:
             listener.plan(job.groups)
