@@ -149,20 +149,7 @@ def schedule(array: MacArray, sizes: Sequence[int]) -> Schedule:
             f"a cache of {array.cache_bytes} bytes does not hold the {max(buffers)} bytes of "
             "state and activations"
         )
-    waits = [0] * len(sizes)
-    refills = [[0] * len(sizes) for _ in range(array.cores)]
-    if array.port_bytes:
-        beats = -(-array.macs // array.port_bytes)  # cycles of a word on the port
-        for number, missing in missing_words(array, sizes):
-            waits[number] += max(len(missing) * beats - 1, 0)
-            for core, _ in missing:
-                refills[core][number] += array.macs
-    else:
-        for core, stages in enumerate(held):
-            room = array.cache_bytes - buffers[core]
-            for number, needed in enumerate(map(sum, stages)):
-                refills[core][number] = max(needed - room, 0)
-                room -= min(needed, room)
+    waits, refills = _port_use(array, sizes, buffers, held)
     fill = array.pipeline_stages - 1
     own = array.share(sizes[0], 0)
     inputs = InputSchedule(sizes[0], own, fill, sum(held[0][0]), refills[0][0], own + fill)
@@ -196,6 +183,33 @@ def schedule(array: MacArray, sizes: Sequence[int]) -> Schedule:
         useful / (array.cores * array.macs * total),
         sum(map(sum, refills)),
     )
+
+
+def _port_use(
+    array: MacArray,
+    sizes: tuple[int, ...],
+    buffers: list[int],
+    held: list[list[tuple[int, int, int]]],
+) -> tuple[list[int], list[list[int]]]:
+    """Return how long each stage waits for the port, cycles, and what each core reloads for it.
+
+    `buffers` and `held` are of each core, from `_core_bytes`.
+    """
+    waits = [0] * len(sizes)
+    refills = [[0] * len(sizes) for _ in range(array.cores)]
+    if array.port_bytes:
+        beats = -(-array.macs // array.port_bytes)  # cycles of a word on the port
+        for number, missing in missing_words(array, sizes):
+            waits[number] += max(len(missing) * beats - 1, 0)
+            for core, _ in missing:
+                refills[core][number] += array.macs
+    else:
+        for core, stages in enumerate(held):
+            room = array.cache_bytes - buffers[core]
+            for number, needed in enumerate(map(sum, stages)):
+                refills[core][number] = max(needed - room, 0)
+                room -= min(needed, room)
+    return waits, refills
 
 
 def resident_words(array: MacArray, sizes: Sequence[int]) -> int:

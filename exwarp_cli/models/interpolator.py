@@ -366,6 +366,10 @@ class OnnxInterpolator(OnnxNetwork):
         stride = max(padding.multiple, COARSEST_STRIDE)
         advice = f"check the inputs and the padding in its card {self.card.path}"
         answer = self._answer(self.card.output, feeds, size, stride, advice)
+        return self._read(answer, size)[above : above + height, left : left + width]
+
+    def _read(self, answer: np.ndarray, size: tuple[int, int]) -> Float32:
+        """Return the padded frame in an answer: encoded, float32 [H, W, 3]."""
         form, start = self.card.output_format, self.card.first_channel
         pixels = f"{size[1]}x{size[0]} pixels"
         picture = answer
@@ -386,9 +390,7 @@ class OnnxInterpolator(OnnxNetwork):
                 f"{self.path} gives NaN or values far outside of the range in its card "
                 f"{self.card.path} for {pixels}; mend the range, or use another model"
             )
-        if form.order == "BGR":
-            encoded = encoded[..., ::-1]
-        return encoded[above : above + height, left : left + width]
+        return encoded[..., ::-1] if form.order == "BGR" else encoded
 
 
 def begin_card(path: Path, shape: str, overwrite: bool = False) -> Path:

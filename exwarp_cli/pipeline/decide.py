@@ -49,10 +49,7 @@ if TYPE_CHECKING:
 MOVING = 1
 
 # Choices that show the same frame as one of an earlier node: W(P2) after E(F), and E(P1).
-SAME = {
-    ("d4", WARP): ("d3", WARP),
-    ("d5", EXTRAPOLATE): ("d4", EXTRAPOLATE),
-}
+SAME = {("d4", WARP): ("d3", WARP), ("d5", EXTRAPOLATE): ("d4", EXTRAPOLATE)}
 
 
 # Decides the path of key intervals, one after the other: a path, or one for each tile. It adds the

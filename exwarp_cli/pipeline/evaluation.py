@@ -160,20 +160,16 @@ class _Files:
     looks: tuple[DisplayLook, DisplayLook]  # of both sequences
 
     def read(self) -> scoring.Pair:
+        reference = self.reference.files[self.a]
         truth = read_display(self.reference, self.a, self.view)
         test = read_display(self.test, self.b, self.view)
-        shapes, mask = {self.test.files[self.b]: test.shape[:2]}, None
+        shape = truth.shape[:2]
+        _require_shape(test.shape[:2], self.test.files[self.b], shape, reference)
+        mask = None
         if self.mask is not None:
             plane, data, display = read_plane(self.mask, MASK_CHANNEL)
-            shapes[self.mask] = display.shape
+            _require_shape(display.shape, self.mask, shape, reference)
             mask = np.asarray(place_on_canvas(plane, data, display) > 0.5)
-        height, width = truth.shape[:2]
-        for path, shape in shapes.items():
-            if shape != (height, width):
-                raise LayoutError(
-                    f"{path} is {shape[1]}x{shape[0]} but {self.reference.files[self.a]} is "
-                    f"{width}x{height}; compare sequences of one resolution"
-                )
         return scoring.Pair(self.a, truth, test, mask)
 
     def show(
@@ -184,6 +180,16 @@ class _Files:
             pixels = zip(self.looks, (pair.truth, pair.test), strict=True)
             truth, test = (look.apply(linear) for look, linear in pixels)
             watcher.frame(self.b, test, truth, pair.mask, is_key=False)
+
+
+def _require_shape(
+    shape: tuple[int, ...], path: Path, wanted: tuple[int, ...], reference: Path
+) -> None:
+    if shape != wanted:
+        raise LayoutError(
+            f"{path} is {shape[1]}x{shape[0]} but {reference} is {wanted[1]}x{wanted[0]}; "
+            "compare sequences of one resolution"
+        )
 
 
 def _score(

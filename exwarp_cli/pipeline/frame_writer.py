@@ -109,7 +109,7 @@ class FrameWriter(ResourceOwner):
         """Return True if an earlier run copied a key frame's file, and it is kept."""
         if not self.output.resumes:
             return False
-        return key_is_there(self.path(number), [plan_key_file(source, self.key_rate)])
+        return key_is_there(self.path(number), plan_key_file(source, self.key_rate))
 
     def is_in_the_way(self, number: int) -> bool:
         """Return True if a frame's file from before the run exists, which writing would replace."""
@@ -121,37 +121,29 @@ class FrameWriter(ResourceOwner):
 
     def has_rendered(self, number: int, source: Path, recipe: str) -> bool:
         """Return True if an earlier run wrote a rendered frame of a slot, and it is kept."""
-        is_marked = source.suffix.lower() in EXR and not self.output.keeps_bytes
-        if self.copies(source) and not is_marked:
+        if self.copies(source) and not self._is_marked(source):
             return self.has_copy(number, source)
         return self.has(number, recipe, masked=False)
 
     def pass_frame(
-        self,
-        number: int,
-        source: Path,
-        marks: Mapping[str, str | int] | None = None,
-        inline: bool = False,
+        self, number: int, source: Path, marks: Mapping[str, str | int] | None = None
     ) -> None:
         """Copy the file of a rendered frame, all its layers and attributes but for the frame rate.
 
         If it is EXR and key frames get a rate, it gets ExWarp's own attributes, too: `marks`.
-        `inline` is as for `write`.
         """
-        # At once where it replaces a file. The frames around a key frame name its digest, by which
-        # a later run knows a copy of an earlier render. If they are replaced first and the run is
-        # killed, none names that copy.
-        if not (inline or (self.output.resumes and self.is_in_the_way(number))):
-            self._writer.submit(partial(self.pass_frame, number, source, marks, inline=True))
-            return
-        with record_time(self.write_ms, number), ExitStack() as stack:
-            if marks is None or source.suffix.lower() not in EXR or self.output.keeps_bytes:
-                file = stack.enter_context(open_key_file(source, self.key_rate))
-            else:
-                file = plan_marked_file(source, self.key_rate, marks)
-            file.write(self.path(number))
-            if self.wants_sums:  # of what the source gives
-                self.sums[FRAME, number] = sum_of(file.pieces())
+        copy = partial(self._copy, number, source, marks if self._is_marked(source) else None)
+        if self.output.resumes and self.is_in_the_way(number):
+            # At once. The frames around a key frame name its digest, by which a later run knows a
+            # copy of an earlier render. If they are replaced first and the run is killed, none
+            # names that copy.
+            copy()
+        else:
+            self._writer.submit(copy)
+
+    def _is_marked(self, source: Path) -> bool:
+        """Return True if a rendered frame's header gets ExWarp's own attributes."""
+        return source.suffix.lower() in EXR and not self.output.keeps_bytes
 
     def write(
         self,
@@ -166,24 +158,14 @@ class FrameWriter(ResourceOwner):
         """Write a frame that is not copied, and its hole mask if masks are written and it has one.
 
         `mask` is bool [H, W] on the display window; `template`, `attributes` and `layers` are as
-        for `io.write_picture`. With `inline` this thread writes, and does not
+        for `io.generated_frames.write_picture`. With `inline` this thread writes, and does not
         return before; any thread may.
         """
-        if not inline:
-            put = partial(self.write, number, image, template, attributes, mask, layers)
-            self._writer.submit(partial(put, inline=True))
-            return
-        if self.output.frames is not None:
-            with record_time(self.write_ms, number):
-                pieces = write_picture(self.path(number), image, template, attributes, layers)
-                if self.wants_sums:  # of what is in memory
-                    self.sums[FRAME, number] = sum_of(pieces)
-        if self.output.holes is not None and mask is not None:
-            marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
-            windows = (self.display, self.display)
-            pieces = write_mask(self.output.holes.path(number), mask, windows, marks)
-            if self.wants_sums:
-                self.sums[HOLES, number] = sum_of(pieces)
+        put = partial(self._put, number, image, template, attributes, mask, layers)
+        if inline:
+            put()
+        else:
+            self._writer.submit(put)
 
     def show(self, image: Image | None) -> None:
         """Append a frame to the video, if there is one.
@@ -208,6 +190,37 @@ class FrameWriter(ResourceOwner):
         """Return where a frame's file is, where there are files."""
         assert self.output.frames is not None
         return self.output.frames.path(number)
+
+    def _copy(self, number: int, source: Path, marks: Mapping[str, str | int] | None) -> None:
+        with record_time(self.write_ms, number), ExitStack() as stack:
+            if marks is None:
+                file = stack.enter_context(open_key_file(source, self.key_rate))
+            else:
+                file = plan_marked_file(source, self.key_rate, marks)
+            file.write(self.path(number))
+            if self.wants_sums:  # of what the source gives
+                self.sums[FRAME, number] = sum_of(file.pieces())
+
+    def _put(
+        self,
+        number: int,
+        image: Image,
+        template: FrameTemplate,
+        attributes: Mapping[str, Any],
+        mask: Bool | None,
+        layers: Mapping[PlaneKey, Plane] | None,
+    ) -> None:
+        if self.output.frames is not None:
+            with record_time(self.write_ms, number):
+                pieces = write_picture(self.path(number), image, template, attributes, layers)
+                if self.wants_sums:  # of what is in memory
+                    self.sums[FRAME, number] = sum_of(pieces)
+        if self.output.holes is not None and mask is not None:
+            marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
+            windows = (self.display, self.display)
+            pieces = write_mask(self.output.holes.path(number), mask, windows, marks)
+            if self.wants_sums:
+                self.sums[HOLES, number] = sum_of(pieces)
 
 
 def sum_of(pieces: Iterable[Buffer]) -> str:

@@ -9,7 +9,7 @@ is never replaced without --overwrite.
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -176,10 +176,10 @@ def frame_suffix(output: str, source: Sequence) -> str:
     return suffix if named else source.suffix
 
 
-def key_is_there(target: Path, forms: Iterable[KeyFile]) -> bool:
-    """Return True if a file holds a key frame that was passed through, in one of some forms."""
+def key_is_there(target: Path, source: KeyFile) -> bool:
+    """Return True if a key frame was passed through already: the bytes that this job writes."""
     try:
-        return target.exists() and any(form.is_at(target) for form in forms)
+        return target.exists() and source.is_at(target)
     except OSError:
         return False
 
@@ -327,8 +327,7 @@ class _Ownership:
             copied_from = keys.files[self.source.timeline.numbers[slot.key]]
         elif self.rendered is not None:
             copied_from = self.rendered.files.get(self.source.timeline.number(slot))
-        # As it is, or with another rate in its header.
-        if copied_from is not None and key_is_there(path, possible_key_files(copied_from, path)):
+        if copied_from is not None and _is_copy(path, copied_from):
             return None
         reason = self._why_not_written(path)
         if reason is None:
@@ -338,7 +337,7 @@ class _Ownership:
             similar = (
                 k for k, length in self._key_sizes.items() if abs(size - length) <= HEADER_GROWTH
             )
-            is_own = any(key_is_there(path, possible_key_files(key, path)) for key in similar) or (
+            is_own = any(_is_copy(path, key) for key in similar) or (
                 not slot.index and self._was_key(path, slot)
             )
         except FileNotFoundError:  # another chunk has just replaced it
@@ -417,3 +416,8 @@ class _Ownership:
         # the method looks ahead. It is as old as the frames around it.
         times = [frame.stat().st_mtime for frame in around]
         return bool(times) and path.stat().st_mtime <= max(times) + SLACK_S
+
+
+def _is_copy(path: Path, source: Path) -> bool:
+    """Return True if a file holds a key frame, as it is or with another rate in its header."""
+    return any(key_is_there(path, form) for form in possible_key_files(source, path))

@@ -309,10 +309,7 @@ class Run:
         return read_sequence_picture(keys.sequence, number, keys.view)
 
     def _record(
-        self,
-        rendered: RenderedSlot,
-        inputs: IntervalInputs,
-        scores: IntervalScores | None,
+        self, rendered: RenderedSlot, inputs: IntervalInputs, scores: IntervalScores | None
     ) -> None:
         """Score and record a frame; show it to the video, and with its truth to the listener."""
         record, image, writer = rendered.record, rendered.image, self.writer

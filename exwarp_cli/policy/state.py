@@ -160,9 +160,8 @@ class StateHistory:
     # At t, t + 1/4 and t + 1/2, for slots 1 to 3; with G-buffers of key frames only, three times
     # F_k's
     now: tuple[decision.Features, decision.Features, decision.Features]
-    before: tuple[
-        decision.Features, ...
-    ]  # of F_k-1, F_k-2 and F_k-3, the newer first, as far as they exist
+    # Of F_k-1, F_k-2 and F_k-3, the newer first, as far as they exist
+    before: tuple[decision.Features, ...]
 
     def inputs(self, node: str) -> F64:
         """Return the network's inputs at a node, float64 [44], 0 to 1."""

@@ -108,11 +108,11 @@ def comparison_document(result: Comparison, baseline: Comparison | None = None) 
 def _summarise_quality(frames: tuple[ComparedFrame, ...]) -> dict[str, Any]:
     generated = [f for f in frames if f.origin.generated]
     decided = [f for f in generated if f.origin.path is not None]
-    dropped = FrameKind.DROPPED.value
+    dropped = [f for f in frames if f.origin.kind == FrameKind.DROPPED.value]
     return {
         "all": mean_scores(frame.score for frame in frames),
         GENERATED: mean_scores(f.score for f in generated),
-        dropped: mean_scores(f.score for f in frames if f.origin.kind == dropped),
+        "dropped": mean_scores(f.score for f in dropped),
         "by_decision": {
             choice: mean_scores(f.score for f in decided if f.origin.made_by == choice)
             for choice in CHOICES
