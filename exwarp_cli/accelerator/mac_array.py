@@ -76,11 +76,6 @@ class MacArray:
         """Return the cycles that the products of one neuron take."""
         return -(-fan_in // self.macs)
 
-    @property
-    def beats(self) -> int:
-        """Cycles that a word of weights takes to come through the port."""
-        return -(-self.macs // self.port_bytes)
-
 
 @dataclass(frozen=True)
 class InputSchedule:
@@ -91,11 +86,7 @@ class InputSchedule:
     fill_cycles: int  # from there until it is through the pipeline
     parameter_bytes: int  # multipliers and shifts of the fullest core
     refill_bytes: int  # how many of them do not fit its cache
-
-    @property
-    def cycles(self) -> int:
-        """All cycles of the stage."""
-        return self.multiply_cycles + self.fill_cycles
+    cycles: int  # all of the stage
 
 
 @dataclass(frozen=True)
@@ -114,16 +105,7 @@ class LayerSchedule:
     bias_bytes: int
     scale_bytes: int  # multipliers and shifts
     refill_bytes: int  # how much of that does not fit the core's cache
-
-    @property
-    def cycles(self) -> int:
-        """All cycles of the layer."""
-        return self.mac_cycles + self.fill_cycles + self.requantise_cycles + self.refill_cycles
-
-    @property
-    def parameter_bytes(self) -> int:
-        """All parameters of the fullest core."""
-        return self.weight_bytes + self.bias_bytes + self.scale_bytes
+    cycles: int  # all of the layer
 
 
 @dataclass(frozen=True)
@@ -137,27 +119,11 @@ class Schedule:
     buffer_bytes: int  # state and activations in the fullest core
     core_bytes: tuple[int, ...]  # parameters and buffers of each core
     core_refill_bytes: tuple[int, ...]  # how much of that it reloads for every inference
-
-    @property
-    def mac_cycles(self) -> int:
-        """Cycles in which a MAC unit starts a product."""
-        return sum(layer.mac_cycles for layer in self.layers)
-
-    @property
-    def cycles(self) -> int:
-        """All cycles from the state to the decision."""
-        return self.inputs.cycles + sum(layer.cycles for layer in self.layers) + COMPARE_CYCLES
-
-    @property
-    def utilisation(self) -> float:
-        """Products needed over what the MAC units could start in all cycles, 0 … 1."""
-        useful = sum(layer.useful_macs for layer in self.layers)
-        return useful / (self.array.cores * self.array.macs * self.cycles)
-
-    @property
-    def refill_bytes(self) -> int:
-        """Bytes that all cores together fetch again for every inference."""
-        return sum(self.core_refill_bytes)
+    mac_cycles: int  # cycles in which a MAC unit starts a product
+    cycles: int  # all cycles from the state to the decision
+    # Products needed over what the MAC units could start in all cycles, 0 … 1
+    utilisation: float
+    refill_bytes: int  # that all cores together fetch again for every inference
 
     def latency_ns(self, clock_hz: float) -> float:
         """Return the nanoseconds of an inference at a clock rate in hertz."""
@@ -175,18 +141,66 @@ def schedule(array: MacArray, sizes: Sequence[int]) -> Schedule:
     sizes = tuple(sizes)
     if len(sizes) < 2 or min(sizes) < 1:
         raise ValueError(f"sizes are two or more numbers from 1, not {list(sizes)}")
-    buffers = [_buffer_bytes(array, sizes, core) for core in range(array.cores)]
+    by_core = [_core_bytes(array, sizes, core) for core in range(array.cores)]
+    buffers = [size for size, _ in by_core]
+    held = [stages for _, stages in by_core]
     if max(buffers) > array.cache_bytes:
         raise ValueError(
             f"a cache of {array.cache_bytes} bytes does not hold the {max(buffers)} bytes of "
             "state and activations"
         )
-    held = [_parameter_bytes(array, sizes, core) for core in range(array.cores)]
+    waits, refills = _port_use(array, sizes, buffers, held)
+    fill = array.pipeline_stages - 1
+    own = array.share(sizes[0], 0)
+    inputs = InputSchedule(sizes[0], own, fill, sum(held[0][0]), refills[0][0], own + fill)
+    layers = []
+    for number, (fan_in, neurons) in enumerate(pairwise(sizes), start=1):
+        macs = array.share(neurons, 0) * array.words(fan_in)
+        after = 1 if number == len(sizes) - 1 else 2
+        useful = fan_in * neurons
+        cycles = macs + fill + after + waits[number]
+        layers.append(
+            LayerSchedule(
+                *(fan_in, neurons, macs, fill, after, waits[number], useful),
+                useful / (array.cores * array.macs * cycles),
+                *held[0][number],
+                refills[0][number],
+                cycles,
+            )
+        )
+    total = inputs.cycles + sum(layer.cycles for layer in layers) + COMPARE_CYCLES
+    useful = sum(layer.useful_macs for layer in layers)
+    return Schedule(
+        array,
+        sizes,
+        inputs,
+        tuple(layers),
+        buffers[0],
+        tuple(sum(map(sum, stages)) + kept for stages, kept in zip(held, buffers, strict=True)),
+        tuple(map(sum, refills)),
+        sum(layer.mac_cycles for layer in layers),
+        total,
+        useful / (array.cores * array.macs * total),
+        sum(map(sum, refills)),
+    )
+
+
+def _port_use(
+    array: MacArray,
+    sizes: tuple[int, ...],
+    buffers: list[int],
+    held: list[list[tuple[int, int, int]]],
+) -> tuple[list[int], list[list[int]]]:
+    """Return how long each stage waits for the port, cycles, and what each core reloads for it.
+
+    `buffers` and `held` are of each core, from `_core_bytes`.
+    """
     waits = [0] * len(sizes)
     refills = [[0] * len(sizes) for _ in range(array.cores)]
     if array.port_bytes:
+        beats = -(-array.macs // array.port_bytes)  # cycles of a word on the port
         for number, missing in missing_words(array, sizes):
-            waits[number] += max(len(missing) * array.beats - 1, 0)
+            waits[number] += max(len(missing) * beats - 1, 0)
             for core, _ in missing:
                 refills[core][number] += array.macs
     else:
@@ -195,25 +209,7 @@ def schedule(array: MacArray, sizes: Sequence[int]) -> Schedule:
             for number, needed in enumerate(map(sum, stages)):
                 refills[core][number] = max(needed - room, 0)
                 room -= min(needed, room)
-    fill = array.pipeline_stages - 1
-    inputs = InputSchedule(sizes[0], array.share(sizes[0], 0), fill, sum(held[0][0]), refills[0][0])
-    layers = []
-    for number, (fan_in, neurons) in enumerate(pairwise(sizes), start=1):
-        macs = array.share(neurons, 0) * array.words(fan_in)
-        after = 1 if number == len(sizes) - 1 else 2
-        useful = fan_in * neurons
-        cycles = macs + fill + after + waits[number]
-        utilisation = useful / (array.cores * array.macs * cycles)
-        layers.append(
-            LayerSchedule(
-                *(fan_in, neurons, macs, fill, after, waits[number], useful, utilisation),
-                *held[0][number],
-                refills[0][number],
-            )
-        )
-    totals = [sum(map(sum, stages)) + buffer for stages, buffer in zip(held, buffers, strict=True)]
-    refill = tuple(sum(stages) for stages in refills)
-    return Schedule(array, sizes, inputs, tuple(layers), buffers[0], tuple(totals), refill)
+    return waits, refills
 
 
 def resident_words(array: MacArray, sizes: Sequence[int]) -> int:
@@ -221,9 +217,8 @@ def resident_words(array: MacArray, sizes: Sequence[int]) -> int:
 
     ValueError: it does not hold the rest and one word.
     """
-    sizes = tuple(sizes)
-    stages = _parameter_bytes(array, sizes, 0)
-    rest = _buffer_bytes(array, sizes, 0) + sum(bias + scale for _, bias, scale in stages)
+    buffers, stages = _core_bytes(array, tuple(sizes), 0)
+    rest = buffers + sum(bias + scale for _, bias, scale in stages)
     if rest + array.macs > array.cache_bytes:
         raise ValueError(
             f"a cache of {array.cache_bytes} bytes does not hold the {rest + array.macs} bytes of "
@@ -251,18 +246,19 @@ def missing_words(
                     at[core] += 1
 
 
-def _parameter_bytes(
+def _core_bytes(
     array: MacArray, sizes: tuple[int, ...], core: int
-) -> list[tuple[int, int, int]]:
+) -> tuple[int, list[tuple[int, int, int]]]:
+    """Return the bytes of a core's buffers, and of its parameters by stage.
+
+    The parameters are weights, biases, and multipliers with shifts; the first stage is the input.
+    """
+    hidden = [before + after for before, after in pairwise(sizes[:-1])]
+    last = sizes[-2] + SUM_BYTES * sizes[-1]
+    buffers = SUM_BYTES * array.share(sizes[0], core) + max([*hidden, last])
     stages = [(0, 0, SCALE_BYTES * array.share(sizes[0], core))]
     for number in range(1, len(sizes)):
         own = array.share(sizes[number], core)
         scales = 0 if number == len(sizes) - 1 else SCALE_BYTES * own
         stages.append((own * sizes[number - 1], BIAS_BYTES * own, scales))
-    return stages
-
-
-def _buffer_bytes(array: MacArray, sizes: tuple[int, ...], core: int) -> int:
-    hidden = [before + after for before, after in pairwise(sizes[:-1])]
-    last = sizes[-2] + SUM_BYTES * sizes[-1]
-    return SUM_BYTES * array.share(sizes[0], core) + max([*hidden, last])
+    return buffers, stages

@@ -148,11 +148,6 @@ class QuantisedLayer:
         """Number of inputs."""
         return int(self.weights.shape[1])
 
-    def accumulate(self, activations: I8) -> I32:
-        """Return biases plus weighted sums, int32 [..., out], of activations [..., in]."""
-        sums = activations.astype(np.int64) @ self.weights.T.astype(np.int64)
-        return np.asarray(sums + self.biases.astype(np.int64)).astype(np.int32)
-
 
 @dataclass(frozen=True, eq=False)
 class QuantisedMlp:
@@ -206,7 +201,8 @@ def infer_reference(network: QuantisedMlp, fixed_states: npt.ArrayLike) -> Infer
     activations = [network.inputs(states)]
     accumulators = []
     for layer in network.layers:
-        accumulators.append(layer.accumulate(activations[-1]))
+        sums = activations[-1].astype(np.int64) @ layer.weights.T.astype(np.int64)
+        accumulators.append(np.asarray(sums + layer.biases.astype(np.int64)).astype(np.int32))
         if layer.requantisation is not None:
             activations.append(layer.requantisation(accumulators[-1]))
     outputs = accumulators[-1]

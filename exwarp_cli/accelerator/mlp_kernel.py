@@ -27,25 +27,6 @@ def _requantise(value: np.int32, multiplier: np.int32, shift: np.int32) -> np.in
     return np.int32(min(max(scaled, np.int64(0)), np.int64(MAX_ACTIVATION)))
 
 
-@inline
-def _product(weight: np.int8, activation: np.int32) -> np.int32:
-    return np.int32(np.int32(weight) * np.int32(activation))
-
-
-@inline
-def _add_columns(weights: I8, activations: I32, sums: I32) -> None:
-    """Add the products of BLOCK_INPUTS inputs to the sums; weights are [column, neuron]."""
-    size = sums.size
-    # Slices, as an index that may be negative prevents vectorisation.
-    first, second = weights[:size], weights[size : 2 * size]
-    third, fourth = weights[2 * size : 3 * size], weights[3 * size :]
-    q0, q1, q2, q3 = activations[0], activations[1], activations[2], activations[3]
-    for i in range(size):
-        early = np.int32(_product(first[i], q0) + _product(second[i], q1))
-        late = np.int32(_product(third[i], q2) + _product(fourth[i], q3))
-        sums[i] = np.int32(sums[i] + np.int32(early + late))
-
-
 @kernel
 def run_network(
     weights: I8,  # [...]: of each layer [in, out], zero-padded to a multiple of BLOCK_INPUTS
@@ -73,7 +54,15 @@ def run_network(
             # What lies beyond the activations is multiplied by the zeros that fill up the weights.
             for j in range(0, sizes[layer], BLOCK_INPUTS):
                 block = weights[offset : offset + BLOCK_INPUTS * neurons]
-                _add_columns(block, activations[j : j + BLOCK_INPUTS], sums)
+                # Slices, as an index that may be negative prevents vectorisation.
+                first, second = block[:neurons], block[neurons : 2 * neurons]
+                third, fourth = block[2 * neurons : 3 * neurons], block[3 * neurons :]
+                q0, q1 = activations[j], activations[j + 1]
+                q2, q3 = activations[j + 2], activations[j + 3]
+                for i in range(neurons):
+                    early = np.int32(np.int32(first[i]) * q0) + np.int32(np.int32(second[i]) * q1)
+                    late = np.int32(np.int32(third[i]) * q2) + np.int32(np.int32(fourth[i]) * q3)
+                    sums[i] = np.int32(sums[i] + np.int32(np.int32(early) + np.int32(late)))
                 offset += block.size
             if layer < sizes.size - 2:
                 for i in range(neurons):

@@ -46,7 +46,7 @@ from exwarp_cli.pipeline.dry_run import DryRun
 from exwarp_cli.pipeline.frame_writer import verify_video
 from exwarp_cli.pipeline.job import Job
 from exwarp_cli.pipeline.messages import announce_skipped
-from exwarp_cli.pipeline.progress import ANY, Progress, kind_of, kinds_of
+from exwarp_cli.pipeline.progress import ANY, Progress, kind_of
 from exwarp_cli.pipeline.run import make_writer
 from exwarp_cli.pipeline.scheduling import AsyncWriter
 from exwarp_cli.runtime.machine import processors
@@ -230,7 +230,8 @@ def run_on_cluster(
             spread = _spread(where, workers, job.settings.threads)
             progress.message(f"{pluralise(len(divided), 'chunk')} for {spread}")
             begin = time.perf_counter()
-            progress.start(len(job.slots), kinds_of(job.slots), workers)
+            kinds = Counter(kind_of(slot.index) for slot in job.slots)
+            progress.start(len(job.slots), kinds, workers)
             work.callback(progress.finish)
             if watcher is not None:
                 watcher.plan(job.groups)
@@ -357,7 +358,7 @@ class VideoFromFrames(ResourceOwner):
         for slot in (slot for key in keys for slot in timeline.slots_of(key)):
             is_missing = timeline.number(slot) in missing
             self._writer.submit(
-                self._frames.show_again if is_missing else partial(self._show, slot)
+                partial(self._frames.show, None) if is_missing else partial(self._show, slot)
             )
 
     def _show(self, slot: Slot) -> None:

@@ -28,20 +28,11 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.colour import PEAK, encode_display, round_display
-from exwarp_cli.domain.frame import Bool, Float32, UInt8
+from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.metric import DEFAULT_METRICS
 from exwarp_cli.domain.results import Score
-from exwarp_cli.kernels.picture_errors import (
-    OPPONENT_PLANES,
-    PERCEIVED_PLANES,
-    SATURATED,
-    SSIM_RADIUS,
-    raise_flip_error,
-    ssim_map,
-    write_opponent,
-    write_perceived,
-)
-from exwarp_cli.metrics.temporal import measure_pulse
+from exwarp_cli.kernels import picture_errors
+from exwarp_cli.metrics.temporal import REC_709, mean_gradient, pulse
 
 MAX_DB = 100.0  # PSNR of equal images, in place of infinity, and the largest of any pair
 
@@ -58,16 +49,11 @@ class MetricMap:
     margin: int = 0  # pixels left out at every edge, unless a mask selects pixels
     finish: Callable[[float], float] = float  # turns the average into the metric's value
 
-    def overall(self) -> float:
-        """Return the value over all pixels."""
-        height, width = self.per_pixel.shape
-        m = self.margin
-        inner = self.per_pixel[m : height - m, m : width - m]
-        return self.finish(float(inner.mean(dtype=np.float64)))
-
-    def within(self, mask: Bool) -> float:
-        """Return the value over the pixels of a mask, bool [H, W], which is not empty."""
-        return self.finish(float(self.per_pixel[mask].mean(dtype=np.float64)))
+    def value(self, mask: Bool | None = None) -> float:
+        """Return the value over all pixels, or over those of a mask, bool [H, W], not empty."""
+        inner = tuple(slice(self.margin, size - self.margin) for size in self.per_pixel.shape)
+        chosen = self.per_pixel[inner if mask is None else mask]
+        return self.finish(float(chosen.mean(dtype=np.float64)))
 
 
 def measure_psnr(reference: Float32, test: Float32) -> MetricMap:
@@ -90,23 +76,23 @@ def measure_ssim(reference: Float32, test: Float32) -> MetricMap:
     """Return the map of SSIM, the mean of the three channels' maps."""
     # As in scikit-image, the 5 pixels at every edge are left out, where the window would leave the
     # image; unless the image has fewer than 11 rows or columns. Of a mask every pixel counts.
-    channels = ssim_map(reference, test)
+    channels = picture_errors.ssim_map(reference, test)
     # Added by hand: numpy's mean over a last axis of three is slower than the kernel.
     mean = (channels[..., 0] + channels[..., 1] + channels[..., 2]) / 3
-    inside = min(mean.shape) > 2 * SSIM_RADIUS
-    return MetricMap(mean, margin=SSIM_RADIUS if inside else 0)
+    inside = min(mean.shape) > 2 * picture_errors.SSIM_RADIUS
+    return MetricMap(mean, margin=picture_errors.SSIM_RADIUS if inside else 0)
 
 
 def _raise_flip_error(images: tuple[Float32, Float32], gain: float, error: Float32) -> None:
     """Raise an error map to the FLIP error of a pair of images; `gain` as in `write_opponent`."""
-    planes = np.empty((OPPONENT_PLANES, *error.shape), np.float32)
+    planes = np.empty((picture_errors.OPPONENT_PLANES, *error.shape), np.float32)
     views = []
     for image in images:
-        write_opponent(image, np.float32(gain), planes)
-        view = np.empty((PERCEIVED_PLANES, *error.shape), np.float32)
-        write_perceived(planes, view)
+        picture_errors.write_opponent(image, np.float32(gain), planes)
+        view = np.empty((picture_errors.PERCEIVED_PLANES, *error.shape), np.float32)
+        picture_errors.write_perceived(planes, view)
         views.append(view)
-    raise_flip_error(*views, error)
+    picture_errors.raise_flip_error(*views, error)
 
 
 def measure_flip(reference: Float32, test: Float32) -> MetricMap:
@@ -122,8 +108,6 @@ MAX_COLOUR = 65504.0  # the largest half float, as EXR colour mostly is
 DARK_LUMINANCE = 1e-6  # a reference below this luminance everywhere counts as black
 
 MIN_MEDIAN = np.float32(2.0**-23)  # least median luminance, as of an image that is mostly black
-
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # weights of Rec. 709 primaries
 
 
 def hdr_flip_colour(pixels: Float32) -> Float32:
@@ -143,7 +127,7 @@ def hdr_flip_exposures(reference: Float32) -> list[float]:
     with the median (the upper one of two), in steps of a stop or a little more. A single one if
     both are equal; [0.0] for a black reference.
     """
-    r, g, b = (reference[..., c] * LUMINANCE[c] for c in range(3))
+    r, g, b = (reference[..., c] * np.float32(REC_709[c]) for c in range(3))
     luminance = (r + g + b).ravel()
     largest = luminance.max()
     if largest < DARK_LUMINANCE:
@@ -152,7 +136,9 @@ def hdr_flip_exposures(reference: Float32) -> list[float]:
     median = max(np.partition(luminance, middle)[middle], MIN_MEDIAN)
     # In float32 as the package has it, since near whole stops the last digit decides on the count;
     # numpy's own logarithm of float32 is not always the nearest one.
-    start, stop = (np.float32(math.log2(SATURATED / value)) for value in (largest, median))
+    start, stop = (
+        np.float32(math.log2(picture_errors.SATURATED / value)) for value in (largest, median)
+    )
     if start == stop:
         return [float(start)]
     count = max(2, math.ceil(stop - start))
@@ -210,11 +196,11 @@ def score_frame(
         else:
             encoded = encoded or (encode_display(reference), encode_display(test))
             metric_map = METRICS[name](*encoded)
-        overall[name] = metric_map.overall()
+        overall[name] = metric_map.value()
         if holes is not None:
-            masked[name] = metric_map.within(holes)
+            masked[name] = metric_map.value(holes)
     if "pulse" in names:
-        overall["pulse"] = measure_pulse(reference, test)
+        overall["pulse"] = pulse(mean_gradient(test), mean_gradient(reference))
     return Score(**overall), Score(**masked) if holes is not None else None
 
 
@@ -224,19 +210,11 @@ def score_like_extranet(reference: Float32, test: Float32) -> Score:
     PSNR is at most 100 dB, where theirs is infinite. SSIM is None for frames smaller than the
     window.
     """
-    shown, judged = round_display(reference), round_display(test)
-    difference = shown.astype(np.float64) - judged
-    return Score(
-        psnr_db=psnr_from_mse(float(np.mean(difference**2))),
-        ssim=uniform_ssim(shown, judged),
-    )
-
-
-def uniform_ssim(reference: UInt8, test: UInt8) -> float | None:
-    """Return the structural similarity of two uint8 [H, W, C], over whole windows only."""
-    if min(reference.shape[:2]) < WINDOW:
-        return None
-    x, y = reference.astype(np.float64), test.astype(np.float64)
+    x, y = (round_display(pixels).astype(np.float64) for pixels in (reference, test))
+    psnr_db = psnr_from_mse(float(np.mean((x - y) ** 2)))
+    if min(x.shape[:2]) < WINDOW:
+        return Score(psnr_db=psnr_db)
+    # SSIM over whole windows only.
     mean_x, mean_y = _window_means(x), _window_means(y)
     count = WINDOW * WINDOW
     unbiased = count / (count - 1)
@@ -245,7 +223,7 @@ def uniform_ssim(reference: UInt8, test: UInt8) -> float | None:
     covariance = unbiased * (_window_means(x * y) - mean_x * mean_y)
     top = (2 * mean_x * mean_y + SSIM_C1) * (2 * covariance + SSIM_C2)
     bottom = (mean_x**2 + mean_y**2 + SSIM_C1) * (variance_x + variance_y + SSIM_C2)
-    return float((top / bottom).mean())
+    return Score(psnr_db=psnr_db, ssim=float((top / bottom).mean()))
 
 
 def _window_means(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -69,14 +69,6 @@ def compare_with_previous(
     return Transition(np.abs(now - moved).mean(axis=-1), ~(unseen | hidden))
 
 
-def compare_with_rendered(last: Float32) -> Transition:
-    """Return the transition from a frame with this error to a rendered one, which has none.
-
-    It is taken at all pixels of the frame itself, and needs no motion.
-    """
-    return Transition(np.abs(last).mean(axis=-1), np.ones(last.shape[:2], np.bool_))
-
-
 def frame_flicker(transitions: Sequence[float | None]) -> list[float | None]:
     """Return each frame's flicker: the mean of the transitions into it and out of it.
 
@@ -88,23 +80,6 @@ def frame_flicker(transitions: Sequence[float | None]) -> list[float | None]:
         existing = [value for value in around if value is not None]
         values.append(sum(existing) / len(existing) if existing else None)
     return values
-
-
-def interval_flicker(
-    transitions: Sequence[Transition | None], masks: Sequence[Bool | None]
-) -> list[tuple[float | None, float | None]]:
-    """Return the flicker of the frames of a key interval: overall, and in holes.
-
-    Transitions as in `frame_flicker`; masks are bool [H, W] of each frame's holes, or None. In
-    holes only the transition into the frame counts, as what fills a hole did not exist before or
-    after. None if the frame before shows no pixel of the mask.
-    """
-    overall = frame_flicker([None if step is None else step.mean() for step in transitions])
-    inside = [
-        None if step is None or mask is None else step.mean(mask)
-        for step, mask in zip(transitions, masks, strict=False)
-    ]
-    return list(zip(overall, inside, strict=True))
 
 
 REC_709 = (0.2126, 0.7152, 0.0722)  # weights of red, green and blue
@@ -141,16 +116,3 @@ def pulse(gradient: float, reference: float) -> float:
     if gradient == reference:
         return 0.0
     return MAX_PULSE if reference == 0 else min(100 * (gradient / reference - 1), MAX_PULSE)
-
-
-def measure_pulse(reference: Float32, test: Float32) -> float:
-    """Return the pulse of a frame against the true one, both scene-linear."""
-    return pulse(mean_gradient(test), mean_gradient(reference))
-
-
-def interpolate_gradient(before: float, after: float | None, time: float) -> float:
-    """Return the reference gradient between two key frames; `after` is None without a next one.
-
-    `time`: share of the way to the next key frame, 0 to 1.
-    """
-    return before if after is None else (1 - time) * before + time * after

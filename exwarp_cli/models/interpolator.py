@@ -117,27 +117,6 @@ class Card:
         return any(TIME in parts for parts in self.inputs.values())
 
 
-def read_card(model: Path) -> Card:
-    """Read the card beside a model; InputError if it is missing, unreadable or senseless."""
-    path = model.with_suffix(".json")
-    try:
-        data = read_file_bytes(path)
-    except FileNotFoundError as error:
-        raise InputError(
-            f"{model} has no card {path.name} beside it, which says what its inputs are; write one "
-            "as models/README.md tells, or have 'exwarp models interpolator-card' begin it"
-        ) from error
-    except OSError as error:
-        raise InputError(
-            f"cannot read the card {path}: {error.strerror}; check the path and its rights"
-        ) from error
-    try:
-        document = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise DamagedFileError(f"the card {path} is no JSON ({error}); mend it") from error
-    return parse_card(path, document, hashlib.sha256(data).hexdigest())
-
-
 def parse_card(path: Path, document: Any, checksum: str = "") -> Card:
     """Turn the content of a card's file into a card; LayoutError for what makes no sense."""
     keys = _object(path, "the card", document, KEYS)
@@ -172,21 +151,13 @@ def parse_card(path: Path, document: Any, checksum: str = "") -> Card:
         is_whole = isinstance(number, int) and not isinstance(number, bool)
         if not is_whole or not least <= number <= MAX_INTEGER:
             _refuse(path, item, number, f"a whole number from {least} to {MAX_INTEGER}")
+    formats = (_picture_format(path, keys), _picture_format(path, {**keys, **output}))
+    encoding = _choice(path, "encoding", keys, ENCODINGS)
+    mode = _choice(path, "mode", padding, tuple(MODES))
+    is_centred = _choice(path, "place", padding, ("end", "centre")) == "centre"
+    fitting = Padding(multiple, mode, is_centred)
     return Card(
-        path,
-        checksum,
-        name,
-        inputs,
-        _picture_format(path, keys),
-        _picture_format(path, {**keys, **output}),
-        output_name,
-        first_channel,
-        _choice(path, "encoding", keys, ENCODINGS),
-        Padding(
-            multiple,
-            _choice(path, "mode", padding, tuple(MODES)),
-            _choice(path, "place", padding, ("end", "centre")) == "centre",
-        ),
+        path, checksum, name, inputs, *formats, output_name, first_channel, encoding, fitting
     )
 
 
@@ -237,7 +208,24 @@ def load_interpolator(path: Path, threads: int | None, device: str) -> OnnxInter
     MissingExtraError if onnxruntime has no CUDA.
     """
     _, data = read_model(path, path.name, "--interpolator")
-    return OnnxInterpolator(read_card(path), path, data, threads or cores.count(), device)
+    card_path = path.with_suffix(".json")
+    try:
+        card_data = read_file_bytes(card_path)
+    except FileNotFoundError as error:
+        raise InputError(
+            f"{path} has no card {card_path.name} beside it, which says what its inputs are; write "
+            "one as models/README.md tells, or have 'exwarp models interpolator-card' begin it"
+        ) from error
+    except OSError as error:
+        raise InputError(
+            f"cannot read the card {card_path}: {error.strerror}; check the path and its rights"
+        ) from error
+    try:
+        document = json.loads(card_data)
+    except (ValueError, RecursionError) as error:
+        raise DamagedFileError(f"the card {card_path} is no JSON ({error}); mend it") from error
+    card = parse_card(card_path, document, hashlib.sha256(card_data).hexdigest())
+    return OnnxInterpolator(card, path, data, threads or cores.count(), device)
 
 
 @dataclass
@@ -259,41 +247,8 @@ class OnnxInterpolator(OnnxNetwork):
         super().__init__(path, data, threads, device)
         self.card, self.name, self.card_checksum = card, card.name, card.checksum
         self._pair: _EncodedPair | None = None
-        self._judge()
-
-    def __call__(self, before: Float32, after: Float32, time: float) -> Float32:
-        """Return the frame at 0 < `time` < 1 between two frames; see `reaches`.
-
-        Frames are float32 [H, W, 3 or 4], scene-linear, finite, of any size. The network sees
-        colour encoded by `domain.colour.ShoulderCurve`; alpha is blended by time.
-        """
-        if not self.reaches(time):
-            raise ValueError(f"a network without an input for the time does not reach {time}")
-        pair = self._pair
-        if pair is None or pair.before is not before or pair.after is not after:
-            colours = (before[..., :3], after[..., :3])
-            curve = ShoulderCurve.of(self.card.encoding, *colours)
-            first, second = (curve.encode(colour) for colour in colours)
-            # Kept for all slots between these frames.
-            pair = self._pair = _EncodedPair(before, after, curve, first, second)
-        if self.card.timed:
-            encoded = self._interpolate(pair.first, pair.second, time)
-        else:
-            encoded = self._by_halves(pair, time)
-        colour = pair.curve.decode(encoded)
-        alpha = before[..., 3:] + np.float32(time) * (after[..., 3:] - before[..., 3:])
-        return np.ascontiguousarray(np.concatenate([colour, alpha], axis=-1))
-
-    def reaches(self, time: float | Fraction) -> bool:
-        """Return True if the network makes a frame at this time.
-
-        A network without an input for the time, used thrice, reaches multiples of 1/8.
-        """
-        return self.card.timed or MAX_FACTOR * time % 1 == 0
-
-    def _judge(self) -> None:
-        """Refuse a network that does not fit its card, by what it declares and by running it."""
-        card, path, layout = self.card, self.path, self.card.input_format.layout
+        # A network that does not fit its card is refused by what it declares, then by a run.
+        layout = card.input_format.layout
         if foreign := [name for name in self.inputs if name not in card.inputs]:
             raise LayoutError(
                 f"{path} has the input {foreign[0]!r}, which its card {card.path} does not name; "
@@ -336,6 +291,36 @@ class OnnxInterpolator(OnnxNetwork):
         grey = np.full((rows, rows + 2 * multiple, 3), GREY, np.float32)
         self._interpolate(grey, grey, 0.5)
 
+    def __call__(self, before: Float32, after: Float32, time: float) -> Float32:
+        """Return the frame at 0 < `time` < 1 between two frames; see `reaches`.
+
+        Frames are float32 [H, W, 3 or 4], scene-linear, finite, of any size. The network sees
+        colour encoded by `domain.colour.ShoulderCurve`; alpha is blended by time.
+        """
+        if not self.reaches(time):
+            raise ValueError(f"a network without an input for the time does not reach {time}")
+        pair = self._pair
+        if pair is None or pair.before is not before or pair.after is not after:
+            colours = (before[..., :3], after[..., :3])
+            curve = ShoulderCurve.of(self.card.encoding, *colours)
+            first, second = (curve.encode(colour) for colour in colours)
+            # Kept for all slots between these frames.
+            pair = self._pair = _EncodedPair(before, after, curve, first, second)
+        if self.card.timed:
+            encoded = self._interpolate(pair.first, pair.second, time)
+        else:
+            encoded = self._by_halves(pair, time)
+        colour = pair.curve.decode(encoded)
+        alpha = before[..., 3:] + np.float32(time) * (after[..., 3:] - before[..., 3:])
+        return np.ascontiguousarray(np.concatenate([colour, alpha], axis=-1))
+
+    def reaches(self, time: float | Fraction) -> bool:
+        """Return True if the network makes a frame at this time.
+
+        A network without an input for the time, used thrice, reaches multiples of 1/8.
+        """
+        return self.card.timed or MAX_FACTOR * time % 1 == 0
+
     def _by_halves(self, pair: _EncodedPair, time: float) -> Float32:
         """Bisect the time with a network that makes the middle frame."""
         if time in (0, 1):
@@ -357,9 +342,9 @@ class OnnxInterpolator(OnnxNetwork):
         around = ((above, rows - above), (left, columns - left), (0, 0))
         size = (height + rows, width + columns)
         frames: dict[Part, Float32] = {}
-        for frame, encoded in ((FIRST, first), (SECOND, second)):
+        for frame, colour in ((FIRST, first), (SECOND, second)):
             mode: Any = MODES[padding.mode]
-            padded = np.pad(encoded, around, mode=mode)
+            padded = np.pad(colour, around, mode=mode)
             if form.order == "BGR":
                 padded = padded[..., ::-1]
             frames[frame] = padded * np.float32(form.high - form.low) + np.float32(form.low)

@@ -156,6 +156,22 @@ class _Weights:
     size: int = 0  # of all that was copied, bytes
 
     def embed_in(self, message: memoryview, name: str, depth: int) -> Chunks | None:
+        if name == "TensorProto":
+            fields = list(_fields(message))
+            # A varint of 64 bits is cut to the 32 bits of an enumeration.
+            if not any(
+                f.number == DATA_LOCATION and f.value & 0xFFFFFFFF == EXTERNAL for f in fields
+            ):
+                return None
+            entries = {}
+            for field in fields:
+                if field.number == EXTERNAL_DATA and field.kind == LENGTH_DELIMITED:
+                    texts = {f.number: bytes(f.content) for f in _fields(field.content)}
+                    key, value = (texts.get(k, b"").decode("utf-8", "replace") for k in (1, 2))
+                    entries[key] = value
+            replaced = (RAW_DATA, EXTERNAL_DATA, DATA_LOCATION)
+            kept = [field.raw for field in fields if field.number not in replaced]
+            return kept + _length_delimited(RAW_DATA, [self._external_bytes(entries)])
         if depth > MAX_DEPTH:
             raise _MalformedError("it is nested too deeply")
         chunks: Chunks = []
@@ -163,34 +179,29 @@ class _Weights:
         for field in _fields(message):
             delimited = field.kind == LENGTH_DELIMITED
             nested = NESTED_MESSAGES[name].get(field.number) if delimited else None
-            new = None
-            if nested == "TensorProto":
-                new = self._embed_tensor(field.content)
-            elif nested is not None:
-                new = self.embed_in(field.content, nested, depth + 1)
+            new = None if nested is None else self.embed_in(field.content, nested, depth + 1)
             is_changed = is_changed or new is not None
             chunks += [field.raw] if new is None else _length_delimited(field.number, new)
         return chunks if is_changed else None
 
-    def _embed_tensor(self, message: memoryview) -> Chunks | None:
-        fields = list(_fields(message))
-        # A varint of 64 bits is cut to the 32 bits of an enumeration.
-        if not any(f.number == DATA_LOCATION and f.value & 0xFFFFFFFF == EXTERNAL for f in fields):
-            return None
-        entries = {}
-        for field in fields:
-            if field.number == EXTERNAL_DATA and field.kind == LENGTH_DELIMITED:
-                texts = {f.number: bytes(f.content) for f in _fields(field.content)}
-                key, value = (texts.get(k, b"").decode("utf-8", "replace") for k in (1, 2))
-                entries[key] = value
-        replaced = (RAW_DATA, EXTERNAL_DATA, DATA_LOCATION)
-        kept = [field.raw for field in fields if field.number not in replaced]
-        return kept + _length_delimited(RAW_DATA, [self._external_bytes(entries)])
-
     def _external_bytes(self, entries: Mapping[str, str]) -> memoryview:
         location = entries.get("location", "")
         if location not in self.files:
-            path = self._path_of(location)
+            windows = PureWindowsPath(location)  # its rules for what leads out are stricter
+            parts = {*PurePosixPath(location).parts, *windows.parts}
+            path, is_inside = self.path.parent / location, False
+            leads_out = ".." in parts or windows.drive or windows.root
+            if location and not leads_out and "\0" not in location:
+                # Model and weights may both be links into one folder, as download caches have them.
+                folders = {self.path.parent.resolve(), self.path.resolve().parent}
+                with suppress(OSError, RuntimeError):  # links that lead to each other
+                    is_inside = any(path.resolve().is_relative_to(folder) for folder in folders)
+            if not is_inside:
+                raise LayoutError(
+                    f"{self.path} keeps weights in {location[:200]!r}, and only files in the "
+                    "folder of a model are read; put them there, or save the model with its "
+                    "weights inside"
+                )
             try:
                 self.files[location] = memoryview(read_file_bytes(path))
             except OSError as error:
@@ -223,23 +234,6 @@ class _Weights:
                 "smaller network"
             )
         return content[begin:end]
-
-    def _path_of(self, location: str) -> Path:
-        """Return the path of a file in the model's folder; LayoutError for one elsewhere."""
-        windows = PureWindowsPath(location)  # its rules for what leads out are stricter
-        parts = {*PurePosixPath(location).parts, *windows.parts}
-        leads_out = ".." in parts or windows.drive or windows.root
-        if location and not leads_out and "\0" not in location:
-            # Model and weights may both be links into one folder, as download caches have them.
-            folders = {self.path.parent.resolve(), self.path.resolve().parent}
-            path = self.path.parent / location
-            with suppress(OSError, RuntimeError):  # links that lead to each other
-                if any(path.resolve().is_relative_to(folder) for folder in folders):
-                    return path
-        raise LayoutError(
-            f"{self.path} keeps weights in {location[:200]!r}, and only files in the folder of a "
-            "model are read; put them there, or save the model with its weights inside"
-        )
 
 
 class _Field(NamedTuple):

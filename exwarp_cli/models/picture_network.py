@@ -10,19 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from exwarp_cli.domain import network_api
 from exwarp_cli.domain.decision import LOOKAHEAD
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.network_api import (
-    EXTRAPOLATOR_INTERFACE,
-    LOOKAHEAD_INTERFACE,
-    TIME_INPUT,
-    LazyInputs,
-    NetworkInterface,
-    NetworkPictures,
-    Tile,
-    TileSpan,
-    cut_tiles,
-)
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.models.model_file import INTERFACE_KEY, STRIDE_KEY, read_model, shape_text
 from exwarp_cli.models.session import OnnxNetwork
@@ -70,7 +60,7 @@ def load_lookahead(path: Path | None, threads: int | None, device: str) -> OnnxL
 class PictureNetwork(OnnxNetwork):
     """A network with a `NetworkInterface`, run on tiles of a picture; parameters as its base."""
 
-    _interface: NetworkInterface
+    _interface: network_api.NetworkInterface
 
     def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
         super().__init__(path, data, threads, device)
@@ -83,15 +73,52 @@ class PictureNetwork(OnnxNetwork):
         # The number that the height and width of its inputs are multiples of.
         self.stride = int(stride)
         self._buffer: Float32 | None = None
-        self._judge()
+        # A network that does not fit is refused by what it declares, then by a run.
+        interface = self._interface
+        stated = self._metadata.get(INTERFACE_KEY, interface.version)
+        if stated != interface.version:
+            raise LayoutError(
+                f"{self.path} was made for the interface {stated}, and this is "
+                f"{interface.version}; use a model for this version of ExWarp"
+            )
+        names = (*interface.inputs, network_api.TIME_INPUT)
+        if foreign := [name for name in self.inputs if name not in names]:
+            raise LayoutError(
+                f"{self.path} has the input {foreign[0]!r}, which ExWarp does not give; export it "
+                f"with inputs out of {', '.join(names)}"
+            )
+        if missing := [name for name in interface.required if name not in self.inputs]:
+            raise LayoutError(
+                f"{self.path} lacks the input {missing[0]!r}; export it with inputs out of "
+                f"{', '.join(names)}"
+            )
+        if list(self.outputs) != [interface.output]:
+            raise LayoutError(
+                f"{self.path} has the output {', '.join(self.outputs) or 'none'}; export it with "
+                f"one output, named {interface.output}"
+            )
+        for name, node in self.inputs.items():
+            shape = (
+                (1,) if name == network_api.TIME_INPUT else (1, interface.inputs[name], None, None)
+            )
+            self._require_shape(node, "input", shape)
+        output = self.outputs[interface.output]
+        self._require_shape(output, "output", (1, interface.made, None, None))
+        # Odd multiples, so that a network which needs more than it states fails here.
+        sides = (5 * self.stride, 7 * self.stride)
+        planes = {name: np.zeros((n, *sides), np.float32) for name, n in interface.inputs.items()}
+        for _ in self.answers(network_api.NetworkPictures(planes, 0.5)):
+            pass
 
-    def answers(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
+    def answers(self, inputs: network_api.LazyInputs) -> Iterator[tuple[network_api.Tile, Float32]]:
         """Yield each tile and the planes that are kept of its answer, float32 [C, h, w]."""
         height, width = inputs.shape
         rows, columns = (-(-pixels // self.stride) * self.stride for pixels in inputs.shape)
-        tiles: tuple[Tile, ...] = ((TileSpan(0, rows, 0, rows), TileSpan(0, columns, 0, columns)),)
+        tiles: tuple[network_api.Tile, ...] = (
+            (network_api.TileSpan(0, rows, 0, rows), network_api.TileSpan(0, columns, 0, columns)),
+        )
         if rows * columns > MAX_PIXELS and self._reach is not None:
-            tiles = cut_tiles((rows, columns), self.stride, self._reach, MAX_PIXELS)
+            tiles = network_api.cut_tiles((rows, columns), self.stride, self._reach, MAX_PIXELS)
         for number, (down, across) in enumerate(tiles, start=1):
             shape = (self._interface.channels, down.end - down.begin, across.end - across.begin)
             # One buffer serves all tiles of a size. When it went back to the pool in between, it
@@ -121,42 +148,6 @@ class PictureNetwork(OnnxNetwork):
             kept = answer[0, :, down.inside, across.inside]
             # The last tiles reach beyond a picture whose size is no multiple of the stride.
             yield (down, across), kept[:, : height - down.first, : width - across.first]
-
-    def _judge(self) -> None:
-        """Refuse a network that does not fit, by what it declares and by running it once."""
-        interface = self._interface
-        stated = self._metadata.get(INTERFACE_KEY, interface.version)
-        if stated != interface.version:
-            raise LayoutError(
-                f"{self.path} was made for the interface {stated}, and this is "
-                f"{interface.version}; use a model for this version of ExWarp"
-            )
-        names = (*interface.inputs, TIME_INPUT)
-        if foreign := [name for name in self.inputs if name not in names]:
-            raise LayoutError(
-                f"{self.path} has the input {foreign[0]!r}, which ExWarp does not give; export it "
-                f"with inputs out of {', '.join(names)}"
-            )
-        if missing := [name for name in interface.required if name not in self.inputs]:
-            raise LayoutError(
-                f"{self.path} lacks the input {missing[0]!r}; export it with inputs out of "
-                f"{', '.join(names)}"
-            )
-        if list(self.outputs) != [interface.output]:
-            raise LayoutError(
-                f"{self.path} has the output {', '.join(self.outputs) or 'none'}; export it with "
-                f"one output, named {interface.output}"
-            )
-        for name, node in self.inputs.items():
-            shape = (1,) if name == TIME_INPUT else (1, interface.inputs[name], None, None)
-            self._require_shape(node, "input", shape)
-        output = self.outputs[interface.output]
-        self._require_shape(output, "output", (1, interface.made, None, None))
-        # Odd multiples, so that a network which needs more than it states fails here.
-        sides = (5 * self.stride, 7 * self.stride)
-        planes = {name: np.zeros((n, *sides), np.float32) for name, n in interface.inputs.items()}
-        for _ in self.answers(NetworkPictures(planes, 0.5)):
-            pass
 
     def _require_shape(self, node: Any, kind: str, shape: tuple[int | None, ...]) -> None:
         """Refuse another shape than this one, in which None is a size that the network leaves free.
@@ -228,8 +219,8 @@ class PictureNetwork(OnnxNetwork):
             for name, planes in pictures.items()
             if name in self.inputs
         }
-        if TIME_INPUT in self.inputs:
-            feeds[TIME_INPUT] = np.array([time], np.float32)
+        if network_api.TIME_INPUT in self.inputs:
+            feeds[network_api.TIME_INPUT] = np.array([time], np.float32)
         advice = (
             f"export it with any height and width that are multiples of {self.stride}, or state "
             f"another {STRIDE_KEY} in its metadata"
@@ -242,9 +233,9 @@ class PictureNetwork(OnnxNetwork):
 class OnnxExtrapolator(PictureNetwork):
     """An extrapolator that is ready to run; parameters as for `OnnxNetwork`."""
 
-    _interface = EXTRAPOLATOR_INTERFACE
+    _interface = network_api.EXTRAPOLATOR_INTERFACE
 
-    def __call__(self, inputs: LazyInputs) -> Float32:
+    def __call__(self, inputs: network_api.LazyInputs) -> Float32:
         """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""
         colour = np.empty((3, *inputs.shape), np.float32)
         for (rows, columns), answer in self.answers(inputs):
@@ -263,7 +254,7 @@ class OnnxExtrapolator(PictureNetwork):
 class OnnxLookAhead(PictureNetwork):
     """A network that weighs candidates for each pixel; parameters as for `OnnxNetwork`."""
 
-    _interface = LOOKAHEAD_INTERFACE
+    _interface = network_api.LOOKAHEAD_INTERFACE
     name = LOOKAHEAD
     card_checksum: str | None = None  # it has no card
 

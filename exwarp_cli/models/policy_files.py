@@ -262,13 +262,12 @@ def read_states(path: Path, size: int) -> tuple[StateRow, ...]:
                     f"{path} has no column '{STATE_COLUMN}'; give a table of exwarp features, or "
                     "frames.csv of a run with a learned policy"
                 )
+            known = [name for name in IDENTITY_COLUMNS if name in columns]
             for number, cells in enumerate(table, 1):
                 text: Any = cells[STATE_COLUMN]
                 if text and text.strip():
                     state = _parse_state(f"{path}, line {table.line_num}", text, size)
-                    identity = {
-                        name: cells[name] or "" for name in IDENTITY_COLUMNS if name in columns
-                    }
+                    identity = {name: cells[name] or "" for name in known}
                     rows.append(StateRow(number, identity, state))
     except OSError as error:
         raise InputError(

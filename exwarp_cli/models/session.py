@@ -30,13 +30,12 @@ class OnnxNetwork:
     """
 
     def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
-        self.path, self.device = path, device
-        self._threads = threads
+        self.path, self.device, self._threads = path, device, threads
         self._data, _ = embed_weights(path, data)
         # SHA-256 of the model's file with all its weights in it, hexadecimal.
         self.checksum = hashlib.sha256(self._data).hexdigest()
-        self._sessions: dict[int, Any] = {}
-        session = self._session(1)
+        session = open_session(path, self._data, 1, device)
+        self._sessions: dict[int, Any] = {1: session}  # by threads
         self.inputs: dict[str, Any] = {node.name: node for node in session.get_inputs()}
         self.outputs: dict[str, Any] = {node.name: node for node in session.get_outputs()}
         self._metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
@@ -58,7 +57,11 @@ class OnnxNetwork:
         """
         height, width = size
         most = height * width // (stride**2 * PIXELS_PER_THREAD)
-        session = self._session(max(1, min(self._threads, most)) if self.device == "cpu" else 1)
+        threads = max(1, min(self._threads, most)) if self.device == "cpu" else 1
+        session = self._sessions.get(threads)
+        if session is None:
+            session = open_session(self.path, self._data, threads, self.device)
+            self._sessions[threads] = session
         options = None
         if last:
             options = load_runtime().RunOptions()
@@ -77,11 +80,6 @@ class OnnxNetwork:
                     f"{self.path} fails on {width}x{height} pixels ({_reason(error)}); {advice}"
                 ) from error
         return answer
-
-    def _session(self, threads: int) -> Any:
-        if threads not in self._sessions:
-            self._sessions[threads] = open_session(self.path, self._data, threads, self.device)
-        return self._sessions[threads]
 
 
 def open_session(path: Path, data: bytes, threads: int, device: str) -> Any:

@@ -36,15 +36,7 @@ from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader, 
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.source import Source, open_source
-from exwarp_cli.policy.state import (
-    OLDER_KEYS,
-    StateHistory,
-    apply_price,
-    choose_tiles,
-    observe,
-    plan_slots,
-    plan_tiles,
-)
+from exwarp_cli.policy import state
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval, TileChooser, tile_features
 from exwarp_cli.synthesis.methods import CAUSAL, FRAMEWISE, DecisionSource, Method, predict_path
@@ -76,7 +68,7 @@ def ask_policy(
     with record_time(timing_ms, "features"):
         surroundings = observer.of(inputs, interval)
     with record_time(timing_ms, "decide"):
-        return plan_slots(policy, surroundings)
+        return state.plan_slots(policy, surroundings)
 
 
 def ask_tile_policy(
@@ -93,7 +85,7 @@ def ask_tile_policy(
     with record_time(timing_ms, "features"):
         features = [tile_features(interval, slot) for slot in range(1, FACTOR)]
     with record_time(timing_ms, "decide"):
-        return plan_tiles(policy, features, tiles.display.width)
+        return state.plan_tiles(policy, features, tiles.display.width)
 
 
 def ask_truth(
@@ -129,16 +121,12 @@ def ask_truth(
     return Plan(path, tuple(decisions))
 
 
-def priced_kernel(policy: PolicyFile, effort: float) -> MlpKernel:
-    """Return a policy of tiles that asks the price of an effort for each tile."""
-    return MlpKernel(apply_price(policy.network, policy.price(effort)))
-
-
 def make_chooser(policy: PolicyFile | None, effort: float) -> TileChooser | None:
     """Return what chooses the tiles between key frames that a network makes; None for all."""
     if policy is None:
         return None
-    return partial(choose_tiles, priced_kernel(policy, effort))
+    priced = state.apply_price(policy.network, policy.price(effort))
+    return partial(state.choose_tiles, MlpKernel(priced))
 
 
 def make_selector(
@@ -159,7 +147,8 @@ def make_selector(
         return partial(ask_truth, method.judge, display)
     if policy.of_tiles:
         fixed_path = {0.0: "S6", 1.0: "S3"}.get(effort)
-        return partial(ask_tile_policy, priced_kernel(policy, effort), fixed_path)
+        priced = state.apply_price(policy.network, policy.price(effort))
+        return partial(ask_tile_policy, MlpKernel(priced), fixed_path)
     observer = Observer(display, source.setting)
     return partial(ask_policy, MlpKernel(policy.network), observer)
 
@@ -202,7 +191,7 @@ def outcomes_of(
             if as_written is not None:
                 pixels = as_written(pixels)
             test = encode_display(place_on_canvas(pixels, canvas, display or canvas))
-            scores[node, choice] = [METRICS[name](encoded[slot], test).overall() for name in JUDGED]
+            scores[node, choice] = [METRICS[name](encoded[slot], test).value() for name in JUDGED]
     return np.array([[scores[node, choice] for choice in CHOICES] for node in NODES])
 
 
@@ -215,7 +204,7 @@ class Observer:
     _at_keys: dict[int, Features] = field(default_factory=dict)
     _shot_begin: int = 0
 
-    def of(self, inputs: IntervalInputs, interval: Interval) -> StateHistory:
+    def of(self, inputs: IntervalInputs, interval: Interval) -> state.StateHistory:
         """Return what the states of an interval are made of that was read and built."""
         # Motion settled on another window than the display's differs in its last digits, as other
         # points are looked at; so it is settled again then. It is, too, where the interval took
@@ -226,12 +215,10 @@ class Observer:
         is_same = interval.key.image.data_window == self.display and not has_objects
         covers = inputs.frame is not None and inputs.frame.image.data_window == self.display
         settled = interval.key.gbuffer if self.setting == "key" and covers and is_same else None
-        slots = interval.slots if is_same else self.settled(inputs.slots)
+        slots = interval.slots
+        if not is_same:
+            slots = tuple(settle_motion(slot.on(self.display)) for slot in inputs.slots)
         return self.surroundings(inputs.key, inputs.observed, slots, settled, inputs.slots)
-
-    def settled(self, slots: Sequence[GBuffer]) -> tuple[GBuffer, ...]:
-        """Return G-buffers of slots as `surroundings` takes them."""
-        return tuple(settle_motion(slot.on(self.display)) for slot in slots)
 
     def surroundings(
         self,
@@ -240,7 +227,7 @@ class Observer:
         slots: Sequence[GBuffer],
         settled: GBuffer | None = None,
         read: Sequence[GBuffer] = (),
-    ) -> StateHistory:
+    ) -> state.StateHistory:
         """Return what the states of an interval are made of, by the index of its key frame.
 
         `observed` are its instant, and those that were not seen before, ascending; one that nothing
@@ -258,7 +245,7 @@ class Observer:
                 now = settle_motion(raw)
             now = with_ids(now, before, raw)
             span = FACTOR if self.setting == "key" else 1
-            self._at_keys[instant.key] = observe(now, before, span)
+            self._at_keys[instant.key] = state.observe(now, before, span)
         at_key = self._at_keys[key]
         now_on = (at_key, at_key, at_key)
         if slots:
@@ -268,11 +255,11 @@ class Observer:
                 with_ids(instants[i + 1], instants[i], raw_slots[i] if raw_slots else None)
                 for i in (0, 1)
             )
-            now_on = at_key, observe(first, instants[0], 1), observe(second, first, 1)
-        older = range(key - 1, max(key - OLDER_KEYS, self._shot_begin) - 1, -1)
+            now_on = at_key, state.observe(first, instants[0], 1), state.observe(second, first, 1)
+        older = range(key - 1, max(key - state.OLDER_KEYS, self._shot_begin) - 1, -1)
         before_it = tuple(self._at_keys[i] for i in older)
-        self._at_keys = {i: at for i, at in self._at_keys.items() if i > key - OLDER_KEYS}
-        return StateHistory(now_on, before_it)
+        self._at_keys = {i: at for i, at in self._at_keys.items() if i > key - state.OLDER_KEYS}
+        return state.StateHistory(now_on, before_it)
 
 
 def with_ids(
@@ -325,7 +312,7 @@ def features(
             observed = reader.observe(key)
             slots = tuple(map(reader.store.get_slot, reader.store.slots_after(key)))
             reader.release(key)
-            settled = observer.settled(slots)
+            settled = [settle_motion(slot.on(observer.display)) for slot in slots]
             surroundings = observer.surroundings(key, observed, settled, read=slots)
             number = source.timeline.numbers[key]
             for node in NODES:

@@ -17,13 +17,8 @@ from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.domain.timeline import parse_frames, parse_rate, ranges
 from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError, UsageError
+from exwarp_cli.io import footage
 from exwarp_cli.io.exr.reader import read_headers
-from exwarp_cli.io.footage import (
-    clip_rate,
-    close_sequences,
-    find_frames,
-    is_plain,
-)
 from exwarp_cli.io.frames import read_plane
 from exwarp_cli.io.generated_frames import read_facts
 from exwarp_cli.io.sequences import Sequence, find_sequence
@@ -31,15 +26,10 @@ from exwarp_cli.io.shot import open_shot
 from exwarp_cli.io.video_reader import is_clip
 from exwarp_cli.io.view_transform import DisplayLook, find_display_look, find_view_transform
 from exwarp_cli.io.views import expand_view
+from exwarp_cli.pipeline import scoring
 from exwarp_cli.pipeline.ground_truth import read_display, truth_rate
 from exwarp_cli.pipeline.motion_convention import find_motion
 from exwarp_cli.pipeline.progress import FrameListener, Progress
-from exwarp_cli.pipeline.scoring import (
-    ExtranetScorer,
-    MetricScorer,
-    Pair,
-    SequenceMotion,
-)
 from exwarp_cli.runtime.stop import check_stop
 
 KEY = FrameKind.KEY.value
@@ -51,7 +41,7 @@ MASK_CHANNEL = "holes"  # of a mask file; above 0.5 is a hole
 class Origin:
     """Where a frame came from, by its header; all None for a frame that ExWarp did not make."""
 
-    kind: str | None = None  # a value of `FrameKind`: "generated" or "dropped"
+    kind: str | None = None  # a value of `FrameKind`; "dropped" repeats the frame before
     # "warp", "extrapolate", "softsplat", "blend", "interpolate" or "hold"
     made_by: str | None = None
     # Decision path of its key interval, S1 to S6; None outside the paper's paths
@@ -61,16 +51,6 @@ class Origin:
     def generated(self) -> bool:
         """Whether it is a new frame: not a rendered one and no repeat."""
         return self.kind == FrameKind.GENERATED.value
-
-    @property
-    def dropped(self) -> bool:
-        """Whether it repeats the frame before."""
-        return self.kind == FrameKind.DROPPED.value
-
-    @property
-    def choice(self) -> str | None:
-        """What was decided for a generated frame; None outside the decision tree."""
-        return self.made_by if self.generated and self.path is not None else None
 
 
 @dataclass(frozen=True)
@@ -146,8 +126,8 @@ def evaluate(
     origins = origins_of([judged.files[file.b] for file in files])
     scorer, more_notes = make_scorer(measuring, reference, truth, judged, origins)
     compared, shape = _score(files, origins, scorer, progress or Progress(), watcher)
-    rate = clip_rate(judged)
-    if rate is None and not is_plain(judged):
+    rate = footage.clip_rate(judged)
+    if rate is None and not footage.is_plain(judged):
         header = read_headers(judged.files[min(judged.files)])[0]
         rate = parse_rate(header.get("framesPerSecond"))
     result = Comparison(
@@ -179,7 +159,7 @@ class _Files:
     view: str
     looks: tuple[DisplayLook, DisplayLook]  # of both sequences
 
-    def read(self) -> Pair:
+    def read(self) -> scoring.Pair:
         reference = self.reference.files[self.a]
         truth = read_display(self.reference, self.a, self.view)
         test = read_display(self.test, self.b, self.view)
@@ -190,9 +170,11 @@ class _Files:
             plane, data, display = read_plane(self.mask, MASK_CHANNEL)
             _require_shape(display.shape, self.mask, shape, reference)
             mask = np.asarray(place_on_canvas(plane, data, display) > 0.5)
-        return Pair(self.a, truth, test, mask)
+        return scoring.Pair(self.a, truth, test, mask)
 
-    def show(self, watcher: FrameListener | None, pair: Pair, score: Score | None = None) -> None:
+    def show(
+        self, watcher: FrameListener | None, pair: scoring.Pair, score: Score | None = None
+    ) -> None:
         """Show the pair that was read to the watcher, if it wants that."""
         if watcher is not None and watcher.wants(self.b, score):
             pixels = zip(self.looks, (pair.truth, pair.test), strict=True)
@@ -213,7 +195,7 @@ def _require_shape(
 def _score(
     files: list[_Files],
     origins: list[Origin],
-    scorer: MetricScorer | ExtranetScorer,
+    scorer: scoring.MetricScorer | scoring.ExtranetScorer,
     progress: Progress,
     watcher: FrameListener | None,
 ) -> tuple[tuple[ComparedFrame, ...], tuple[int, ...]]:
@@ -239,7 +221,7 @@ def _score(
             scores = scorer.finish()
     finally:
         progress.finish()
-        close_sequences(files[0].reference, files[0].test)
+        footage.close_sequences(files[0].reference, files[0].test)
     compared = tuple(
         ComparedFrame(f.a, f.b, f.test.files[f.b].name, overall, inside, fraction, origin)
         for f, (overall, inside), fraction, origin in zip(
@@ -257,7 +239,7 @@ def _pair_files(
     Also return how frames were paired, the sequence of masks and what `pair` notes.
     """
     truth, judged = (
-        find_frames(expand_view(spec, measuring.view or None)[0], scan=measuring.scan)
+        footage.find_frames(expand_view(spec, measuring.view or None)[0], scan=measuring.scan)
         for spec in (reference, test)
     )
     transform = find_view_transform(measuring.view_transform, truth, judged)
@@ -383,7 +365,7 @@ def make_scorer(
     reference: Sequence,
     test: Sequence,
     origins: Listed[Origin],
-) -> tuple[MetricScorer | ExtranetScorer, tuple[str, ...]]:
+) -> tuple[scoring.MetricScorer | scoring.ExtranetScorer, tuple[str, ...]]:
     """Return a scorer, and what a reader of its numbers should know.
 
     The true sequence is `reference`, which the user named `spec`. The origins are those of the
@@ -406,34 +388,29 @@ def make_scorer(
                 f"--preset {measuring.preset} scores nothing else; leave the preset out"
             )
         flags = generated if has_headers else None
-        return ExtranetScorer(measuring.measured, len(origins), flags), ()
+        return scoring.ExtranetScorer(measuring.measured, len(origins), flags), ()
     notes = []
-    rendered = sum(not (origin.generated or origin.dropped) for origin in origins)
+    new = (FrameKind.GENERATED.value, FrameKind.DROPPED.value)
+    rendered = sum(origin.kind not in new for origin in origins)
     if rendered not in (0, len(origins)):
         notes.append(
             f"the means of all pixels are over all {len(origins)} frames, {rendered} of which are "
             "rendered ones by their headers"
         )
-    motion: SequenceMotion | str | None = None
+    motion: scoring.SequenceMotion | None = None
     if "flicker" in measuring.measured:
-        motion = open_motion(spec, reference, measuring.view)
-    if isinstance(motion, str):
-        notes.append(
-            f"flicker is not measured, as it follows the motion of the first sequence: {motion}"
-        )
-        motion = None
-    return MetricScorer(measuring.measured, motion), tuple(notes)
-
-
-def open_motion(spec: str, sequence: Sequence, view: str = "") -> SequenceMotion | str:
-    """Return the motion of a sequence, which the user named `spec`, or why it has none."""
-    try:
-        shot = open_shot(spec, view or None)
-        finding = find_motion(shot, None)
-    except (InputError, MotionError) as error:
-        return str(error)
-    if finding is None:
-        return f"{sequence.pattern} has no motion vectors"
-    if not set(sequence.files) <= set(shot.sequence.files):
-        return f"the vectors beside {sequence.pattern} are of other frames"
-    return SequenceMotion(shot, finding.convention)
+        reason = f"{reference.pattern} has no motion vectors"
+        try:
+            shot = open_shot(spec, measuring.view or None)
+            finding = find_motion(shot, None)
+        except (InputError, MotionError) as error:
+            finding, reason = None, str(error)
+        if finding is not None:
+            reason = f"the vectors beside {reference.pattern} are of other frames"
+            if set(reference.files) <= set(shot.sequence.files):
+                motion = scoring.SequenceMotion(shot, finding.convention)
+        if motion is None:
+            notes.append(
+                f"flicker is not measured, as it follows the motion of the first sequence: {reason}"
+            )
+    return scoring.MetricScorer(measuring.measured, motion), tuple(notes)

@@ -64,6 +64,7 @@ class FrameWriter(ResourceOwner):
     write_ms: dict[int, float] = field(default_factory=dict)
     # Checksums of what is written, where they are wanted; complete at the end.
     sums: Sums = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()  # what a user has to know of the video, once it is open
     _video: VideoWriter | None = None
     _last_shown: np.ndarray | None = None  # by the video
 
@@ -79,11 +80,7 @@ class FrameWriter(ResourceOwner):
                 self.output.video, width, height, self.fps, self.look, self.output.codec
             )
             self._video = stack.enter_context(video)
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What a user has to know of the video; see `VideoWriter.remarks`."""
-        return () if self._video is None else self._video.remarks
+            self.remarks = video.remarks
 
     def name(self, number: int) -> str:
         """Return the name of a frame's file, or of the video without files, without its folder."""
@@ -170,19 +167,20 @@ class FrameWriter(ResourceOwner):
         else:
             self._writer.submit(put)
 
-    def show(self, image: Image) -> None:
-        """Append a frame to the video, if there is one."""
-        if self._video is not None:
-            pixels = image.on(self.display).pixels
-            self._last_shown = self._encode(self.display_look.apply(pixels, self.output.exposure))
-            self._video.write(self._last_shown)
+    def show(self, image: Image | None) -> None:
+        """Append a frame to the video, if there is one.
 
-    def show_again(self) -> None:
-        """Append the last frame to the video again, or a black one, to keep sound in step."""
-        if self._video is not None:
-            black = np.zeros((*self.display.shape, 3), np.float32)
-            shown = self._encode(black) if self._last_shown is None else self._last_shown
-            self._video.write(shown)
+        None for the last one again, or a black one, to keep sound in step.
+        """
+        if self._video is None:
+            return
+        shown = self._last_shown
+        if image is not None:
+            pixels = self.display_look.apply(image.on(self.display).pixels, self.output.exposure)
+            shown = self._last_shown = self._encode(pixels)
+        elif shown is None:
+            shown = self._encode(np.zeros((*self.display.shape, 3), np.float32))
+        self._video.write(shown)
 
     def read(self, number: int) -> Image:
         """Read a frame that an earlier run wrote."""

@@ -206,7 +206,7 @@ class Gate:
         else:
             # What extrapolation gains lies in holes: by the mean of tiles it was refused on the
             # scene town, where it gains 0.8 dB.
-            values = warped.overall(), by_network.overall()
+            values = warped.value(), by_network.value()
         self._last_trial = Trial.measured(source.timeline.numbers[inputs.key], *values)
         self._last_key, self._received = inputs.key, None
         return self._last_trial

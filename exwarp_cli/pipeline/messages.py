@@ -8,13 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from exwarp_cli.domain.results import (
-    InterpolatorSummary,
-    LeftOut,
-    NetworkSummary,
-    PolicySummary,
-    RunSummary,
-)
+from exwarp_cli.domain import results
 from exwarp_cli.domain.timeline import RATE_TOLERANCE, ranges
 from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import IncompleteError
@@ -44,9 +38,9 @@ SURFACE_COLOURS = {Role.ALBEDO: "diffuse", Role.SPECULAR: "glossy"}
 class Models:
     """The networks and the policy of a run, for its report; None for those that it lacks."""
 
-    extrapolator: NetworkSummary | None
-    interpolator: InterpolatorSummary | None
-    policy: PolicySummary | None
+    extrapolator: results.NetworkSummary | None
+    interpolator: results.InterpolatorSummary | None
+    policy: results.PolicySummary | None
 
     @classmethod
     def of(
@@ -61,11 +55,14 @@ class Models:
         """Summarise loaded models; the last policy chooses the tiles that `interpolator` makes."""
         extrapolator = interpolator_summary = policy_summary = None
         if network is not None:
-            extrapolator = NetworkSummary(
-                str(network.path), network.checksum, network.device, not _missing_colours(source)
+            extrapolator = results.NetworkSummary(
+                str(network.path),
+                network.checksum,
+                network.device,
+                all(role in source.geometry.layout for role in SURFACE_COLOURS),
             )
         if interpolator is not None:
-            interpolator_summary = InterpolatorSummary(
+            interpolator_summary = results.InterpolatorSummary(
                 interpolator.name,
                 str(interpolator.path),
                 interpolator.checksum,
@@ -91,7 +88,7 @@ class Models:
                     missing.append("N_d")
                 needed = {"EMD_Wn": Role.NORMAL, "EMD_Wp": Role.POSITION}
                 missing += [name for name, role in needed.items() if role not in layout]
-            policy_summary = PolicySummary(
+            policy_summary = results.PolicySummary(
                 str(policy.path),
                 policy.checksum,
                 objects_from,
@@ -111,7 +108,8 @@ def model_messages(job: Job) -> Iterator[str]:
             f"extrapolation by {Path(network.file).name} (sha256 {network.sha256[:8]}) on "
             f"{network.device}"
         )
-        if missing := _missing_colours(job.source):
+        layout = job.source.geometry.layout
+        if missing := [name for role, name in SURFACE_COLOURS.items() if role not in layout]:
             yield (
                 f"no {' and no '.join(missing)} colour: shading is extrapolated together with "
                 "surface colour"
@@ -160,12 +158,6 @@ def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator) -> str | N
         f"{used}: its decisions may be wrong; train a policy for this one with 'exwarp train "
         f"{kind}', and name it with --policy"
     )
-
-
-def _missing_colours(source: Source) -> list[str]:
-    """Return the names of absent surface colours, by which shading would have to be divided."""
-    layout = source.geometry.layout
-    return [name for role, name in SURFACE_COLOURS.items() if role not in layout]
 
 
 def input_messages(job: Job) -> Iterator[str]:
@@ -261,14 +253,14 @@ def output_messages(job: Job) -> Iterator[str]:
         )
 
 
-def announce_skipped(progress: Progress, skipped: LeftOut) -> None:
+def announce_skipped(progress: Progress, skipped: results.LeftOut) -> None:
     """Announce what is left out, and why."""
     numbers = skipped.frames or skipped.scores or skipped.rendered
     fate = "left out" if skipped.frames else "not scored" if skipped.scores else "generated"
     progress.message(f"{fate} {_named(numbers)}: {skipped.reason}")
 
 
-def require_complete(run: RunSummary) -> None:
+def require_complete(run: results.RunSummary) -> None:
     """Raise IncompleteError if a run left something out."""
     if not run.left_out:
         return

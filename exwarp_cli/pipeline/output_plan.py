@@ -22,27 +22,13 @@ from exwarp_cli.domain.settings import SRGB_VIEW, VIDEO_CODECS, UpsampleSettings
 from exwarp_cli.domain.timeline import Slot, Timeline, ranges
 from exwarp_cli.domain.wording import pluralise
 from exwarp_cli.errors import OutputError, OutputExistsError, UsageError
+from exwarp_cli.io import generated_frames, video_writer
 from exwarp_cli.io.files import make_folder, output_error, path_exists, remove_leftovers
 from exwarp_cli.io.footage import clip_rate, digest_frame, is_plain, make_video_look
-from exwarp_cli.io.generated_frames import (
-    KEY_FRAMES,
-    REQUESTED_METHOD,
-    Authorship,
-    FileState,
-    find_authorship,
-)
 from exwarp_cli.io.key_file import file_digest, possible_key_files
 from exwarp_cli.io.sequences import EXR, FramePattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.io.video_reader import is_clip
-from exwarp_cli.io.video_writer import (
-    CODECS,
-    Codec,
-    VideoLook,
-    find_codec,
-    read_video_note,
-    require_container,
-)
 from exwarp_cli.io.view_transform import ViewTransform, find_view_transform
 from exwarp_cli.pipeline.fingerprint import Fingerprinter, digest_json, key_fingerprint
 from exwarp_cli.pipeline.source import Source
@@ -84,7 +70,7 @@ class OutputPlan:
     resumes: bool = False  # whether good frames of an earlier run are kept
     overwrites: bool = False
     keeps_bytes: bool = False  # whether key frames are copied byte for byte, also at another rate
-    codec: Codec = CODECS[VIDEO_CODECS[0]]  # of the video
+    codec: video_writer.Codec = video_writer.CODECS[VIDEO_CODECS[0]]  # of the video
     # Of the video and the report's pictures; None for the sRGB curve alone
     view: ViewTransform | None = None
 
@@ -123,8 +109,8 @@ class OutputPlan:
         named = settings.output if video_alone else settings.video
         video, codec = None if named is None else Path(named), cls.codec
         if video is not None:
-            require_container(video)
-            codec = find_codec(settings.video_codec, video)
+            video_writer.require_container(video)
+            codec = video_writer.find_codec(settings.video_codec, video)
             if video.resolve() in {path.resolve() for path in source.files.values()}:
                 raise OutputError(f"the video {video} is the input itself; name another")
         view = find_view_transform(settings.view_transform, source)
@@ -190,7 +176,7 @@ def frame_suffix(output: str, source: Sequence) -> str:
     return suffix if named else source.suffix
 
 
-def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> VideoLook:
+def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> video_writer.VideoLook:
     """Return what a video of some key intervals is like, with the input's sound if it has one.
 
     `keys` are indices of the key frames that are written. Sound goes along with those that lie side
@@ -260,7 +246,7 @@ def is_video_kept(targets: OutputPlan, settings: UpsampleSettings, note: str) ->
     wanted = settings.skip_existing and settings.ground_truth is None
     if not (wanted and note) or targets.frames is not None or targets.video is None:
         return False
-    return read_video_note(targets.video) == note
+    return video_writer.read_video_note(targets.video) == note
 
 
 def require_own(
@@ -278,11 +264,23 @@ def require_own(
     UnreadableError when the system does not let one of them through.
     """
     ownership = _Ownership(targets, source, method, rendered)
+    files: list[tuple[Path, Slot | None]] = []  # without a slot: hole masks
+    for slot in slots:
+        number = source.timeline.number(slot)
+        if targets.frames is not None:
+            files.append((targets.frames.path(number), slot))
+        if targets.holes is not None and slot.index:
+            files.append((targets.holes.path(number), None))
     with ThreadPoolExecutor(min(cores.count(), READERS), "exwarp-own") as pool:
-        foreign = [pair for pairs in pool.map(ownership.foreign_files, slots) for pair in pairs]
+        reasons = pool.map(lambda file: ownership.why_foreign(*file), files)
+        foreign = [
+            (path, reason)
+            for (path, _), reason in zip(files, reasons, strict=True)
+            if reason is not None
+        ]
     video = targets.video
     if video is not None and path_exists(video) and video.stat().st_size:
-        note = read_video_note(video) or ""
+        note = video_writer.read_video_note(video) or ""
         if not note.startswith(BY_EXWARP):
             foreign.append((video, "not written by ExWarp"))
     if not foreign:
@@ -304,24 +302,17 @@ class _Ownership:
     method: Method
     rendered: Sequence | None = None
     # What a file says of itself; None where there is none.
-    _authorship: Callable[[Path], Authorship | None] = field(
-        default_factory=lambda: cache(find_authorship), init=False, compare=False
+    _authorship: Callable[[Path], generated_frames.Authorship | None] = field(
+        default_factory=lambda: cache(generated_frames.find_authorship), init=False, compare=False
     )
 
-    def foreign_files(self, slot: Slot) -> list[tuple[Path, str]]:
-        """Return the files of a slot that are not the run's own, each with the reason."""
-        number = self.source.timeline.number(slot)
-        reasons: list[tuple[Path, str | None]] = []
-        if self.targets.frames is not None:
-            path = self.targets.frames.path(number)
-            reasons.append((path, self._why_foreign(path, slot)))
-        if self.targets.holes is not None and slot.index:
-            path = self.targets.holes.path(number)
-            reasons.append((path, self._why_not_written(path)))
-        return [(path, reason) for path, reason in reasons if reason is not None]
+    def why_foreign(self, path: Path, slot: Slot | None) -> str | None:
+        """Return why the file of a slot is not the run's own; None if it is, or there is none.
 
-    def _why_foreign(self, path: Path, slot: Slot) -> str | None:
-        """Return why a frame is not the run's own; None if it is, or there is none."""
+        Without a slot it is a hole mask.
+        """
+        if slot is None:
+            return self._why_not_written(path)
         keys = self.source.keys.sequence
         copied_from = None  # where the run copies the frame
         if not slot.index:
@@ -350,14 +341,14 @@ class _Ownership:
         authorship = self._authorship(path)
         if authorship is None:
             return None
-        if authorship.state is FileState.FOREIGN:
+        if authorship.state is generated_frames.FileState.FOREIGN:
             return "not written by ExWarp"
-        if authorship.state is FileState.EDITED:
+        if authorship.state is generated_frames.FileState.EDITED:
             return "changed since ExWarp wrote it"
         facts = authorship.facts
         if facts.get("kind") in (FrameKind.KEY.value, FrameKind.RENDERED.value):
             return None
-        by = facts.get(REQUESTED_METHOD)
+        by = facts.get(generated_frames.REQUESTED_METHOD)
         if by is None:
             # Frames of earlier builds name only their own method; after the last key frame it may
             # be a fallback of the run's.
@@ -402,10 +393,10 @@ class _Ownership:
             for each in timeline.made_of(index) if index >= 0 else ():
                 frame = frames.path(timeline.number(each))
                 authorship = self._authorship(frame)
-                if authorship is None or authorship.state is not FileState.INTACT:
+                if authorship is None or authorship.state is not generated_frames.FileState.INTACT:
                     continue
                 around.append(frame)
-                words = str(authorship.facts.get(KEY_FRAMES, "")).split(",")
+                words = str(authorship.facts.get(generated_frames.KEY_FRAMES, "")).split(",")
                 pairs = (word.partition(":") for word in words)
                 named.append({int(n): sha for n, _, sha in pairs if n.lstrip("-").isdecimal()})
         digest = file_digest(path)

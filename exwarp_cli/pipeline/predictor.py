@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli import accelerator
-from exwarp_cli.accelerator.mac_array import (
-    MacArray,
-    Schedule,
-    missing_words,
-    resident_words,
-    schedule,
-)
+from exwarp_cli.accelerator import mac_array
+from exwarp_cli.accelerator.mac_array import MacArray, Schedule
 from exwarp_cli.accelerator.mlp import ONE, PAPER_SIZES, Inference, QuantisedMlp, infer_reference
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import CHOICES
@@ -97,7 +91,7 @@ def cycles(policy: Path | None, cores: int, macs: int, cache: str, port: int = 0
     """
     sizes = PAPER_SIZES if policy is None else load_policy(policy).network.sizes
     try:
-        return schedule(machine(cores, macs, cache, port), sizes)
+        return mac_array.schedule(machine(cores, macs, cache, port), sizes)
     except ValueError as error:
         raise UsageError(f"--cache {cache} does not do: {error}; give a larger one") from error
 
@@ -133,7 +127,7 @@ def trace_row(table: Path, policy: Path | None, number: int | None) -> Trace:
     network = load_policy(policy).network
     row = _select(table, network, number)[0]
     inference = infer_reference(network, row.state)
-    return Trace(row, inference, schedule(MacArray(), network.sizes))
+    return Trace(row, inference, mac_array.schedule(MacArray(), network.sizes))
 
 
 def _select(table: Path, network: QuantisedMlp, number: int | None) -> tuple[StateRow, ...]:
@@ -279,24 +273,26 @@ def _lines(words: Iterable[str]) -> str:
     return "".join(f"{word}\n" for word in words)
 
 
-def _require_buildable(array: MacArray, sizes: Sequence[int]) -> None:
-    """Refuse a machine that the design cannot implement; raises UsageError."""
+def _resident_words(array: MacArray, sizes: Sequence[int], needed: int) -> int:
+    """Return how many of the `needed` words of weights of the fullest core its cache holds.
+
+    Raises UsageError for a machine that the design cannot implement.
+    """
     if array.cores > MOST_CORES or array.cores > array.macs:
         raise UsageError(
             f"--cores {array.cores} --macs {array.macs}: the design has at most {MOST_CORES} "
             "cores, and no more than MAC units in each; give other numbers"
         )
     try:
-        room = resident_words(array, sizes)
+        room = mac_array.resident_words(array, sizes)
     except ValueError as error:
         raise UsageError(f"--cache does not do: {error}; give a larger one") from error
-    shares = (array.share(after, 0) * array.words(before) for before, after in pairwise(sizes))
-    needed = sum(shares)
     if room < needed and not array.port_bytes:
         raise UsageError(
             f"a cache of {array.cache_bytes} bytes holds {room} of {needed} words of weights; give "
             "a larger --cache, or the width of a --port that brings the rest"
         )
+    return min(room, needed)
 
 
 def design(
@@ -310,12 +306,11 @@ def design(
     Raises UsageError for a machine that the design cannot implement: more than 10 cores, more cores
     than MAC units in each, a cache that is too small, and weights that do not fit without a port.
     """
-    _require_buildable(array, sizes)
-    # Where all fits, the port is not used, and as wide as a word.
-    array = replace(array, port_bytes=array.port_bytes or array.macs)
     cores = range(array.cores)
     weights = [texts[f"core{core}_weights.hex"].split() for core in cores]
-    resident = min(resident_words(array, sizes), len(weights[0]))
+    resident = _resident_words(array, sizes, len(weights[0]))
+    # Where all fits, the port is not used, and as wide as a word.
+    array = replace(array, port_bytes=array.port_bytes or array.macs)
     scales = []  # of each core: shift and multiplier of its inputs, then of its hidden neurons
     for core in cores:
         shifts, multipliers = (
@@ -335,10 +330,11 @@ def design(
             filled = words[core] + ["0" * len(words[0][0])] * (len(words[0]) - len(words[core]))
             files[f"memory{core}_{name}.hex"] = _lines(filled)
     # What the port brings in an inference, a beat a line, the lowest bytes first.
+    beats_a_word = -(-array.macs // array.port_bytes)
     digits, beats = 2 * array.port_bytes, []
-    for _, missing in missing_words(array, sizes):
+    for _, missing in mac_array.missing_words(array, sizes):
         for core, index in missing:
-            word = weights[core][index].zfill(digits * array.beats)
+            word = weights[core][index].zfill(digits * beats_a_word)
             beats += [word[end - digits : end] for end in range(len(word), 0, -digits)]
     files["refill.hex"] = _lines(beats or ["0"])
     depths = {
@@ -353,7 +349,7 @@ def design(
         "INPUTS": sizes[0],
         "PORT": array.port_bytes,
         "REFILLS": max(1, len(beats)),
-        "CYCLES": schedule(array, sizes).cycles,
+        "CYCLES": mac_array.schedule(array, sizes).cycles,
     }
     files["exwarp_vectors.vh"] = _lines(f"localparam {k} = {v};" for k, v in values.items())
     return files
@@ -372,7 +368,7 @@ def _parameters(array: MacArray, sizes: Sequence[int], depths: Mapping[str, int]
         **depths,
         "STATES": slots[0],
         "PORT": array.port_bytes,
-        "BEATS": array.beats,
+        "BEATS": -(-array.macs // array.port_bytes),
     }
     # By stage: the inputs, then each layer. A slot is one number of each core.
     tables = {"SLOTS": slots, "REMAINDERS": last, "WORDS": words}

@@ -11,20 +11,12 @@ import os
 import sys
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Protocol, TextIO
 
-from exwarp_cli.domain.timeline import Slot
+from exwarp_cli import errors
 from exwarp_cli.domain.wording import one_line, pluralise
-from exwarp_cli.errors import (
-    ExwarpError,
-    IncompleteError,
-    OutOfMemoryError,
-    OutputError,
-    UsageError,
-    to_exwarp_error,
-)
 from exwarp_cli.runtime.compilation import compilation
 
 if TYPE_CHECKING:
@@ -40,19 +32,10 @@ ANY = ""  # the kind of all frames where kinds are not distinguished
 Clock = Callable[[], float]
 
 
-def _frame_text(frame: int, note: str | None) -> str:
-    return f"frame {frame}" + (f" ({note})" if note else "")
-
-
 def kind_of(index: int) -> str:
     """Return the kind of work of a slot by its index in the key interval, 0 for the key frame."""
     # Methods differ by index: `s3` warps slot 1 and extrapolates slots 2 and 3.
     return f"slot {index}" if index else "key"
-
-
-def kinds_of(slots: Iterable[Slot]) -> Counter[str]:
-    """Count slots by their kind of work."""
-    return Counter(kind_of(slot.index) for slot in slots)
 
 
 class Progress:
@@ -154,7 +137,7 @@ class Progress:
     def _write_line(self, line: str) -> None:
         """Write text without line ends in what the stream can encode."""
         encoding = getattr(self._stream, "encoding", None) or "utf-8"
-        with suppress(OSError, OutputError):  # a stream that fails must not end the work
+        with suppress(OSError, errors.OutputError):  # a stream that fails must not end the work
             self._stream.write(line.encode(encoding, "backslashreplace").decode(encoding) + "\n")
             self._stream.flush()
 
@@ -205,8 +188,8 @@ class PlainProgress(Progress):
             self._print_status(f"{pluralise(self.total, 'frame')} to do")
         elif is_due or self.done in (1, self.total):
             self._logged_at = self._last
-            done = f"{self.done}/{self.total}"
-            self._print_status(f"{done}, {_frame_text(frame, note)}, {self.left}")
+            word = f" ({note})" if note else ""
+            self._print_status(f"{self.done}/{self.total}, frame {frame}{word}, {self.left}")
 
     def _print_status(self, status: str) -> None:
         percent = f"{int(self.tenths):3d}% " if self.done else ""
@@ -224,7 +207,7 @@ class OpenJdProgress(PlainProgress):
 
     def fail(self, text: str, exit_code: int) -> None:
         """Print the reason; the runner gets the exit code from the process."""
-        if exit_code == IncompleteError.exit_code:
+        if exit_code == errors.IncompleteError.exit_code:
             self._write_line(one_line(f"openjd_status: {text}"))
             return
         # Never empty: runners ignore a line that ends with the colon.
@@ -278,26 +261,21 @@ class BarProgress(Progress):
 
     def _show(self, frame: int | None = None, note: str | None = None) -> None:
         if frame is not None and self._bar is not None:
-            task, description = self._bar.task_ids[0], one_line(_frame_text(frame, note))
+            description = one_line(f"frame {frame} ({note})" if note else f"frame {frame}")
+            task = self._bar.task_ids[0]
             self._bar.update(task, advance=1, description=description, left=self.left)
             return
         # Imported here: it takes 60 ms, which runs without a terminal need not pay.
-        from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            SpinnerColumn,
-            TextColumn,
-        )
+        from rich import console, progress
 
-        self._bar = Progress(
-            SpinnerColumn("line"),  # moves while a frame takes long; ASCII, for any terminal
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[left]}", markup=False),
-            TextColumn("{task.description}", markup=False),
-            console=Console(file=self._stream, emoji=False),
+        self._bar = progress.Progress(
+            # Moves while a frame takes long; ASCII, for any terminal.
+            progress.SpinnerColumn("line"),
+            progress.BarColumn(),
+            progress.MofNCompleteColumn(),
+            progress.TextColumn("{task.fields[left]}", markup=False),
+            progress.TextColumn("{task.description}", markup=False),
+            console=console.Console(file=self._stream, emoji=False),
         )
         self._bar.add_task("", total=self.total, left=self.left)
         self._bar.start()
@@ -339,7 +317,7 @@ def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterato
         is_terminal = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
         kind = "bar" if is_terminal else "plain"
     if kind not in REPORTERS:
-        raise UsageError(f"--progress {kind!r} is unknown; choose one of {', '.join(KINDS)}")
+        raise errors.UsageError(f"--progress {kind!r} is unknown; choose one of {', '.join(KINDS)}")
     # "How Jobs Are Run", Stdout and Stderr Messages, allows both streams; some runners read stdout
     # alone.
     is_for_runner = kind == "openjd" and not results_on_stdout
@@ -348,12 +326,12 @@ def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterato
         with compilation.messages_to(progress.message):
             yield progress
     except Exception as error:
-        user_error = to_exwarp_error(error)
+        user_error = errors.to_exwarp_error(error)
         if user_error is not None:
             progress.fail(str(user_error), user_error.exit_code)
         elif isinstance(error, MemoryError):
-            progress.fail("the memory does not suffice", OutOfMemoryError.exit_code)
+            progress.fail("the memory does not suffice", errors.OutOfMemoryError.exit_code)
         else:  # a defect, which stderr shows in full
             text = f"unexpected {type(error).__name__}: {error}"
-            progress.fail(text, ExwarpError.exit_code)
+            progress.fail(text, errors.ExwarpError.exit_code)
         raise

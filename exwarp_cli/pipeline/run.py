@@ -8,6 +8,7 @@ does (`slot_renderer`, `scheduling`). Threads behind write the files (`frame_wri
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
@@ -20,15 +21,10 @@ from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.kernels import _row_bands
+from exwarp_cli.pipeline import frame_writer, scheduling
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.fingerprint import key_fingerprint
-from exwarp_cli.pipeline.frame_writer import (
-    FRAMES_BEHIND,
-    FrameWriter,
-    list_files,
-    require_sound,
-    verify_video,
-)
+from exwarp_cli.pipeline.frame_writer import FRAMES_BEHIND, FrameWriter
 from exwarp_cli.pipeline.interval_builder import IntervalPreparer, PreparedInterval, make_builders
 from exwarp_cli.pipeline.interval_inputs import (
     IntervalInputs,
@@ -40,15 +36,7 @@ from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.key_frames import window_note
 from exwarp_cli.pipeline.messages import announce_skipped
 from exwarp_cli.pipeline.output_plan import is_video_kept, video_fingerprint, video_look, video_note
-from exwarp_cli.pipeline.progress import FrameListener, Progress, kind_of, kinds_of
-from exwarp_cli.pipeline.scheduling import (
-    ParallelSlots,
-    fits_pool,
-    prefetch,
-    read_depth,
-    record_time,
-    use_threads,
-)
+from exwarp_cli.pipeline.progress import FrameListener, Progress, kind_of
 from exwarp_cli.pipeline.scoring import IntervalScores, KeyedPulses, broken_pixels_of
 from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, header_attributes
 from exwarp_cli.runtime.cores import hold_cores
@@ -76,7 +64,7 @@ def run_job(job: Job, progress: Progress, listener: FrameListener | None) -> Run
     job.targets.make_folders()
     job.announce(progress)
     begin = perf_counter()
-    progress.start(len(job.slots), kinds_of(job.slots))
+    progress.start(len(job.slots), Counter(kind_of(slot.index) for slot in job.slots))
     try:
         if listener is not None:
             listener.plan(job.groups)
@@ -94,7 +82,7 @@ def write_intervals(job: Job, progress: Progress, listener: FrameListener | None
     on the disk as they were written, where that is verified.
     """
     settings, targets = job.settings, job.targets
-    use_threads(settings.threads)
+    scheduling.use_threads(settings.threads)
     reader = make_reader(job)
     leader = reader.leader
     try:
@@ -110,12 +98,12 @@ def write_intervals(job: Job, progress: Progress, listener: FrameListener | None
         outcome = RunOutcome(frames, leader.shots.cuts, tuple(run.left_out), nonfinite=broken)
         if not (job.sums and frames):
             return outcome
-        files, verified = list_files(targets, frames, run.writer.sums), None
+        files, verified = frame_writer.list_files(targets, frames, run.writer.sums), None
         if settings.verify:
-            require_sound(files, job.source.keys.view, outcome.shown)
+            frame_writer.require_sound(files, job.source.keys.view, outcome.shown)
             verified = len(files)
             if targets.frames is not None and targets.video is not None:
-                verify_video(targets.video, outcome.shown)
+                frame_writer.verify_video(targets.video, outcome.shown)
         return replace(outcome, files=tuple(f.written for f in files), verified=verified)
     finally:
         job.close()
@@ -155,7 +143,7 @@ class Run:
             job.source, job.method, self.writer, self._layers, self._pulses, listener is not None
         )
         most = max((len(self._timeline.made_of(key)) for key in job.keys), default=0)
-        self._slots = ParallelSlots(_row_bands.threads(), most)
+        self._slots = scheduling.ParallelSlots(_row_bands.threads(), most)
         self._records: list[FrameRecord] = []
         self.left_out: list[LeftOut] = []
         self._noted_windows: set[bool] = set()
@@ -167,7 +155,7 @@ class Run:
         with self.writer, self._slots:
             for text in self.writer.remarks:
                 self._progress.message(text)
-            intervals = prefetch(tasks, read_depth(self._display.pixels))
+            intervals = scheduling.prefetch(tasks, scheduling.read_depth(self._display.pixels))
             for _ in keys:
                 # Handed on at once: a variable would hold the raw geometry while the next is read.
                 self._render_interval(next(intervals))
@@ -232,7 +220,7 @@ class Run:
         if interval is not None and inputs.truth.frames:
             measured = self._job.settings.measured
             scores = IntervalScores(interval, self._display, measured, inputs.followed)
-        in_pool = fits_pool(
+        in_pool = scheduling.fits_pool(
             prepared, self._job.method, self._display.pixels, self._layers.any, self._slots.workers
         )
         render = partial(self._renderer.render, prepared, inputs, in_pool=in_pool)
@@ -254,7 +242,7 @@ class Run:
         if scores is not None:
             # What takes all frames of the interval is added to their scores.
             timing_ms: dict[str, float] = {}
-            with record_time(timing_ms, "score", len(inputs.truth.frames)):
+            with scheduling.record_time(timing_ms, "score", len(inputs.truth.frames)):
                 ends = {
                     slot: i.on(i.display_window).pixels for slot, i in inputs.truth.ends.items()
                 }
@@ -278,7 +266,7 @@ class Run:
             self.left_out.append(missing)
             announce_skipped(self._progress, missing)
         for slot in slots:
-            self.writer.show_again()
+            self.writer.show(None)
             number = self._timeline.number(slot)
             self._progress.advance(number, "left out", kind_of(slot.index), made=False)
 
@@ -331,7 +319,7 @@ class Run:
         truth = inputs.truth.frames.get(record.slot)
         true_pixels = None if truth is None else truth.on(truth.display_window).pixels
         if scores is not None and true_pixels is not None and image is not None:
-            with record_time(record.timing_ms, "score"):
+            with scheduling.record_time(record.timing_ms, "score"):
                 test = image.on(self._display).pixels
                 overall, holes = scores.frame(record.slot, true_pixels, test, rendered.mask)
             record = replace(record, score=overall, hole_score=holes)
@@ -363,13 +351,7 @@ def make_reader(job: Job) -> ViewsReader:
     """Return what reads the views that are written; the first decides, and is scored."""
     contents, method, settings = job.contents, job.method, job.settings
     leader = IntervalReader(
-        contents[0].source,
-        method,
-        settings,
-        job.truth,
-        job.depends_on,
-        contents,
-        rendered=job.rendered,
+        job.source, method, settings, job.truth, job.depends_on, contents, rendered=job.rendered
     )
     followers = (
         IntervalReader(content.source, method, settings, None, job.depends_on, (content,), leader)
@@ -380,14 +362,9 @@ def make_reader(job: Job) -> ViewsReader:
 
 def make_writer(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> FrameWriter:
     """Return where frames go; `note` is what a video that is written alone says of itself."""
-    keys = job.source.keys
+    source, keys = job.source, job.source.keys
+    key_rate = None if job.targets.keeps_bytes else source.written_fps
+    look = video_look(source, job.keys, note or video_note(job.settings))
     return FrameWriter(
-        job.targets,
-        keys.display,
-        job.source.output_fps,
-        None if job.targets.keeps_bytes else job.source.written_fps,
-        keys.view,
-        behind,
-        video_look(job.source, job.keys, note or video_note(job.settings)),
-        job.sums,
+        job.targets, keys.display, source.output_fps, key_rate, keys.view, behind, look, job.sums
     )

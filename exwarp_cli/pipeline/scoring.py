@@ -21,17 +21,7 @@ from exwarp_cli.io.display_colour import to_display
 from exwarp_cli.io.ffmpeg import VmafStream, compute_vmaf, require_vmaf_size
 from exwarp_cli.io.footage import read_sequence_picture
 from exwarp_cli.io.frames import GEOMETRY, read_raw
-from exwarp_cli.metrics.temporal import (
-    Transition,
-    compare_with_previous,
-    compare_with_rendered,
-    display_error,
-    frame_flicker,
-    interpolate_gradient,
-    interval_flicker,
-    mean_gradient,
-    pulse,
-)
+from exwarp_cli.metrics import temporal
 from exwarp_cli.synthesis.motion_fields import field_between, reproject, settle_motion
 
 if TYPE_CHECKING:
@@ -81,19 +71,30 @@ def flicker_of(
     """Return the flicker of an interval's slots, in order, over all pixels and in holes.
 
     `errors` are by slot, from `metrics.temporal.display_error`; the key frames around have none.
-    The flicker of a slot that is missing is (None, None). `masks` are by slot, bool [H, W].
+    The flicker of a slot that is missing is (None, None). `masks` are by slot, bool [H, W]. In
+    holes only the transition into the frame counts, as what fills a hole did not exist before or
+    after; None if the frame before shows no pixel of the mask.
     """
     slots = sorted(steps.fields)
-    transitions: list[Transition | None] = []
+    transitions: list[float | None] = []
+    inside: list[float | None] = []
     for slot in slots:
-        change = None
+        value = masked = None
         if slot in errors and (slot == 1 or slot - 1 in errors):
             before, step = errors.get(slot - 1), (steps.fields[slot], steps.hidden[slot])
-            change = compare_with_previous(errors[slot], before, *step)
-        transitions.append(change)
-    last = errors.get(slots[-1]) if steps.followed else None
-    transitions.append(None if last is None else compare_with_rendered(last))
-    return interval_flicker(transitions, [masks.get(slot) for slot in slots])
+            change = temporal.compare_with_previous(errors[slot], before, *step)
+            value = change.mean()
+            masked = change.mean(masks[slot]) if slot in masks else None
+        transitions.append(value)
+        inside.append(masked)
+    # The transition to a rendered frame, whose error is 0, is taken at all pixels of the slot
+    # itself, and needs no motion.
+    value, last = None, errors.get(slots[-1]) if steps.followed else None
+    if last is not None:
+        everywhere = np.ones(last.shape[:2], np.bool_)
+        value = temporal.Transition(np.abs(last).mean(axis=-1), everywhere).mean()
+    transitions.append(value)
+    return list(zip(temporal.frame_flicker(transitions), inside, strict=True))
 
 
 def vmaf_of(truth: Mapping[int, Float32], rows: Sequence[Sequence[Float32]]) -> list[list[float]]:
@@ -153,8 +154,7 @@ class IntervalScores:
     def __init__(
         self, interval: Interval, display: Window, names: tuple[str, ...], followed: bool
     ) -> None:
-        self._names = names
-        self._count = len(interval.times)
+        self._names, self._count = names, len(interval.times)
         self._steps = steps_of(interval, display, followed) if "flicker" in names else None
         self._scores: dict[int, Scores] = {}
         self._masks: dict[int, Bool] = {}
@@ -173,7 +173,7 @@ class IntervalScores:
         if mask is not None:
             self._masks[slot] = mask
         if self._steps is not None:
-            self._errors[slot] = display_error(truth, test)
+            self._errors[slot] = temporal.display_error(truth, test)
         if "vmaf" in self._names:
             self._shown[slot] = (to_display(truth), to_display(test))
         return self._scores[slot]
@@ -187,9 +187,7 @@ class IntervalScores:
         scores = dict(self._scores)
         if "vmaf" in self._names:
             # The interval as a video between two rendered frames, which count as the truth.
-            pairs = dict(self._shown)
-            for slot, pixels in ends.items():
-                pairs[slot] = (to_display(pixels),) * 2
+            pairs = self._shown | {slot: (to_display(p),) * 2 for slot, p in ends.items()}
             # From the key frame on, up to the first instant without truth.
             video = list(takewhile(pairs.__contains__, range(self._count + 2)))
             vmaf = compute_vmaf(
@@ -257,7 +255,7 @@ class KeyedPulses:
 
         `followed` is of a key frame: False if no key frame of the same shot comes after it.
         """
-        self._gradients[slot] = mean_gradient(image.on(self.source.keys.display).pixels)
+        self._gradients[slot] = temporal.mean_gradient(image.on(self.source.keys.display).pixels)
         if not followed:
             self._last_of_shot.add(slot.key)
 
@@ -279,9 +277,11 @@ class KeyedPulses:
                         image = read_sequence_picture(keys.sequence, number, keys.view)
                         self.add(following, image)
                 after = self._gradients.get(following)
-            before = self._gradients[Slot(slot.key, 0)]
-            expected = interpolate_gradient(before, after, float(timeline.time(slot)))
-            yield replace(record, key_pulse=pulse(self._gradients[slot], expected))
+            expected = self._gradients[Slot(slot.key, 0)]
+            if after is not None:
+                time = float(timeline.time(slot))
+                expected = (1 - time) * expected + time * after
+            yield replace(record, key_pulse=temporal.pulse(self._gradients[slot], expected))
 
 
 @dataclass
@@ -332,8 +332,7 @@ class MetricScorer:
     notes: tuple[str, ...] = ()  # what a reader of the numbers should know at the end, sentences
 
     def __init__(self, names: tuple[str, ...], motion: SequenceMotion | None) -> None:
-        self._names = names
-        self._motion = motion
+        self._names, self._motion = names, motion
         self.vmaf = VmafStream() if "vmaf" in names else None
         self._scores: list[Scores] = []
         self._error: Float32 | None = None
@@ -348,10 +347,10 @@ class MetricScorer:
             self.vmaf.write(to_display(pair.truth), to_display(pair.test))
         if self._motion is not None:
             into = self._motion.into(pair.reference)
-            before, self._error = self._error, display_error(pair.truth, pair.test)
+            before, self._error = self._error, temporal.display_error(pair.truth, pair.test)
             value = masked = None
             if into is not None and before is not None:
-                change = compare_with_previous(self._error, before, *into)
+                change = temporal.compare_with_previous(self._error, before, *into)
                 value = change.mean()
                 masked = None if pair.mask is None else change.mean(pair.mask)
             self._transitions.append(value)
@@ -365,7 +364,7 @@ class MetricScorer:
             values = self.vmaf.close()
             scores = [(replace(s, vmaf=v), h) for (s, h), v in zip(scores, values, strict=True)]
         if self._motion is not None:
-            flickers = frame_flicker([*self._transitions, None])
+            flickers = temporal.frame_flicker([*self._transitions, None])
             pairs = zip(scores, flickers, strict=True)
             scores = [(replace(s, flicker=v), h) for (s, h), v in pairs]
         return scores

@@ -20,13 +20,8 @@ from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.tiles import Risk, TileMakers, TilePlan
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import OutputError
+from exwarp_cli.io import generated_frames
 from exwarp_cli.io.exr.writer import PREFIX, Template
-from exwarp_cli.io.generated_frames import (
-    KEY_FRAMES,
-    REQUESTED_METHOD,
-    quantise_picture,
-    read_facts,
-)
 from exwarp_cli.io.layers import LayerKind
 from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.frame_writer import FrameWriter
@@ -95,13 +90,15 @@ class SlotRenderer:
         is_shown = inputs.after_hold or self.source.timeline.shows(slot.key)
         is_first = slot.index == 1 and not is_shown
         kind = FrameKind.GENERATED if is_first else predicted.kind
-        pulses = self._pulses_of(kind, slot, inputs)
+        has_pulse = kind is FrameKind.GENERATED and slot.index not in inputs.truth.frames
+        pulses = self.pulses if has_pulse else None
         # What a listener wants of a frame from the pool is read from its file.
         listens = self.listens and not in_pool
         shows = bool(inputs.truth.frames) or writer.output.video is not None or listens
         as_written = None
         if shows or pulses is not None:
-            as_written = replace(image, pixels=quantise_picture(image.pixels, template))
+            pixels = generated_frames.quantise_picture(image.pixels, template)
+            as_written = replace(image, pixels=pixels)
             if pulses is not None:
                 with record_time(timing, "pulse"):
                     pulses.add(slot, as_written)
@@ -119,7 +116,7 @@ class SlotRenderer:
         """Return a frame that an earlier run wrote; with its holes if `masked` or scored."""
         number, writer = self.source.timeline.number(slot), self.writer
         try:
-            header = read_facts(writer.path(number))
+            header = generated_frames.read_facts(writer.path(number))
             sources, rendered_sources = (
                 tuple(int(source) for source in str(text).split(",") if source)
                 for text in (header["sources"], header.get(RENDERED_SOURCES, ""))
@@ -149,8 +146,9 @@ class SlotRenderer:
                 f"what {writer.name(number)} says of itself was changed by hand; remove it, or "
                 "give --overwrite to replace all frames"
             ) from error
-        scored = interval is not None and slot.index in inputs.truth.frames
-        pulses = self._pulses_of(record.kind, slot, inputs)
+        has_truth = slot.index in inputs.truth.frames
+        scored = interval is not None and has_truth
+        pulses = None if has_truth or record.kind is not FrameKind.GENERATED else self.pulses
         image = writer.read(number) if scored or pulses is not None else None
         if image is not None and pulses is not None:
             pulses.add(slot, image)
@@ -183,11 +181,6 @@ class SlotRenderer:
             FrameKind.RENDERED.value, (number,), resumed=resumed, replaced=replaced,
         )  # fmt: skip
         return RenderedSlot(record, frame.frame.image)
-
-    def _pulses_of(self, kind: FrameKind, slot: Slot, inputs: IntervalInputs) -> KeyedPulses | None:
-        """Return what a frame's pulse is measured by; None where it is not."""
-        has_pulse = kind is FrameKind.GENERATED and slot.index not in inputs.truth.frames
-        return self.pulses if has_pulse else None
 
     def _mask(self, interval: Interval, slot: Slot) -> Bool | None:
         """Return the hole mask of a slot on the display window."""
@@ -249,7 +242,7 @@ class SlotRenderer:
         )
 
     def _attributes(self, record: FrameRecord, inputs: IntervalInputs) -> dict[str, Any]:
-        digests = inputs.key_digests.items()
+        digests = (f"{number}:{digest}" for number, digest in inputs.key_digests.items())
         # Those of a key frame, too, lead over a key interval, which is so many output frames.
         span = self.source.timeline.factor if LayerKind.MOTION in self.layers.kinds else None
         decision = None if record.decision is None else decision_text(record.decision)
@@ -262,9 +255,9 @@ class SlotRenderer:
             "slot": record.slot,
             "setting": self.source.setting,
             "recipe": inputs.recipes[record.slot],
-            REQUESTED_METHOD: self.method.name,
+            generated_frames.REQUESTED_METHOD: self.method.name,
             RENDERED_SOURCES: ",".join(map(str, record.rendered_sources)) or None,
-            KEY_FRAMES: ",".join(f"{number}:{digest}" for number, digest in digests) or None,
+            generated_frames.KEY_FRAMES: ",".join(digests) or None,
             "madeBy": record.made_by,
             "path": record.path,
             "decision": decision,

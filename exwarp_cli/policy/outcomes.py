@@ -68,18 +68,15 @@ def slot_quality(outcomes: F64) -> F64:
 
 
 def best_return(outcomes: F64) -> npt.NDArray[np.intp]:
-    """Return the index of the path with the best return of each interval; a tie goes to warping."""
-    return _last_best(path_returns(outcomes))
+    """Return the index of the path with the largest return of an interval; ties to warping."""
+    # Paths are ordered from most to least extrapolation.
+    return np.asarray(len(PATHS) - 1 - np.argmax(path_returns(outcomes)[..., ::-1], axis=-1))
 
 
 def best_psnr(outcomes: F64) -> npt.NDArray[np.intp]:
     """Return the index of the path with the best mean PSNR of slots 1 to 3; ties to warping."""
-    return _last_best(slot_quality(outcomes)[..., 0].mean(axis=-1))
-
-
-def _last_best(values: F64) -> npt.NDArray[np.intp]:
-    # Paths are ordered from most to least extrapolation.
-    return np.asarray(values.shape[-1] - 1 - np.argmax(values[..., ::-1], axis=-1))
+    means = slot_quality(outcomes)[..., 0].mean(axis=-1)
+    return np.asarray(len(PATHS) - 1 - np.argmax(means[..., ::-1], axis=-1))
 
 
 def clocked_returns(

@@ -11,7 +11,7 @@ sequence is decided alike.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,40 +19,24 @@ import numpy.typing as npt
 
 from exwarp_cli.accelerator.mlp import QuantisedMlp, to_fixed
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
-from exwarp_cli.domain.decision import (
-    CHOICES,
-    FEATURES,
-    FIRST_NODE,
-    NODE_SLOTS,
-    NODES,
-    PATHS,
-    Decision,
-    Features,
-    Plan,
-    walk_tree,
-)
-from exwarp_cli.domain.frame import Bool, GBuffer, Int32
+from exwarp_cli.domain import decision
+from exwarp_cli.domain.frame import Bool, GBuffer
 from exwarp_cli.domain.tiles import LOOK_AHEAD_FEATURES, TILE_FEATURES, TilePlan
 from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.kernels import frame_statistics
 from exwarp_cli.kernels.connected_components import measure_component_areas
-from exwarp_cli.kernels.frame_statistics import (
-    ValueDistribution,
-    block_means,
-    earth_movers_distances,
-    positive_median,
-)
 
 F64 = npt.NDArray[np.float64]
 
 BLOCK = 16  # side of the blocks whose mean motion has the variance, pixels
 
-# Objects smaller than this share of the frame, or than this many pixels, are not counted: leaves
-# and sparks would outnumber what matters for warping.
+# Objects are connected areas of one id above 0. Smaller ones than this share of the frame, or than
+# this many pixels, are not counted: leaves and sparks would outnumber what matters for warping.
 MIN_AREA, MIN_PIXELS = 1e-4, 4
 
 STATE_COUNT = 4  # the current one and three before
 
-STATE_SIZE = len(FEATURES) + len(NODES)
+STATE_SIZE = len(decision.FEATURES) + len(decision.NODES)
 INPUTS = STATE_COUNT * STATE_SIZE  # 44
 
 STATE_VERSION = 1  # of the order and the scales below; ``state`` in a policy's metadata
@@ -63,25 +47,14 @@ OLDER_KEYS = 3  # key frames before F_k whose features count: at d1 all of them
 PRECEDING_NODES = {
     node: next(
         tuple(path.choices)[: tuple(path.choices).index(node)]
-        for path in PATHS.values()
+        for path in decision.PATHS.values()
         if node in path.choices
     )
-    for node in NODES
+    for node in decision.NODES
 }
 
 
-class FrameStatistics:
-    """The statistics of an instant's geometry that are compared with another instant's."""
-
-    def __init__(self, gbuffer: GBuffer) -> None:
-        self.shown: Bool = ~gbuffer.background  # pixels that show a surface
-        self.normals, self.positions = (
-            None if part is None else ValueDistribution(part, self.shown)
-            for part in (gbuffer.normal, gbuffer.position)
-        )
-
-
-def observe(now: GBuffer, before: GBuffer | None, span: int) -> Features:
+def observe(now: GBuffer, before: GBuffer | None, span: int) -> decision.Features:
     """Return the features of an instant, per slot; missing parts give 0.
 
     `before` is the instant before, on the same window; without it, at the first, earth mover's
@@ -95,16 +68,18 @@ def observe(now: GBuffer, before: GBuffer | None, span: int) -> Features:
         raise ValueError(f"features span {span} slots; give 1 or more")
     if before is not None and before.window != now.window:
         raise ValueError(f"features of {now.window} cannot be compared with {before.window}")
-    statistics = FrameStatistics(now)
-    emd_normal, emd_position = 0.0, 0.0
+    shown: Bool = ~now.background  # pixels that show a surface
+    emd_normal = emd_position = 0.0
     if before is not None:
-        earlier = FrameStatistics(before)
+        earlier_shown: Bool = ~before.background
         emd_normal, emd_position = (
-            0.0 if a is None or b is None else float(earth_movers_distances(a, b).mean())
-            for a, b in (
-                (earlier.normals, statistics.normals),
-                (earlier.positions, statistics.positions),
-            )
+            0.0
+            if earlier is None or later is None
+            else frame_statistics.earth_movers_distances(
+                frame_statistics.ValueDistribution(earlier, earlier_shown),
+                frame_statistics.ValueDistribution(later, shown),
+            ).mean()
+            for earlier, later in ((before.normal, now.normal), (before.position, now.position))
         )
     # Of the means of blocks, over the whole span.
     var_x, var_y = 0.0, 0.0
@@ -112,28 +87,26 @@ def observe(now: GBuffer, before: GBuffer | None, span: int) -> Features:
     if motion is not None:
         height, width = now.window.shape
         means = np.empty((-(-height // BLOCK), -(-width // BLOCK), 2))
-        block_means(motion, statistics.shown, BLOCK, means)
+        frame_statistics.block_means(motion, shown, BLOCK, means)
         known = means[~np.isnan(means[..., 0])]
         if len(known):
             var_x, var_y = map(float, known.var(axis=0))
-    return Features(
-        objects=0 if now.stencil is None else count_objects(now.stencil),
-        emd_normal=emd_normal / span,
-        emd_position=emd_position / span,
+    objects = 0
+    if now.stencil is not None:
+        areas = np.empty(now.stencil.size + 1, np.int64)
+        count = measure_component_areas(now.stencil, areas)
+        least = max(MIN_AREA * now.stencil.size, MIN_PIXELS)
+        objects = int((areas[1:count] >= least).sum())
+    return decision.Features(
+        objects=objects,
+        emd_normal=float(emd_normal) / span,
+        emd_position=float(emd_position) / span,
         var_x=var_x / span**2,
         var_y=var_y / span**2,
         width=now.window.width,
         height=now.window.height,
-        distance=_median_distance(now, statistics.shown),
+        distance=_median_distance(now, shown),
     )
-
-
-def count_objects(stencil: Int32) -> int:
-    """Return N_d: the connected areas of one id above 0, of at least MIN_AREA and MIN_PIXELS."""
-    areas = np.empty(stencil.size + 1, np.int64)
-    count = measure_component_areas(stencil, areas)
-    least = max(MIN_AREA * stencil.size, MIN_PIXELS)
-    return int((areas[1:count] >= least).sum())
 
 
 def _median_distance(gbuffer: GBuffer, shown: Bool) -> float:
@@ -141,7 +114,7 @@ def _median_distance(gbuffer: GBuffer, shown: Bool) -> float:
     median = np.float64(0)
     with np.errstate(over="ignore"):
         if gbuffer.depth is not None:
-            median = np.float64(positive_median(gbuffer.depth, shown))
+            median = np.float64(frame_statistics.positive_median(gbuffer.depth, shown))
         elif gbuffer.position is not None:
             # The median distance of the positions from their mean: the camera's place is unknown,
             # but the extent of the visible scene grows with the distance.
@@ -186,27 +159,21 @@ class StateHistory:
 
     # At t, t + 1/4 and t + 1/2, for slots 1 to 3; with G-buffers of key frames only, three times
     # F_k's
-    now: tuple[Features, Features, Features]
-    before: tuple[Features, ...]  # of F_k-1, F_k-2 and F_k-3, the newer first, as far as they exist
+    now: tuple[decision.Features, decision.Features, decision.Features]
+    # Of F_k-1, F_k-2 and F_k-3, the newer first, as far as they exist
+    before: tuple[decision.Features, ...]
 
     def inputs(self, node: str) -> F64:
         """Return the network's inputs at a node, float64 [44], 0 to 1."""
         nodes = [node, *reversed(PRECEDING_NODES[node])]
-        states = [(self.now[NODE_SLOTS[name] - 1], name) for name in nodes]
-        states += [(features, FIRST_NODE) for features in self.before]
+        states = [(self.now[decision.NODE_SLOTS[name] - 1], name) for name in nodes]
+        states += [(features, decision.FIRST_NODE) for features in self.before]
         states = (states + [states[-1]] * STATE_COUNT)[:STATE_COUNT]
         return np.concatenate([state(features, name) for features, name in states])
 
 
-def state(features: Features, node: str) -> F64:
-    """Return one state, float64 [11], 0 to 1: scaled features and the node."""
-    return np.concatenate(
-        [scale_features(features), np.array([name == node for name in NODES], float)]
-    )
-
-
-def scale_features(features: Features) -> F64:
-    """Return the features scaled, float64 [6], 0 to 1, in the order of FEATURES."""
+def state(features: decision.Features, node: str) -> F64:
+    """Return one state, float64 [11], 0 to 1: features scaled, as FEATURES has them, and node."""
     relative = {
         "N_d": features.objects,
         "EMD_Wn": features.emd_normal,
@@ -215,21 +182,26 @@ def scale_features(features: Features) -> F64:
         "Var_y": features.var_y / features.width**2,
         "R": features.resolution / 1e6,
     }
-    return np.array([SCALES[name](relative[name]) for name in FEATURES])
+    scaled = [SCALES[name](relative[name]) for name in decision.FEATURES]
+    return np.array([*scaled, *(name == node for name in decision.NODES)], float)
 
 
-def plan_slots(policy: MlpKernel, history: StateHistory) -> Plan:
+def plan_slots(policy: MlpKernel, history: StateHistory) -> decision.Plan:
     """Decide all slots of a key interval; the larger output wins, a tie goes to warping."""
-    decisions: list[Decision] = []
+    decisions: list[decision.Decision] = []
 
     def choose(node: str) -> str:
         fixed = to_fixed(history.inputs(node))
         outputs, chosen = policy.decide(fixed)
-        features = history.now[NODE_SLOTS[node] - 1]
-        decisions.append(Decision(node, CHOICES[chosen], features, tuple(fixed.tolist()), outputs))
-        return CHOICES[chosen]
+        features = history.now[decision.NODE_SLOTS[node] - 1]
+        decisions.append(
+            decision.Decision(
+                node, decision.CHOICES[chosen], features, tuple(fixed.tolist()), outputs
+            )
+        )
+        return decision.CHOICES[chosen]
 
-    return Plan(walk_tree(choose), tuple(decisions))
+    return decision.Plan(decision.walk_tree(choose), tuple(decisions))
 
 
 # Nodes that decide about a tile; d1 always warps, as repeated frames are not wanted.
@@ -253,13 +225,8 @@ def scale_tile_features(features: F64, width: int) -> F64:
     `width`: that of the frame, in pixels.
     """
     units = {name: (width * FACTOR) ** 2 if name.startswith("Var") else 1 for name in TILE_SCALES}
-    return np.stack(
-        [
-            TILE_SCALES[name](features[..., index] / units[name])
-            for index, name in enumerate(TILE_FEATURES)
-        ],
-        axis=-1,
-    )
+    scaled = [TILE_SCALES[n](features[..., i] / units[n]) for i, n in enumerate(TILE_FEATURES)]
+    return np.stack(scaled, axis=-1)
 
 
 # Of `LOOK_AHEAD_FEATURES`: a share of pixels, squared display levels, and a proportion.
@@ -275,8 +242,8 @@ def look_ahead_inputs(features: F64, time: float) -> F64:
     """
     scaled = [scale(features[:, i]) for i, scale in enumerate(LOOK_AHEAD_SCALES)]
     slot = min(max(round(time * FACTOR), 1), FACTOR - 1)
-    first = next(node for node in NODES if NODE_SLOTS[node] == slot)
-    marks = [np.full(len(features), node == first, np.float64) for node in NODES]
+    first = next(node for node in decision.NODES if decision.NODE_SLOTS[node] == slot)
+    marks = [np.full(len(features), node == first, np.float64) for node in decision.NODES]
     return np.tile(np.stack([*scaled, *marks], axis=-1), STATE_COUNT)
 
 
@@ -290,16 +257,11 @@ def tile_inputs(
     count = len(slots[0])
     parts = []
     for name in nodes:
-        marks = np.tile(np.array([name == node_name for node_name in NODES], float), (count, 1))
-        parts += [slots[NODE_SLOTS[name] - 1], marks]
+        marks = np.tile(
+            np.array([name == node_name for node_name in decision.NODES], float), (count, 1)
+        )
+        parts += [slots[decision.NODE_SLOTS[name] - 1], marks]
     return np.concatenate(parts, axis=-1)
-
-
-def tile_paths(chosen: Mapping[str, npt.NDArray[np.bool_]]) -> npt.NDArray[np.str_]:
-    """Return the path of each tile, by whether each node of TILE_NODES extrapolates."""
-    after_e = np.where(chosen["d4"], "S3", "S4")
-    after_w = np.where(chosen["d5"], "S5", "S6")
-    return np.where(chosen["d2"], after_e, after_w)
 
 
 def plan_tiles(policy: MlpKernel, features: Sequence[F64], width: int) -> TilePlan:
@@ -310,11 +272,13 @@ def plan_tiles(policy: MlpKernel, features: Sequence[F64], width: int) -> TilePl
     """
     rows, columns = features[0].shape[:2]
     slots = [scale_tile_features(f, width).reshape(-1, len(TILE_FEATURES)) for f in features]
-    chosen = {}
+    chosen = {}  # whether each node extrapolates
     for node in TILE_NODES:
         _, choices = policy.decide_many(to_fixed(tile_inputs(slots, node)))
         chosen[node] = choices == 1
-    return TilePlan(columns, rows, tuple(map(str, tile_paths(chosen))))
+    after_e = np.where(chosen["d4"], "S3", "S4")
+    after_w = np.where(chosen["d5"], "S5", "S6")
+    return TilePlan(columns, rows, tuple(map(str, np.where(chosen["d2"], after_e, after_w))))
 
 
 def choose_tiles(policy: MlpKernel, features: F64, time: float) -> Bool:

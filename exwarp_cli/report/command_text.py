@@ -64,8 +64,8 @@ def cycles_document(schedule: Schedule, clock_hz: float) -> dict[str, Any]:
         "machine": asdict(schedule.array),
         "sizes": schedule.sizes,
         "clock_hz": clock_hz,
-        "inputs": {**asdict(schedule.inputs), "cycles": schedule.inputs.cycles},
-        "layers": [{**asdict(layer), "cycles": layer.cycles} for layer in schedule.layers],
+        "inputs": asdict(schedule.inputs),
+        "layers": [asdict(layer) for layer in schedule.layers],
         "decision_cycles": COMPARE_CYCLES,
         "mac_cycles": schedule.mac_cycles,
         "cycles": schedule.cycles,
@@ -93,11 +93,12 @@ def cycles_table(schedule: Schedule) -> Table:
         *(str(stage.cycles), "-", f"{stage.parameter_bytes:,}", f"{stage.refill_bytes:,}"),
     )
     for layer in schedule.layers:
+        parameter_bytes = layer.weight_bytes + layer.bias_bytes + layer.scale_bytes
         table.add_row(
             *(f"{layer.fan_in} to {layer.neurons}", f"{layer.mac_cycles:,}"),
             *(str(layer.fill_cycles), str(layer.requantise_cycles), f"{layer.cycles:,}"),
             f"{layer.utilisation:.1%}",
-            *(f"{layer.parameter_bytes:,}", f"{layer.refill_bytes:,}"),
+            *(f"{parameter_bytes:,}", f"{layer.refill_bytes:,}"),
         )
     table.add_row("decision", "-", "-", "-", str(COMPARE_CYCLES), "-", "-", "-")
     table.add_row("buffers", "-", "-", "-", "-", "-", f"{schedule.buffer_bytes:,}", "-")

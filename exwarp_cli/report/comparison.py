@@ -8,7 +8,7 @@ from typing import Any
 from exwarp_cli import __version__
 from exwarp_cli.domain.decision import CHOICES
 from exwarp_cli.domain.metric import GENERATED
-from exwarp_cli.domain.results import Score
+from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.settings import SRGB_VIEW
 from exwarp_cli.errors import QualityError, UsageError
 from exwarp_cli.io.footage import close_sequences
@@ -78,12 +78,15 @@ def comparison_document(result: Comparison, baseline: Comparison | None = None) 
 
 
 def _summarise_quality(frames: tuple[ComparedFrame, ...]) -> dict[str, Any]:
+    generated = [f for f in frames if f.origin.generated]
+    decided = [f for f in generated if f.origin.path is not None]
+    dropped = [f for f in frames if f.origin.kind == FrameKind.DROPPED.value]
     return {
         "all": schema.mean_scores(frame.score for frame in frames),
-        GENERATED: schema.mean_scores(f.score for f in frames if f.origin.generated),
-        "dropped": schema.mean_scores(f.score for f in frames if f.origin.dropped),
+        GENERATED: schema.mean_scores(f.score for f in generated),
+        "dropped": schema.mean_scores(f.score for f in dropped),
         "by_decision": {
-            choice: schema.mean_scores(f.score for f in frames if f.origin.choice == choice)
+            choice: schema.mean_scores(f.score for f in decided if f.origin.made_by == choice)
             for choice in CHOICES
         },
         "holes": schema.mean_scores(frame.hole_score for frame in frames),

@@ -69,10 +69,10 @@ def _scoring(reference: Float32, test: Float32) -> dict[str, tuple[Work, Work]]:
 
     return {
         "encode, both frames": (lambda: (encode_display(reference), encode_display(test)), whole),
-        "PSNR": (lambda: registry.measure_psnr(shown, judged).overall(), whole),
-        "SSIM": (lambda: registry.measure_ssim(shown, judged).overall(), whole),
-        "FLIP": (lambda: registry.measure_flip(shown, judged).overall(), whole),
-        "pulse": (lambda: temporal.measure_pulse(reference, test), whole),
+        "PSNR": (lambda: registry.measure_psnr(shown, judged).value(), whole),
+        "SSIM": (lambda: registry.measure_ssim(shown, judged).value(), whole),
+        "FLIP": (lambda: registry.measure_flip(shown, judged).value(), whole),
+        "pulse": (lambda: temporal.pulse(*map(temporal.mean_gradient, (test, reference))), whole),
     }
 
 

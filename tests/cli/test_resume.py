@@ -9,8 +9,8 @@ from pathlib import Path
 import imageio_ffmpeg
 import pytest
 
+from exwarp_cli.io import generated_frames
 from exwarp_cli.io.files import TEMPORARY_SUFFIX, host_name
-from exwarp_cli.pipeline import slot_renderer
 from tests.blender_layers import layer
 from tests.cli import shots
 from tests.cli.conftest import run_quietly
@@ -218,8 +218,8 @@ class TestSkipExisting:
 )
 def test_what_frames_say_of_themselves_may_be_forged(plain_shot, exwarp, done, monkeypatch, change):
     """Their checksum is no signature."""
-    read_facts = slot_renderer.read_facts
-    monkeypatch.setattr(slot_renderer, "read_facts", lambda path: read_facts(path) | change)
+    read_facts = generated_frames.read_facts
+    monkeypatch.setattr(generated_frames, "read_facts", lambda path: read_facts(path) | change)
     options = ("--skip-existing", "--progress", "none")
     result = exwarp("upsample", plain_shot, "-o", done, *OPTIONS, *options)
     result.refused(5, "shot.0002.exr says of itself")

@@ -131,8 +131,8 @@ DEFECTS = (
     Defect(
         "gate-choice",
         "pipeline/gate.py",
-        "values = warped.overall(), by_network.overall()",
-        "values = by_network.overall(), warped.overall()",
+        "values = warped.value(), by_network.value()",
+        "values = by_network.value(), warped.value()",
         "cli/test_gate.py",
     ),
     Defect(

@@ -12,7 +12,7 @@ from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.pipeline import decide
 from exwarp_cli.pipeline.decide import Observer, with_ids
 from exwarp_cli.pipeline.interval_inputs import PolicyObservation
-from exwarp_cli.policy.state import count_objects, observe
+from exwarp_cli.policy.state import observe
 from exwarp_cli.synthesis.motion_fields import settle_motion
 from tests.unit.scenes import SKY, town
 
@@ -46,7 +46,7 @@ class TestIds:
         moving = found.stencil > 0
         assert (moving & true).sum() > 0.9 * (moving | true).sum()
         assert set(np.unique(found.stencil)) == {0, 1}
-        assert count_objects(found.stencil) == 1
+        assert observe(found, None, 1).objects == 1
 
     def test_of_objects_whole_ones_move(self):
         true = raw(1.0).stencil
@@ -69,7 +69,7 @@ class TestIds:
 
     def test_a_still_has_no_objects(self):
         still = settle_motion(town(SIZE).still().view(0.0).gbuffer().without("stencil"))
-        assert count_objects(with_ids(still).stencil) == 0
+        assert observe(with_ids(still), None, 1).objects == 0
 
 
 def keys(*indices: int, window: Window = DISPLAY) -> list[PolicyObservation]:
@@ -98,7 +98,7 @@ class TestKeySetting:
 
     def test_in_a_row_each_is_looked_at_once(self, monkeypatch):
         counted = []
-        monkeypatch.setattr(decide, "observe", lambda *a: counted.append(a) or observe(*a))
+        monkeypatch.setattr(decide.state, "observe", lambda *a: counted.append(a) or observe(*a))
         row = Observer(DISPLAY, "key")
         found = [row.surroundings(k, keys(k), ()) for k in range(5)]
         assert len(counted) == 5

@@ -7,7 +7,7 @@ import pytest
 
 from exwarp_cli.domain.colour import round_display
 from exwarp_cli.io.display_colour import to_display
-from exwarp_cli.metrics.registry import score_like_extranet, uniform_ssim
+from exwarp_cli.metrics.registry import score_like_extranet
 from tests.reference import quality, scikit
 
 
@@ -45,9 +45,9 @@ def test_a_frame_smaller_than_the_window_has_no_ssim() -> None:
 
 
 def test_ssim_ends() -> None:
-    black = np.zeros((12, 12, 3), np.uint8)
-    assert uniform_ssim(black, black) == 1
-    assert uniform_ssim(black, black + np.uint8(255)) == pytest.approx(
+    black = np.zeros((12, 12, 3), np.float32)
+    assert score_like_extranet(black, black).ssim == 1
+    assert score_like_extranet(black, black + 1).ssim == pytest.approx(
         6.5025 / (255**2 + 6.5025), rel=1e-9
     )
 

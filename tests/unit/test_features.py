@@ -9,7 +9,7 @@ import pytest
 
 from exwarp_cli.domain.decision import FEATURES, Features
 from exwarp_cli.domain.frame import GBuffer, Window
-from exwarp_cli.policy.state import BLOCK, MIN_PIXELS, count_objects, observe
+from exwarp_cli.policy.state import BLOCK, MIN_PIXELS, observe
 from tests.reference.features import features
 
 HEIGHT, WIDTH = 70, 90
@@ -44,6 +44,11 @@ def flat(motion: tuple[float, float] = (0, 0), size: tuple[int, int] = (64, 96))
     vectors = np.full((*size, 2), motion, np.float32)
     depth, stencil = np.full(size, 7, np.float32), np.zeros(size, np.int32)
     return GBuffer(window, depth, normal, position, stencil, vectors)
+
+
+def count_objects(stencil: np.ndarray) -> int:
+    height, width = stencil.shape
+    return observe(GBuffer(Window(0, 0, width, height), stencil=stencil), None, 1).objects
 
 
 @pytest.mark.parametrize("span", [1, 4])

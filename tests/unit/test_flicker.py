@@ -7,14 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.metrics.temporal import (
-    Transition,
-    compare_with_previous,
-    compare_with_rendered,
-    display_error,
-    frame_flicker,
-    interval_flicker,
-)
+from exwarp_cli.metrics.temporal import compare_with_previous, display_error, frame_flicker
+from exwarp_cli.pipeline.scoring import Steps, flicker_of
 from tests.reference import flicker as naive
 
 SIZE = (9, 12)
@@ -61,7 +55,8 @@ def test_an_error_that_stays_on_its_surface_does_not_flicker() -> None:
 def test_an_error_that_comes_and_goes_flickers_by_its_size() -> None:
     wrong = np.full((*SIZE, 3), -7, np.float32)
     assert compare_with_previous(wrong, None, STILL, SEEN).mean() == 7
-    assert compare_with_rendered(wrong).mean() == 7
+    steps = Steps({1: STILL}, {1: SEEN}, followed=True)
+    assert flicker_of({1: wrong}, {}, steps) == [(7, None)], "so does that to a rendered frame"
     assert compare_with_previous(wrong, wrong, STILL, SEEN).mean() == 0
 
 
@@ -85,18 +80,15 @@ def test_hidden_pixels_do_not_count() -> None:
     assert compare_with_previous(wrong, None, STILL, ~SEEN).mean() is None
 
 
-def step(value: float) -> Transition:
-    return Transition(np.full(SIZE, value, np.float32), ~SEEN)
-
-
 def test_a_frame_flickers_as_the_transitions_around_it() -> None:
     mask = SEEN.copy()
     mask[2:4] = True
-    found = interval_flicker([step(1), step(3), step(5), step(9)], [mask, None, mask])
-    assert found == [(2, 1), (4, None), (7, 5)]
-    assert interval_flicker([None, step(3), None, None], [mask, mask, mask]) == [
-        (3, None),
-        (3, 3),
-        (None, None),
-    ]
+    errors = {slot: np.full((*SIZE, 3), slot**2, np.float32) for slot in (1, 2, 3)}
+    fields, hidden = dict.fromkeys(errors, STILL), dict.fromkeys(errors, SEEN)
+    found = flicker_of(errors, {1: mask, 3: mask}, Steps(fields, hidden, followed=True))
+    assert found == [(2, 1), (4, None), (7, 5)], "of the transitions 1, 3, 5 and 9"
+    del errors[3]
+    steps = Steps(fields, {**hidden, 1: ~SEEN}, followed=True)
+    found = flicker_of(errors, dict.fromkeys(fields, mask), steps)
+    assert found == [(3, None), (3, 3), (None, None)]
     assert frame_flicker([None, 4.0, None, None]) == [4, 4, None]

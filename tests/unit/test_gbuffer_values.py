@@ -142,7 +142,7 @@ def test_composed_motion_is_no_worse_than_plain_composition(kind, deep):
     for i, (found, expected) in enumerate(zip(own, plain, strict=True), start=1):
         truth = encode_display(STREET.colour(KEY_TIME + i / 4).astype(np.float32))
         scores = [
-            METRICS["psnr_db"](truth, encode_display(Mover(source).warp_alone(colour))).overall()
+            METRICS["psnr_db"](truth, encode_display(Mover(source).warp_alone(colour))).value()
             for source in (found, expected)
         ]
         assert scores[0] > scores[1] - 0.3

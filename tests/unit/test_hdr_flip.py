@@ -30,10 +30,10 @@ def test_it_is_the_evaluators_own_mean_with_its_own_exposures() -> None:
     fault, mean, used = evaluate(reference, test, "HDR", applyMagma=False, parameters={})
     assert used["numExposures"] > 1
     measured = measure_hdr_flip(reference, test)
-    assert measured.overall() == pytest.approx(mean, abs=1e-6)
+    assert measured.value() == pytest.approx(mean, abs=1e-6)
     mask = np.zeros((40, 56), bool)
     mask[10:20, 30:50] = True
-    assert measured.within(mask) == pytest.approx(fault[..., 0][mask].mean(), abs=1e-6)
+    assert measured.value(mask) == pytest.approx(fault[..., 0][mask].mean(), abs=1e-6)
 
 
 @pytest.mark.parametrize("level", [0.3, 1.0, 100.0])
@@ -82,8 +82,8 @@ def test_what_is_not_finite_or_negative_is_replaced() -> None:
 def test_a_black_reference_is_measured_as_it_stands(level: float) -> None:
     """The package's own search ends the process here."""
     black = np.full((20, 20, 4), level, np.float32)
-    assert measure_hdr_flip(black, black).overall() == 0
-    assert measure_hdr_flip(black, black + np.float32(0.5)).overall() > 0.3
+    assert measure_hdr_flip(black, black).value() == 0
+    assert measure_hdr_flip(black, black + np.float32(0.5)).value() > 0.3
 
 
 @settings(derandomize=True, max_examples=20, deadline=None)
@@ -92,4 +92,4 @@ def test_no_pixel_makes_it_nan(seed: int, size: tuple[int, int]) -> None:
     rng = np.random.default_rng(seed)
     values = np.array([np.nan, np.inf, -np.inf, 1e30, -1, 65504, 0, 1e-7, 0.5], np.float32)
     reference, test = (rng.choice(values, (*size, 3)) for _ in range(2))
-    assert 0 <= measure_hdr_flip(reference, test).overall() <= 1
+    assert 0 <= measure_hdr_flip(reference, test).value() <= 1

@@ -51,19 +51,19 @@ def test_encode_replaces_what_is_not_finite_and_drops_alpha() -> None:
 def test_psnr_equals_the_formula(seed: int, height: int, width: int) -> None:
     reference, test = (encode_display(pixels) for pixels in random_pair((height, width, 3), seed))
     measured = registry.measure_psnr(reference, test)
-    assert measured.overall() == pytest.approx(quality.psnr_db(reference, test), abs=1e-9)
+    assert measured.value() == pytest.approx(quality.psnr_db(reference, test), abs=1e-9)
     mask = np.random.default_rng(seed).random((height, width)) < 0.5
     mask[0, 0] = True
     inside = quality.psnr_db(reference[mask], test[mask])
-    assert measured.within(mask) == pytest.approx(inside, abs=1e-9)
+    assert measured.value(mask) == pytest.approx(inside, abs=1e-9)
 
 
 def test_psnr_of_black_against_white_is_zero_and_of_equals_the_cap() -> None:
     black, white = np.zeros((4, 4, 3), np.float32), np.full((4, 4, 3), 255, np.float32)
-    assert registry.measure_psnr(black, white).overall() == pytest.approx(0)
-    assert registry.measure_psnr(white, white).overall() == 100
-    assert registry.measure_psnr(white, white - np.float32(1e-3)).overall() == 100
-    assert registry.measure_psnr(white, white - np.float32(1)).overall() == pytest.approx(
+    assert registry.measure_psnr(black, white).value() == pytest.approx(0)
+    assert registry.measure_psnr(white, white).value() == 100
+    assert registry.measure_psnr(white, white - np.float32(1e-3)).value() == 100
+    assert registry.measure_psnr(white, white - np.float32(1)).value() == pytest.approx(
         48.1308, abs=1e-4
     )
 
@@ -73,17 +73,17 @@ def test_ssim_equals_scikit_image(shape: tuple[int, ...]) -> None:
     reference, test = (encode_display(pixels) for pixels in random_pair(shape))
     expected, full = scikit.ssim(reference, test)
     measured = registry.measure_ssim(reference, test)
-    assert measured.overall() == pytest.approx(expected, abs=1e-6)
+    assert measured.value() == pytest.approx(expected, abs=1e-6)
     mask = np.zeros(shape[:2], bool)
     mask[:3, :4] = True  # in the margin that the overall mean leaves out
-    assert measured.within(mask) == pytest.approx(full[mask].mean(), abs=1e-6)
+    assert measured.value(mask) == pytest.approx(full[mask].mean(), abs=1e-6)
 
 
 @pytest.mark.parametrize("shape", [(10, 30, 3), (3, 3, 3), (1, 1, 3)])
 def test_ssim_of_a_small_image_is_the_mean_of_the_whole_map(shape: tuple[int, ...]) -> None:
     reference, test = (encode_display(pixels) for pixels in random_pair(shape))
     expected = quality.ssim_map(reference, test).mean()
-    assert registry.measure_ssim(reference, test).overall() == pytest.approx(expected, abs=1e-6)
+    assert registry.measure_ssim(reference, test).value() == pytest.approx(expected, abs=1e-6)
 
 
 def test_flip_is_the_evaluators_own_mean_at_67_ppd() -> None:
@@ -92,16 +92,16 @@ def test_flip_is_the_evaluators_own_mean_at_67_ppd() -> None:
     reference, test = (encode_display(pixels) for pixels in random_pair((48, 64, 3)))
     fault, mean, _ = evaluate(reference / 255, test / 255, "LDR", True, False, True, {"ppd": 67.02})
     measured = registry.measure_flip(reference, test)
-    assert measured.overall() == pytest.approx(mean, abs=1e-5)
+    assert measured.value() == pytest.approx(mean, abs=1e-5)
     mask = np.zeros((48, 64), bool)
     mask[10:20, 30:50] = True
-    assert measured.within(mask) == pytest.approx(fault[mask].mean(), abs=1e-5)
+    assert measured.value(mask) == pytest.approx(fault[mask].mean(), abs=1e-5)
 
 
 def test_flip_ends() -> None:
     black, white = np.zeros((32, 32, 3), np.float32), np.full((32, 32, 3), 255, np.float32)
-    assert registry.measure_flip(white, white).overall() == 0
-    assert registry.measure_flip(black, white).overall() > 0.9
+    assert registry.measure_flip(white, white).value() == 0
+    assert registry.measure_flip(black, white).value() > 0.9
 
 
 def test_score_of_equal_images() -> None:

@@ -114,7 +114,7 @@ class TestRunning:
             def run(self, *_: object) -> None:
                 raise RuntimeError("Failed to allocate memory for requested buffer of size 9")
 
-        monkeypatch.setattr(network, "_session", lambda threads: Session())
+        monkeypatch.setattr(network, "_sessions", {1: Session()})
         with pytest.raises(OutOfMemoryError, match=r"model\.onnx needs more memory than there is"):
             network(random_inputs(8, 8))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections import Counter
 from typing import ClassVar
 
 import pytest
@@ -19,7 +20,7 @@ from exwarp_cli.pipeline.progress import (
     OpenJdProgress,
     PlainProgress,
     Progress,
-    kinds_of,
+    kind_of,
     reporting,
 )
 
@@ -81,7 +82,7 @@ class TestKindsOfWork:
     def estimate(clock: FakeClock, intervals: int, at_once: int = 1) -> Progress:
         slots = [Slot(key, index) for key in range(intervals) for index in range(4)]
         estimate = Progress(clock=clock)
-        estimate.start(len(slots), kinds_of(slots), at_once)
+        estimate.start(len(slots), Counter(kind_of(slot.index) for slot in slots), at_once)
         return estimate
 
     def test_time_left_is_unknown_until_each_kind_that_is_left_was_seen(self):

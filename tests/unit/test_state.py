@@ -18,7 +18,6 @@ from exwarp_cli.policy.state import (
     STATE_COUNT,
     STATE_SIZE,
     StateHistory,
-    scale_features,
     state,
 )
 from tests.reference import decisions as paper
@@ -43,6 +42,10 @@ def named(features: Features) -> dict[str, float]:
     """Features as the twin takes them."""
     found = dict(zip(FEATURES, features.values, strict=True))
     return found | {"width": features.width, "distance": features.distance}
+
+
+def scale_features(features: Features) -> np.ndarray:
+    return state(features, "d1")[: len(FEATURES)]
 
 
 NOW, BEFORE = (seen(0), seen(1), seen(2)), (seen(3), seen(4), seen(5))

@@ -121,7 +121,7 @@ def test_outcomes_are_the_scores_of_every_path_s_frames(scene, view, model, cach
                 made = METHODS[path.lower()].predict(interval, slot).pixels
                 truth = footage.truth(k, slot).pixels
                 wanted = [
-                    METRICS[name](encode_display(truth), encode_display(made)).overall()
+                    METRICS[name](encode_display(truth), encode_display(made)).value()
                     for name in JUDGED
                 ]
                 assert quality[k, p, slot - 1].tolist() == wanted

@@ -23,7 +23,6 @@ from exwarp_cli.policy.state import (
     plan_tiles,
     scale_tile_features,
     tile_inputs,
-    tile_paths,
 )
 from exwarp_cli.research.training.tile_policy_training import (
     REPORT,
@@ -87,12 +86,15 @@ class TestState:
         np.testing.assert_allclose(found, expected)
 
     def test_paths_follow_from_nodes(self):
-        chosen = {
-            "d2": np.array([True, True, False, False]),
-            "d4": np.array([True, False, True, False]),
-            "d5": np.array([True, True, True, False]),
-        }
-        assert tile_paths(chosen).tolist() == ["S3", "S4", "S5", "S6"]
+        chosen = {"d2": (1, 1, 0, 0), "d4": (1, 0, 1, 0), "d5": (1, 1, 1, 0)}
+
+        class Scripted:
+            def decide_many(self, states):
+                node = NODES[int(np.argmax(states[0, 6:STATE_SIZE]))]
+                return None, np.array(chosen[node])
+
+        plan = plan_tiles(Scripted(), [np.zeros((1, 4, 6))] * 3, 64)
+        assert plan.paths == ("S3", "S4", "S5", "S6")
 
 
 class TestPolicy:
