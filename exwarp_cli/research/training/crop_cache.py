@@ -227,25 +227,32 @@ class CachedArrays(ABC):
         """Make a scene's arrays, of one row for each sample."""
 
     @abstractmethod
+    def batch(
+        self, indices: Sequence[int], side: int = 0, rng: np.random.Generator | None = None
+    ) -> Any:
+        """Return samples as they are cached, or a patch of `side` pixels of each, varied by `rng`.
+
+        Samples of several sizes make no batch as they are.
+        """
+
     def draw(self, step: int, size: int, side: int, seed: int) -> Any:
         """Return the batch of a step of training: `size` patches of `side` pixels, varied.
 
         The seed and the step alone decide the order and the changes.
         """
-
-    def spread(self, count: int) -> list[int]:
-        """Return the indices of at most `count` samples, evenly apart."""
-        places = np.linspace(0, len(self) - 1, min(count, len(self)))
-        return [int(index) for index in np.unique(places.astype(int))]
-
-    def draw_indices(self, step: int, size: int, seed: int) -> list[int]:
-        """Return the indices of a step's samples: of a permutation, then of another one."""
+        # Of a permutation, then of another one.
         places = [divmod(n, len(self)) for n in range(step * size, (step + 1) * size)]
         orders = {
             epoch: np.random.default_rng((seed, epoch, 1)).permutation(len(self))
             for epoch in {epoch for epoch, _ in places}
         }
-        return [int(orders[epoch][offset]) for epoch, offset in places]
+        indices = [int(orders[epoch][offset]) for epoch, offset in places]
+        return self.batch(indices, side, np.random.default_rng((seed, step)))
+
+    def spread(self, count: int) -> list[int]:
+        """Return the indices of at most `count` samples, evenly apart."""
+        places = np.linspace(0, len(self) - 1, min(count, len(self)))
+        return [int(index) for index in np.unique(places.astype(int))]
 
 
 class Batch(NamedTuple):
@@ -264,11 +271,6 @@ class Batch(NamedTuple):
     def inputs(self) -> tuple[Tensor, ...]:
         """What the network is called with."""
         return self.warped, self.mask, self.features, self.history, self.time
-
-    @property
-    def plain(self) -> Tensor:
-        """The filled warp, scene-linear: what the network has to be better than."""
-        return self.finish(self.warped[:, 3:])
 
     def finish(self, answer: Tensor) -> Tensor:
         """Return the scene-linear colour that an answer means."""
@@ -333,11 +335,15 @@ class Crops(CachedArrays):
         return {name: np.stack(arrays) for name, arrays in crops.items()}
 
     def batch(
-        self, indices: Sequence[int], patches: Sequence[tuple[slice, slice]] | None = None
+        self, indices: Sequence[int], side: int = 0, rng: np.random.Generator | None = None
     ) -> Batch:
-        """Return crops as they are cached, or a patch of each: its rows and columns."""
-        if patches is None:
-            patches = [(slice(None), slice(None))] * len(indices)
+        """Return crops as they are cached, or a patch of `side` pixels of each, varied by `rng`."""
+        patches = [(slice(None), slice(None))] * len(indices)
+        if rng is not None:
+            room = int(self._files[0]["mask"].shape[-1]) - side
+            over = int(OVERHANG * side)
+            corners = rng.integers(-over, room + over + 1, (len(indices), 2)).clip(0, room)
+            patches = [(slice(y, y + side), slice(x, x + side)) for y, x in corners.tolist()]
         places = [self._places[index] for index in indices]
         tensors: dict[str, Tensor] = {}
         for name in self.names:
@@ -350,7 +356,7 @@ class Crops(CachedArrays):
         visible = mask[:, :1]
         frames = zip(torch.split(colour[:, 3:], 3, 1), torch.split(mask, 1, 1), strict=True)
         history = torch.cat([part for frame in frames for part in frame], 1)
-        return Batch(
+        batch = Batch(
             warped=torch.cat([history[:, :3] * visible, colour[:, :3]], 1),
             mask=visible,
             features=tensors["features"],
@@ -359,16 +365,7 @@ class Crops(CachedArrays):
             modulation=tensors["modulation"],
             target=tensors["target"],
         )
-
-    def draw(self, step: int, size: int, side: int, seed: int) -> Batch:
-        """Return the batch of a step of training: patches of crops, varied."""
-        rng = np.random.default_rng((seed, step))
-        indices = self.draw_indices(step, size, seed)
-        room = int(self._files[0]["mask"].shape[-1]) - side
-        over = int(OVERHANG * side)
-        corners = rng.integers(-over, room + over + 1, (size, 2)).clip(0, room).tolist()
-        patches = [(slice(y, y + side), slice(x, x + side)) for y, x in corners]
-        return vary(self.batch(indices, patches), rng)
+        return batch if rng is None else vary(batch, rng)
 
 
 def encode(linear: Tensor) -> Tensor:

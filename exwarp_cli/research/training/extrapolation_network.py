@@ -144,9 +144,11 @@ class UNet(nn.Module):
 class ExtrapolationNetwork(nn.Module):
     """The network as it is exported: the inputs of `domain.network_api`, colour out."""
 
-    def __init__(self, architecture: Architecture) -> None:
+    def __init__(self, name: str, width: int | None = None) -> None:
+        """Build the network of an architecture, with another width if given."""
         super().__init__()
-        self.architecture = a = architecture
+        a = ARCHITECTURES[name]
+        self.architecture = a = a if width is None else replace(a, width=width)
         taps = sum((2 * radius + 1) ** 2 for radius in a.taps)
         sides = len(SIDES) if a.reach else 0
         self.candidate_count = 0
@@ -240,8 +242,19 @@ class ExtrapolationNetwork(nn.Module):
         # The change in shading since F_k-1, continued.
         both = history[:, 3:4] * history[:, 7:8]
         out.append(filled + when * both * (filled - history[:, 4:7]))
+        height, width = filled.shape[2:]
+        rows = torch.arange(height, dtype=flow.dtype, device=flow.device)
+        columns = torch.arange(width, dtype=flow.dtype, device=flow.device)
+        # The filled warp at each pixel plus a flow of pixels, x and y.
         for index in range(a.flow):
-            out.append(_sample(filled, flow[:, 2 * index : 2 * index + 2]))
+            x = (columns + flow[:, 2 * index]) * (2 / (width - 1)) - 1
+            y = (rows[:, None] + flow[:, 2 * index + 1]) * (2 / (height - 1)) - 1
+            place = torch.stack([x, y], -1)
+            out.append(
+                functional.grid_sample(
+                    filled, place, mode="bilinear", padding_mode="border", align_corners=True
+                )
+            )
         return out + [side[:, :3] for side in sides]
 
 
@@ -271,23 +284,3 @@ def _shift(x: Tensor, right: int, down: int) -> Tensor:
     x = functional.pad(x, (max(right, 0), max(-right, 0), max(down, 0), max(-down, 0)))
     top, left = max(-down, 0), max(-right, 0)
     return x[:, :, top : top + height, left : left + width]
-
-
-def _sample(frame: Tensor, flow: Tensor) -> Tensor:
-    """Sample a frame at each pixel plus a flow of pixels [N, 2, H, W], x and y."""
-    height, width = frame.shape[2:]
-    rows = torch.arange(height, dtype=flow.dtype, device=flow.device)
-    columns = torch.arange(width, dtype=flow.dtype, device=flow.device)
-    x = (columns + flow[:, 0]) * (2 / (width - 1)) - 1
-    y = (rows[:, None] + flow[:, 1]) * (2 / (height - 1)) - 1
-    return functional.grid_sample(
-        frame, torch.stack([x, y], -1), mode="bilinear", padding_mode="border", align_corners=True
-    )
-
-
-def build_network(name: str, width: int | None = None) -> ExtrapolationNetwork:
-    """Build a network by the name of its architecture, with another width if given."""
-    architecture = ARCHITECTURES[name]
-    if width is not None:
-        architecture = replace(architecture, width=width)
-    return ExtrapolationNetwork(architecture)

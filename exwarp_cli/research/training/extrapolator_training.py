@@ -23,7 +23,6 @@ from exwarp_cli.research.training.extrapolation_network import (
     STRIDE,
     ExtrapolationNetwork,
     GatedConvolution,
-    build_network,
 )
 from exwarp_cli.research.training.resumable_training import (
     ResumableTraining,
@@ -81,6 +80,7 @@ class ExtrapolatorTraining(ResumableTraining):
     largest_gradient = 0.3
     high = 0.0
     least_rate = 0.02
+    network_class, network_options = ExtrapolationNetwork, ("architecture", "width")
     model, interface = MODEL, EXTRAPOLATOR_INTERFACE
     about = "extrapolation network, {0.architecture}"
     startable = "{0.architecture} or a smaller one; give its --architecture and --width"
@@ -119,9 +119,6 @@ class ExtrapolatorTraining(ResumableTraining):
             else processors.is_file() and "avx512_bf16" in processors.read_text(encoding="utf-8")
         )
 
-    def _make_network(self) -> ExtrapolationNetwork:
-        return build_network(self.settings.architecture, self.settings.width)
-
     def _load_start(self, path: Path) -> None:
         if path.suffix == ".onnx":
             load_exported(path, self.network)
@@ -149,7 +146,7 @@ class ExtrapolatorTraining(ResumableTraining):
         with torch.autocast(self.device, torch.bfloat16, enabled=self._uses_bfloat16):
             answer = self.network(*batch.inputs)
         colour = batch.finish(answer.float())
-        return loss_of(colour, batch.target, batch.plain, batch.mask)
+        return loss_of(colour, batch.target, batch.finish(batch.warped[:, 3:]), batch.mask)
 
     @torch.no_grad()
     def _validate(self, samples: Crops) -> tuple[float, float]:
@@ -161,7 +158,8 @@ class ExtrapolatorTraining(ResumableTraining):
         for first in range(0, len(indices), VALIDATION_BATCH):
             check_stop()
             batch = to_device(samples.batch(indices[first : first + VALIDATION_BATCH]), self.device)
-            colour, plain = batch.finish(self.average(*batch.inputs)), batch.plain
+            colour = batch.finish(self.average(*batch.inputs))
+            plain = batch.finish(batch.warped[:, 3:])
             for where, rows in ((None, gains), (1 - batch.mask, gains_in_holes)):
                 gain = psnr(colour, batch.target, where) - psnr(plain, batch.target, where)
                 rows += gain.tolist()

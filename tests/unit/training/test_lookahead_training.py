@@ -195,7 +195,7 @@ class TestTraining:
         settings = replace(TINY, steps=2)
         model = train(scenes, tmp_path / "run", cache, settings)
         training = LookAheadTraining(tmp_path / "run", _settings_of(tmp_path / "run"), quiet)
-        sample = samples.whole(0)
+        sample = samples.batch([0])
         height, width = (size // 16 * 16 for size in sample.truth.shape[-2:])
         pictures = sample._asdict()
         inputs = {n: pictures[n][..., :height, :width] for n in LOOKAHEAD_INTERFACE.inputs}

@@ -26,6 +26,7 @@ from exwarp_cli.research.training import crop_cache as batches
 from exwarp_cli.research.training.crop_cache import (
     IN_HOLES,
     SHORT,
+    Batch,
     Crops,
     FrameChoice,
     _crop_weight,
@@ -35,7 +36,7 @@ from exwarp_cli.research.training.crop_cache import (
     vary,
     write_arrays,
 )
-from exwarp_cli.research.training.extrapolation_network import ARCHITECTURES, build_network
+from exwarp_cli.research.training.extrapolation_network import ARCHITECTURES, ExtrapolationNetwork
 from exwarp_cli.research.training.extrapolator_training import (
     FEW,
     HOLES,
@@ -83,6 +84,11 @@ def crops(scenes, cache) -> Crops:
 
 
 def quiet(_line: str) -> None: ...
+
+
+def plain(batch: Batch) -> torch.Tensor:
+    """The filled warp, scene-linear."""
+    return batch.finish(batch.warped[:, 3:])
 
 
 @pytest.fixture
@@ -171,7 +177,7 @@ def test_crops_are_parts_of_what_was_rendered(scenes, crops):
     assert len(crops) == len(again["time"])
     np.testing.assert_array_equal(batch.target.numpy(), again["target"].astype(np.float32))
     assert batch.warped.shape[1:] == (6, SIDE, SIDE)
-    gain = psnr(batch.plain, batch.target)
+    gain = psnr(plain(batch), batch.target)
     assert gain.mean() > 20  # the warp shows about what was rendered
     hole = batch.mask == 0
     assert (batch.warped[:, :3] * hole == 0).all()
@@ -182,26 +188,28 @@ def test_scenes_smaller_than_a_crop_are_refused(scenes):
         Crops.prepare(scenes[0], ExtrapolatorSettings(frames=2, side=96, seed=0))
 
 
-def test_batches_follow_from_seed_and_step(crops):
+def test_batches_follow_from_seed_and_step(crops, monkeypatch):
     first = crops.draw(3, 4, 32, 7)
     for a, b in zip(first.inputs, crops.draw(3, 4, 32, 7).inputs, strict=True):
         assert torch.equal(a, b)
     assert not torch.equal(first.warped, crops.draw(4, 4, 32, 7).warped)
     assert not torch.equal(first.warped, crops.draw(3, 4, 32, 8).warped)
-    order = [i for step in range(2) for i in crops.draw_indices(step, len(crops), 7)]
-    assert crops.draw_indices(1, len(crops) + 2, 7)[:-4] == order[len(crops) + 2 :]
+    monkeypatch.setattr(Crops, "batch", lambda self, indices, side, rng: indices)
+    order = [i for step in range(2) for i in crops.draw(step, len(crops), 32, 7)]
+    assert crops.draw(1, len(crops) + 2, 32, 7)[:-4] == order[len(crops) + 2 :]
     assert sorted(order[: len(crops)]) == sorted(order[len(crops) :]) == list(range(len(crops)))
     assert order[: len(crops)] != order[len(crops) :]
 
 
 def test_the_edges_of_crops_are_often_those_of_patches(crops, monkeypatch):
     """What lies there is hidden like nothing else, and has to be learnt."""
-    corners = []
-    monkeypatch.setattr(Crops, "batch", lambda self, indices, patches: corners.extend(patches))
+    places = np.arange(SIDE, dtype=np.float16) + np.zeros((len(crops), 3, SIDE, 1), np.float16)
+    monkeypatch.setitem(
+        crops._files[0], "target", places.swapaxes(2, 3)
+    )  # every pixel is its row's number
     monkeypatch.setattr(batches, "vary", lambda batch, rng: batch)
-    for step in range(100):
-        crops.draw(step, 4, 32, 0)
-    rows = np.array([rows.start for rows, _ in corners])
+    drawn = [crops.draw(step, 4, 32, 0).target[:, 0, 0, 0] for step in range(100)]
+    rows = torch.cat(drawn).numpy()
     assert rows.min() == 0 and rows.max() == SIDE - 32
     for edge in (0, SIDE - 32):
         assert 0.15 < np.mean(rows == edge) < 0.35
@@ -212,8 +220,8 @@ def test_variation_keeps_pictures_and_truth_together(crops, seed):
     """The filled warp is as far from the truth as before, whatever is turned or re-coloured."""
     batch = crops.batch(range(8))
     found = vary(batch, np.random.default_rng(seed))
-    error = (encoded(batch.plain) - encoded(batch.target)).abs()
-    changed = (encoded(found.plain) - encoded(found.target)).abs()
+    error = (encoded(plain(batch)) - encoded(batch.target)).abs()
+    changed = (encoded(plain(found)) - encoded(found.target)).abs()
     share = (error > 0.05).float().mean((1, 2, 3)), (changed > 0.05).float().mean((1, 2, 3))
     assert torch.allclose(*share, atol=0.1)
     assert torch.equal(found.mask.sum((1, 2, 3)), batch.mask.sum((1, 2, 3)))
@@ -229,9 +237,9 @@ def test_nothing_of_a_step_changes_the_device(crops):
         found = vary(meta, np.random.default_rng(seed))
         assert {plane.device.type for plane in found} == {"meta"}
     for name in ARCHITECTURES:
-        network = build_network(name, 8).to("meta")
+        network = ExtrapolationNetwork(name, 8).to("meta")
         made = found.finish(network(*found.inputs))
-        loss = loss_of(made, found.target, found.plain, found.mask)
+        loss = loss_of(made, found.target, plain(found), found.mask)
         assert loss.device.type == made.device.type == "meta"
         assert psnr(made, found.target, 1 - found.mask).device.type == "meta"
 
