@@ -76,13 +76,6 @@ TITLES = {
 }
 
 
-def learn(tables: Sequence[PolicyTable], settings: PolicySettings) -> tuple[Layers, QuantisedMlp]:
-    """Train a network on some scenes and quantise it; they are the calibration states too."""
-    floats = train_decisions(tables, settings)
-    states = np.concatenate([table.states.reshape(-1, INPUTS) for table in tables])
-    return floats, quantise(floats, states)
-
-
 def train_policy(
     tables: Sequence[PolicyTable], output: Path, settings: PolicySettings, say: Say
 ) -> dict[str, Any]:
@@ -96,31 +89,45 @@ def train_policy(
         # Each would be judged by a network that saw the other.
         raise InputError(f"two tables are of the scene {twice[0]}; keep one of them")
     make_folder(output)
-    folds, written = {}, []
-    for index, table in enumerate(tables):
-        training_tables = [t for i, t in enumerate(tables) if i != index]
-        say(f"without {table.scene}: training on {', '.join(t.scene for t in training_tables)}")
-        floats, network = learn(training_tables, settings)
-        name = policy_name_without(table.scene)
-        save_network(output / name, network, _metadata(training_tables, settings))
-        written.append(name)
-        folds[table.scene] = _judge(floats, network, table, training_tables)
-        whole = folds[table.scene][ALL]
+    folds: dict[str, Any] = {}
+    written = [SHIPPED_POLICY, FLOAT_MODEL, INTEGER_MODEL]
+    for left_out in (*tables, None):
+        known = [table for table in tables if table is not left_out]
+        scenes = [table.scene for table in known]
+        if left_out is None:
+            say(f"training on all {len(tables)} scenes")
+        else:
+            say(f"without {left_out.scene}: training on {', '.join(scenes)}")
+        floats = train_decisions(known, settings)
+        # What it learned from are the calibration states too.
+        states = np.concatenate([table.states.reshape(-1, INPUTS) for table in known])
+        network = quantise(floats, states)
+        metadata = {
+            "about": "ExWarp's predictor: deep Q-learning on rendered scenes",
+            "state": STATE_VERSION,
+            "scenes": scenes,
+            "settings": asdict(settings),
+            "extrapolator": sorted({table.network for table in known}),
+        }
+        if left_out is None:
+            # In the precision that they were trained in.
+            single = [(w.astype(np.float32), b.astype(np.float32)) for w, b in floats]
+            save_network(output / SHIPPED_POLICY, network, metadata, single)
+            export_float(single, output / FLOAT_MODEL)
+            export_integer(network, output / INTEGER_MODEL)
+            continue
+        written.append(policy_name_without(left_out.scene))
+        save_network(output / written[-1], network, metadata)
+        folds[left_out.scene] = _judge(floats, network, left_out, known)
+        whole = folds[left_out.scene][ALL]
         scores = whole["scores"]
         own, oracle = scores["exwarp"], scores["oracle"]
         best = max(scores[path]["psnr_db"] for path in PATHS)
         say(
-            f"without {table.scene}: return {own['reward']:.3f}, PSNR {own['psnr_db']:.3f} dB; "
+            f"without {left_out.scene}: return {own['reward']:.3f}, PSNR {own['psnr_db']:.3f} dB; "
             f"best fixed path {best:.3f}, oracle {oracle['psnr_db']:.3f}; "
             f"int8 agrees on {whole['agreement']:.2%}"
         )
-    say(f"training on all {len(tables)} scenes")
-    floats, network = learn(tables, settings)
-    # In the precision that they were trained in.
-    single = [(w.astype(np.float32), b.astype(np.float32)) for w, b in floats]
-    save_network(output / SHIPPED_POLICY, network, _metadata(tables, settings), single)
-    export_float(single, output / FLOAT_MODEL)
-    export_integer(network, output / INTEGER_MODEL)
     report = {
         "schema": SCHEMA,
         "settings": asdict(settings),
@@ -139,7 +146,7 @@ def train_policy(
         "left_out": folds,
     }
     atomic_write_text(output / REPORT, json.dumps(report, separators=(",", ":")) + "\n")
-    add_checksums(output, [SHIPPED_POLICY, FLOAT_MODEL, INTEGER_MODEL, *written])
+    add_checksums(output, written)
     return report
 
 
@@ -150,14 +157,6 @@ def require_two_scenes(count: int) -> None:
             "a policy is judged on a scene that it was not trained on, and there is only one; "
             "render another, or name it with --tables"
         )
-
-
-def rows_by_part(table: PolicyTable) -> dict[str, Bool]:
-    """Return the rows of each part of a table: all, and each setting at each size."""
-    names = np.array([f"{name.split('-')[0]} {name.split()[-1]}" for name in table.groups])
-    names = names[table.group]
-    parts = {ALL: np.ones(len(table), np.bool_)}
-    return parts | {str(name): names == name for name in sorted(set(names))}
 
 
 def _judge(
@@ -172,7 +171,7 @@ def _judge(
     policies = {
         "exwarp": taken,
         "float": greedy_paths(floats),
-        "regressor": greedy_paths(predict_rewards(fit_regression(training_tables), table)),
+        "regressor": greedy_paths(predict_rewards(training_tables, table)),
         "oracle": best_psnr(table.outcomes),
         "oracle-return": best_return(table.outcomes),
         **{name: np.full(len(table), index) for index, name in enumerate(NAMES)},
@@ -182,7 +181,12 @@ def _judge(
     passed = np.array([[node in PATHS[name].choices for node in NODES] for name in NAMES])
     is_met = passed[taken]  # [N, 5]: the nodes that the policy's paths pass
     judgement: dict[str, Any] = {}
-    for part, rows in rows_by_part(table).items():
+    # The parts of the table: all, and each setting at each size.
+    names = np.array([f"{name.split('-')[0]} {name.split()[-1]}" for name in table.groups])
+    part_of_row = names[table.group]
+    parts: dict[str, Bool] = {ALL: np.ones(len(table), np.bool_)}
+    parts |= {str(part): part_of_row == part for part in sorted(set(part_of_row))}
+    for part, rows in parts.items():
         scores = {name: asdict(score_paths(table, paths, rows)) for name, paths in policies.items()}
         judgement[part] = {
             "scores": scores,
@@ -190,16 +194,6 @@ def _judge(
             "agreement_met": float(agrees[rows][is_met[rows]].mean()),
         }
     return judgement
-
-
-def _metadata(tables: Sequence[PolicyTable], settings: PolicySettings) -> dict[str, Any]:
-    return {
-        "about": "ExWarp's predictor: deep Q-learning on rendered scenes",
-        "state": STATE_VERSION,
-        "scenes": [table.scene for table in tables],
-        "settings": asdict(settings),
-        "extrapolator": sorted({table.network for table in tables}),
-    }
 
 
 def add_checksums(folder: Path, names: Sequence[str]) -> None:
@@ -267,14 +261,15 @@ def greedy_paths(values: npt.NDArray[Any]) -> Paths:
     return np.array(paths, np.intp)
 
 
-def fit_regression(tables: Sequence[PolicyTable]) -> F64:
-    """Fit the reward of both choices at each node to the states of some scenes.
+def predict_rewards(tables: Sequence[PolicyTable], table: PolicyTable) -> F64:
+    """Return the reward of both choices at every node of a table, float64 [N, 5, 2].
 
-    Returns coefficients float64 [5, 45, 2] of the 44 inputs and of a constant, by node and choice.
+    A linear regression, node by node, of some scenes' rewards on the 44 inputs and a constant.
     """
-    states = np.concatenate([table.states for table in tables])
-    gains = np.concatenate([choice_rewards(table.outcomes) for table in tables])
-    weights = np.concatenate([np.full(len(table), 1 / len(table)) for table in tables])
+    states = np.concatenate([known.states for known in tables])
+    gains = np.concatenate([choice_rewards(known.outcomes) for known in tables])
+    # Scenes count alike, whatever their size.
+    weights = np.concatenate([np.full(len(known), 1 / len(known)) for known in tables])
     coefficients = []
     for node in range(len(NODES)):
         x = np.concatenate([states[:, node], np.ones((len(states), 1))], axis=1)
@@ -282,14 +277,8 @@ def fit_regression(tables: Sequence[PolicyTable]) -> F64:
         coefficients.append(
             np.linalg.solve(scaled.T @ x + RIDGE * np.eye(x.shape[1]), scaled.T @ gains[:, node])
         )
-    return np.array(coefficients)
-
-
-def predict_rewards(coefficients: F64, table: PolicyTable) -> F64:
-    """Return the expected reward of both choices at every node, float64 [N, 5, 2]."""
-    states = table.states
-    x = np.concatenate([states, np.ones((*states.shape[:2], 1))], axis=2)
-    return np.asarray(np.einsum("nki,kic->nkc", x, coefficients))
+    inputs = np.concatenate([table.states, np.ones((len(table), len(NODES), 1))], axis=2)
+    return np.asarray(np.einsum("nki,kic->nkc", inputs, np.array(coefficients)))
 
 
 def policy_card(report: dict[str, Any]) -> str:

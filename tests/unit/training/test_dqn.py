@@ -12,9 +12,9 @@ import torch
 from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, WARP
 from exwarp_cli.policy.outcomes import best_return, choice_rewards, path_returns
 from exwarp_cli.policy.state import INPUTS
+from exwarp_cli.research.training.crop_cache import decode, encode
 from exwarp_cli.research.training.outcome_tables import PolicyTable
 from exwarp_cli.research.training.policy_training import (
-    fit_regression,
     greedy_paths,
     predict_rewards,
 )
@@ -22,8 +22,6 @@ from exwarp_cli.research.training.q_learning import (
     AFTER,
     LAYERS,
     Layers,
-    compress_gain,
-    expand_value,
     make_network,
     q_values,
     train_decisions,
@@ -78,12 +76,12 @@ def test_looking_at_the_next_reward_only_fails():
     """The reward at d1 speaks for E in every row, and so does a policy that looks no further."""
     fixed, oracle = bounds()
     greedy = q_values(learned(discount=0.0), UNSEEN)
-    for found in (predict_rewards(fit_regression([KNOWN]), UNSEEN), greedy):
+    for found in (predict_rewards([KNOWN], UNSEEN), greedy):
         assert (found[:, 0, 1] > found[:, 0, 0]).all()
         assert mean_return(found) < fixed + 0.1 * (oracle - fixed)
     # What comes next does not matter to it; what each choice earns at once, it does know.
     gain = torch.from_numpy(choice_rewards(UNSEEN.outcomes))
-    wanted = compress_gain(gain).numpy()
+    wanted = encode(gain).numpy()
     assert np.abs(greedy - wanted).mean() < 0.15
 
 
@@ -98,7 +96,7 @@ def test_without_a_fresh_target_nothing_is_foreseen():
 
 
 def test_values_are_discounted_returns():
-    found = expand_value(torch.from_numpy(q_values(learned(), UNSEEN))).numpy()
+    found = decode(torch.from_numpy(q_values(learned(), UNSEEN))).numpy()
     gain = choice_rewards(UNSEEN.outcomes)
     exact = np.zeros_like(gain)
     for n in reversed(range(len(NODES))):
@@ -163,7 +161,7 @@ def test_scenes_count_alike_whatever_their_size():
         train_decisions([many, turned], replace(SETTINGS, steps=60, discount=0.0)), turned
     )
     one, other = (
-        compress_gain(torch.from_numpy(choice_rewards(scene.outcomes[:1]))).numpy()
+        encode(torch.from_numpy(choice_rewards(scene.outcomes[:1]))).numpy()
         for scene in (many, turned)
     )
     assert np.abs(one - other).max() > 2.5
@@ -182,13 +180,13 @@ def test_what_comes_after_a_choice_is_the_tree():
 
 def test_compression_keeps_order_and_is_undone():
     gains = torch.linspace(-40, 40, 4001, dtype=torch.float64)
-    small = compress_gain(gains)
+    small = encode(gains)
     assert (small.diff() > 0).all()
-    torch.testing.assert_close(expand_value(small), gains)
-    torch.testing.assert_close(compress_gain(expand_value(small)), small)
-    torch.testing.assert_close(compress_gain(-gains), -small)
-    assert float(compress_gain(torch.tensor(np.e - 1))) == pytest.approx(1)
-    assert float(compress_gain(torch.tensor(0.0))) == float(expand_value(torch.tensor(0.0))) == 0
+    torch.testing.assert_close(decode(small), gains)
+    torch.testing.assert_close(encode(decode(small)), small)
+    torch.testing.assert_close(encode(-gains), -small)
+    assert float(encode(torch.tensor(np.e - 1))) == pytest.approx(1)
+    assert float(encode(torch.tensor(0.0))) == float(decode(torch.tensor(0.0))) == 0
     assert float(small[-1]) < 4
 
 
