@@ -27,12 +27,7 @@ from exwarp_cli.research.training.augmentation import Look, Variant, draw_look
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.research.training.training_settings import ExtrapolatorSettings
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.synthesis.extrapolation import (
-    UNKNOWN_DEPTH,
-    UNKNOWN_METALLIC,
-    UNKNOWN_ROUGHNESS,
-    Prepared,
-)
+from exwarp_cli.synthesis import extrapolation
 from exwarp_cli.synthesis.interval import Interval
 
 # Of what is cached; crops of another version are made again.
@@ -139,7 +134,7 @@ def _draw_view(frame: Window, side: int, rng: np.random.Generator) -> Window:
     return Window(frame.x + int(x), frame.y + int(y), width, height)
 
 
-def _training_planes(prepared: Prepared, truth: Float32) -> dict[str, np.ndarray]:
+def _training_planes(prepared: extrapolation.Prepared, truth: Float32) -> dict[str, np.ndarray]:
     planes = prepared.inputs.part(slice(None), slice(None)).pictures
     history = planes["history"].reshape(HISTORY_FRAMES, 4, *planes["history"].shape[1:])
     colour = np.concatenate([planes["warped"][3:], *history[:, :3]])
@@ -407,9 +402,10 @@ def vary(batch: Batch, rng: np.random.Generator) -> Batch:
     if rng.random() < NO_NORMAL:
         normal = torch.zeros_like(normal)
     if rng.random() < NO_DEPTH:
-        surface[:, 0] = UNKNOWN_DEPTH
+        surface[:, 0] = extrapolation.UNKNOWN_DEPTH
     if rng.random() < NO_MATERIAL:
-        surface[:, 1], surface[:, 2] = UNKNOWN_ROUGHNESS, UNKNOWN_METALLIC
+        surface[:, 1] = extrapolation.UNKNOWN_ROUGHNESS
+        surface[:, 2] = extrapolation.UNKNOWN_METALLIC
     return Batch(
         warped=torch.cat([recolour(batch.warped[:, :3]), recolour(batch.warped[:, 3:])], 1),
         mask=place(batch.mask),

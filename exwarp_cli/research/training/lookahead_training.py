@@ -117,26 +117,6 @@ class _Recorder:
         yield (TileSpan(0, height, 0, height), TileSpan(0, width, 0, width)), weights
 
 
-def slot_samples(clip: SceneClip, setting: str = "key") -> Iterator[dict[str, np.ndarray]]:
-    """Yield what a network is given at each slot between key frames, with the truth.
-
-    The inputs and ``truth`` [3, H, W], as displayed, float16; ``time`` float32.
-    """
-    for k in clip.intervals:
-        interval = clip.interval(k, setting)
-        for slot in range(1, FACTOR):
-            recorder, following = _Recorder(), interval.following
-            assert following is not None
-            mixer = replace(interval, interpolator=recorder).look_ahead(slot, weighs=True)
-            mixer.make(interval.key.image.pixels, following.image.pixels)
-            truth = np.ascontiguousarray(clip.truth(k, slot).pixels[..., :3], np.float32)
-            yield recorder.pictures | {
-                "truth": linear_to_srgb(truth).transpose(2, 0, 1).astype(np.float16),
-                "time": np.array(interval.time(slot), np.float32),
-            }
-            check_stop()
-
-
 def variants_of(name: str, seed: int) -> list[tuple[Variant, Look]]:
     """Return how a scene is played and delivered; looks are drawn by its name and a seed."""
     rng = np.random.default_rng((seed, zlib.crc32(name.encode())))
@@ -170,11 +150,27 @@ class Samples(CachedArrays):
 
     @staticmethod
     def prepare(scene: RenderedScene, settings: LookAheadSettings) -> dict[str, np.ndarray]:
-        """Make the samples of a scene: what `slot_samples` yields, of all variants."""
+        """Make the samples of a scene: what a network is given at the slots of all variants.
+
+        The inputs and ``truth`` [N, 3, H, W], as displayed, float16; ``time`` [N] float32.
+        """
         clip, samples = SceneClip(scene), []
         for variant, look in variants_of(scene.name, settings.seed):
             clip = clip.seen_as(variant, look)
-            samples += list(slot_samples(clip))
+            for k in clip.intervals:
+                interval = clip.interval(k, "key")
+                assert interval.following is not None
+                frames = interval.key.image.pixels, interval.following.image.pixels
+                for slot in range(1, FACTOR):
+                    recorder = _Recorder()
+                    seen = replace(interval, interpolator=recorder)
+                    seen.look_ahead(slot, weighs=True).make(*frames)
+                    truth = np.ascontiguousarray(clip.truth(k, slot).pixels[..., :3], np.float32)
+                    shown = linear_to_srgb(truth).transpose(2, 0, 1)
+                    recorder.pictures["truth"] = shown.astype(np.float16)
+                    recorder.pictures["time"] = np.array(interval.time(slot), np.float32)
+                    samples.append(recorder.pictures)
+                    check_stop()
         return {name: np.stack([sample[name] for sample in samples]) for name in samples[0]}
 
     def batch(

@@ -294,8 +294,7 @@ def read_tensors(path: Path, device: str, damaged: DamagedFileError) -> object:
     """
     data = read_file(path)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # old checkpoints warn of torch's own past
+        with warnings.catch_warnings(action="ignore"):  # old checkpoints warn of torch's own past
             content: object = torch.load(BytesIO(data), map_location=device, weights_only=True)
     except Exception as error:  # damaged pickles and archives end in exceptions of every kind
         raise damaged from error
