@@ -12,7 +12,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,36 +20,18 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.accelerator.mlp import QuantisedMlp
-from exwarp_cli.domain.decision import (
-    EXTRAPOLATE,
-    NODES,
-    PATHS,
-    WARP,
-    walk_tree,
-)
+from exwarp_cli.domain.decision import EXTRAPOLATE, NODES, PATHS, WARP, walk_tree
 from exwarp_cli.domain.frame import Bool
 from exwarp_cli.domain.settings import DEFAULT_FPS
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.models.model_file import CHECKSUMS
 from exwarp_cli.models.policy_files import SHIPPED_POLICY, policy_name_without, save_network
-from exwarp_cli.policy.outcomes import (
-    best_psnr,
-    best_return,
-    choice_rewards,
-    path_returns,
-    slot_quality,
-)
+from exwarp_cli.policy import outcomes
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
+from exwarp_cli.research.training import q_learning
 from exwarp_cli.research.training.onnx_export import export_float, export_integer
 from exwarp_cli.research.training.outcome_tables import F64, PolicyTable, Say
-from exwarp_cli.research.training.q_learning import (
-    Layers,
-    integer_values,
-    q_values,
-    quantise,
-    train_decisions,
-)
 from exwarp_cli.research.training.training_settings import PolicySettings
 
 Paths = npt.NDArray[np.intp]
@@ -98,10 +80,10 @@ def train_policy(
             say(f"training on all {len(tables)} scenes")
         else:
             say(f"without {left_out.scene}: training on {', '.join(scenes)}")
-        floats = train_decisions(known, settings)
+        floats = q_learning.train_decisions(known, settings)
         # What it learned from are the calibration states too.
         states = np.concatenate([table.states.reshape(-1, INPUTS) for table in known])
-        network = quantise(floats, states)
+        network = q_learning.quantise(floats, states)
         metadata = {
             "about": "ExWarp's predictor: deep Q-learning on rendered scenes",
             "state": STATE_VERSION,
@@ -160,20 +142,21 @@ def require_two_scenes(count: int) -> None:
 
 
 def _judge(
-    network_floats: Layers,
+    network_floats: q_learning.Layers,
     network: QuantisedMlp,
     table: PolicyTable,
     training_tables: Sequence[PolicyTable],
 ) -> dict[str, Any]:
     """Score a policy on a scene that it never saw, beside what it competes with."""
-    floats, integers = q_values(network_floats, table), integer_values(network, table.states)
+    floats = q_learning.q_values(network_floats, table)
+    integers = q_learning.integer_values(network, table.states)
     taken = greedy_paths(integers)
     policies = {
         "exwarp": taken,
         "float": greedy_paths(floats),
         "regressor": greedy_paths(predict_rewards(training_tables, table)),
-        "oracle": best_psnr(table.outcomes),
-        "oracle-return": best_return(table.outcomes),
+        "oracle": outcomes.best_psnr(table.outcomes),
+        "oracle-return": outcomes.best_return(table.outcomes),
         **{name: np.full(len(table), index) for index, name in enumerate(NAMES)},
         "random": None,
     }
@@ -187,7 +170,7 @@ def _judge(
     parts: dict[str, Bool] = {ALL: np.ones(len(table), np.bool_)}
     parts |= {str(part): part_of_row == part for part in sorted(set(part_of_row))}
     for part, rows in parts.items():
-        scores = {name: asdict(score_paths(table, paths, rows)) for name, paths in policies.items()}
+        scores = {name: score_paths(table, paths, rows) for name, paths in policies.items()}
         judgement[part] = {
             "scores": scores,
             "agreement": float(agrees[rows].mean()),
@@ -210,46 +193,35 @@ def add_checksums(folder: Path, names: Sequence[str]) -> None:
     atomic_write_text(path, json.dumps(checksums, indent=1, sort_keys=True) + "\n")
 
 
-@dataclass(frozen=True)
-class PolicyScore:
-    """Means over the key intervals of a table, or of a part of it."""
-
-    intervals: int  # How many
-    reward: float  # Undiscounted sum of the rewards of an interval.
-    # Of what is shown at slots 1 to 3
-    psnr_db: float
-    ssim: float
-    new_frames: float  # Of an interval; effective FPS is base FPS times one more than this.
-    warp_share: float  # Share of the decisions that are warps, 0 to 1.
-    paths: tuple[int, ...]  # Intervals by path, S1 to S6
-
-
-def score_paths(table: PolicyTable, paths: Paths | None, rows: Bool) -> PolicyScore:
-    """Score the paths, an index each, that some rows of a table took.
+def score_paths(table: PolicyTable, paths: Paths | None, rows: Bool) -> dict[str, Any]:
+    """Score the paths, an index each, that some rows of a table took: means over key intervals.
 
     None is for what tossing a coin at every node comes to on average, exactly.
     """
-    outcomes = table.outcomes[rows]
-    taken: tuple[int, ...] = ()
+    judged = table.outcomes[rows]
+    taken: list[int] = []
     decisions = np.array([len(path.choices) for path in PATHS.values()])
     if paths is None:
-        shares = np.tile(0.5**decisions, (len(outcomes), 1))
+        shares = np.tile(0.5**decisions, (len(judged), 1))
     else:
         shares = np.eye(len(NAMES))[paths[rows]]
-        taken = tuple(int(n) for n in shares.sum(axis=0))
-    quality = slot_quality(outcomes).mean(axis=-2)
+        taken = [int(n) for n in shares.sum(axis=0)]
+    quality = outcomes.slot_quality(judged).mean(axis=-2)
     generated = np.array([path.generated for path in PATHS.values()])
     warps = np.array([list(path.choices.values()).count(WARP) for path in PATHS.values()])
     per_path = shares.mean(axis=0)
-    return PolicyScore(
-        intervals=len(outcomes),
-        reward=float((shares * path_returns(outcomes)).sum(axis=1).mean()),
-        psnr_db=float((shares * quality[..., 0]).sum(axis=1).mean()),
-        ssim=float((shares * quality[..., 1]).sum(axis=1).mean()),
-        new_frames=float(per_path @ generated),
-        warp_share=float(per_path @ warps / (per_path @ decisions)),
-        paths=taken,
-    )
+    return {
+        "intervals": len(judged),
+        # Undiscounted sum of the rewards of an interval.
+        "reward": float((shares * outcomes.path_returns(judged)).sum(axis=1).mean()),
+        # Of what is shown at slots 1 to 3.
+        "psnr_db": float((shares * quality[..., 0]).sum(axis=1).mean()),
+        "ssim": float((shares * quality[..., 1]).sum(axis=1).mean()),
+        # Of an interval; effective FPS is base FPS times one more than this.
+        "new_frames": float(per_path @ generated),
+        "warp_share": float(per_path @ warps / (per_path @ decisions)),  # of the decisions, 0 to 1
+        "paths": taken,  # intervals by path, S1 to S6
+    }
 
 
 def greedy_paths(values: npt.NDArray[Any]) -> Paths:
@@ -267,7 +239,7 @@ def predict_rewards(tables: Sequence[PolicyTable], table: PolicyTable) -> F64:
     A linear regression, node by node, of some scenes' rewards on the 44 inputs and a constant.
     """
     states = np.concatenate([known.states for known in tables])
-    gains = np.concatenate([choice_rewards(known.outcomes) for known in tables])
+    gains = np.concatenate([outcomes.choice_rewards(known.outcomes) for known in tables])
     # Scenes count alike, whatever their size.
     weights = np.concatenate([np.full(len(known), 1 / len(known)) for known in tables])
     coefficients = []

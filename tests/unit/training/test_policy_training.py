@@ -30,7 +30,6 @@ from exwarp_cli.research.training.policy_training import (
     greedy_paths,
     policy_card,
     predict_rewards,
-    quantise,
     score_paths,
     train_policy,
 )
@@ -38,6 +37,7 @@ from exwarp_cli.research.training.q_learning import (
     Layers,
     integer_values,
     q_values,
+    quantise,
     train_decisions,
 )
 from exwarp_cli.research.training.training_settings import PolicySettings, require_sane_policy
@@ -194,9 +194,9 @@ class TestReport:
             for part, rows in parts_of(table).items():
                 scores = found[part]["scores"]
                 assert set(scores) == {*paths, "float", "random"}
-                assert scores["random"] == asdict(score_paths(table, None, rows))
+                assert scores["random"] == score_paths(table, None, rows)
                 for policy, taken_by in paths.items():
-                    assert scores[policy] == asdict(score_paths(table, taken_by, rows)), policy
+                    assert scores[policy] == score_paths(table, taken_by, rows), policy
 
     def test_integers_and_floats_are_distinguished(self, tables, tmp_path, monkeypatch):
         """Weights are rounded to sixteenths first, as honest integers decide alike in all rows."""
@@ -204,7 +204,7 @@ class TestReport:
         def crude(floats, states):
             return quantise(tuple((np.round(16 * w) / 16, b) for w, b in floats), states)
 
-        monkeypatch.setattr("exwarp_cli.research.training.policy_training.quantise", crude)
+        monkeypatch.setattr("exwarp_cli.research.training.q_learning.quantise", crude)
         settings = replace(SETTINGS, steps=30, seed=5)
         report = train_policy(tables, tmp_path, settings, lambda line: None)
         shares = set()
@@ -221,7 +221,7 @@ class TestReport:
                 assert entry["agreement_met"] == pytest.approx(same[rows][met[rows]].mean())
                 for name, outputs in (("exwarp", whole), ("float", real)):
                     wanted = score_paths(table, greedy_paths(outputs), rows)
-                    assert entry["scores"][name] == asdict(wanted)
+                    assert entry["scores"][name] == wanted
                 shares |= {entry["agreement"], entry["agreement_met"]}
         assert len(shares) > 4 and 0.2 < min(shares) < 1
 
@@ -240,7 +240,7 @@ class TestReport:
         sizes = {part: found["scores"]["random"]["intervals"] for part, found in parts.items()}
         assert sizes == {ALL: 12, "key 64x36": 3, "slot 64x36": 6, "slot 32x18": 3}
         rows = np.array([0] * 3 + [1] * 3 + [0] * 3 + [1] * 3, bool)
-        assert parts["slot 64x36"]["scores"]["random"] == asdict(score_paths(tables[1], None, rows))
+        assert parts["slot 64x36"]["scores"]["random"] == score_paths(tables[1], None, rows)
 
     def test_what_is_said(self, trained):
         _, report, said = trained
