@@ -118,7 +118,7 @@ def measure_view(scene: RenderedScene, view: View, model: Path | None, cache: Pa
     files = [scene.path(frames, number) for frames in both for number in frames.numbers]
     measured: dict[str, F64] = {}
     for part, path in paths.items():
-        # Measured anew: what cannot be read, is older than a frame, or has too few rows by now.
+        # Measured anew: what cannot be read, is older than a frame, or has another number of rows.
         with suppress(OSError, ValueError, EOFError):
             array: F64 = np.load(path, allow_pickle=False)
             is_newest = path.stat().st_mtime_ns >= max(file.stat().st_mtime_ns for file in files)

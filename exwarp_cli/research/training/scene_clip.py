@@ -9,14 +9,12 @@ from functools import lru_cache, partial
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32, GBuffer, Image, KeyFrame
-from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.domain.network_api import HISTORY_FRAMES
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, read_raw
-from exwarp_cli.io.shot import Shot
 from exwarp_cli.pipeline.key_frames import over_interval
 from exwarp_cli.pipeline.motion_convention import motion_names, parse_motion
 from exwarp_cli.research.training.augmentation import (
@@ -80,8 +78,10 @@ class SceneClip:
         index, manifest = self._order[FACTOR * k], self.scene.manifest
         if self.variant.speed == 1 and manifest.has_key(index):
             number = manifest.keys.first + index // manifest.keys.step
-            raw = read_raw(self.scene.keys, number, GEOMETRY)
-            gbuffer = settle_motion(raw.settle(_convention(self.scene, self.scene.keys)))
+            shot = self.scene.keys
+            size = (shot.display.width, shot.display.height)
+            motion = parse_motion(manifest.motion, motion_names(shot), size)
+            gbuffer = settle_motion(read_raw(shot, number, GEOMETRY).settle(motion))
             return self._play(index, gbuffer.to_previous, gbuffer.to_next, gbuffer.bend)
         span = FACTOR * self.variant.speed
         return self._play(index, self._spanned(index, span, -1), self._spanned(index, span, 1))
@@ -159,12 +159,9 @@ class SceneClip:
 def _read_instant(scene: RenderedScene, index: int) -> tuple[KeyFrame, GBuffer]:
     """Return an instant as rendered, and its G-buffer, motion settled; index from 0."""
     number = scene.manifest.instants.first + index
-    raw = read_raw(scene.instants, number, (Role.COLOUR, *GEOMETRY, *SURFACE))
-    frame = raw.key(_convention(scene, scene.instants))
+    shot = scene.instants
+    size = (shot.display.width, shot.display.height)
+    motion = parse_motion(scene.manifest.motion, motion_names(shot), size)
+    frame = read_raw(shot, number, (Role.COLOUR, *GEOMETRY, *SURFACE)).key(motion)
     assert frame.gbuffer is not None
     return replace(frame, gbuffer=None), settle_motion(frame.gbuffer)
-
-
-def _convention(scene: RenderedScene, shot: Shot) -> MotionConvention:
-    size = (shot.display.width, shot.display.height)
-    return parse_motion(scene.manifest.motion, motion_names(shot), size)
