@@ -148,7 +148,9 @@ class ExtrapolationNetwork(nn.Module):
         """Build the network of an architecture, with another width if given."""
         super().__init__()
         a = ARCHITECTURES[name]
-        self.architecture = a = a if width is None else replace(a, width=width)
+        if width is not None:
+            a = replace(a, width=width)
+        self.architecture = a
         taps = sum((2 * radius + 1) ** 2 for radius in a.taps)
         sides = len(SIDES) if a.reach else 0
         self.candidate_count = 0
@@ -242,19 +244,8 @@ class ExtrapolationNetwork(nn.Module):
         # The change in shading since F_k-1, continued.
         both = history[:, 3:4] * history[:, 7:8]
         out.append(filled + when * both * (filled - history[:, 4:7]))
-        height, width = filled.shape[2:]
-        rows = torch.arange(height, dtype=flow.dtype, device=flow.device)
-        columns = torch.arange(width, dtype=flow.dtype, device=flow.device)
-        # The filled warp at each pixel plus a flow of pixels, x and y.
         for index in range(a.flow):
-            x = (columns + flow[:, 2 * index]) * (2 / (width - 1)) - 1
-            y = (rows[:, None] + flow[:, 2 * index + 1]) * (2 / (height - 1)) - 1
-            place = torch.stack([x, y], -1)
-            out.append(
-                functional.grid_sample(
-                    filled, place, mode="bilinear", padding_mode="border", align_corners=True
-                )
-            )
+            out.append(_sample(filled, flow[:, 2 * index : 2 * index + 2]))
         return out + [side[:, :3] for side in sides]
 
 
@@ -284,3 +275,15 @@ def _shift(x: Tensor, right: int, down: int) -> Tensor:
     x = functional.pad(x, (max(right, 0), max(-right, 0), max(down, 0), max(-down, 0)))
     top, left = max(-down, 0), max(-right, 0)
     return x[:, :, top : top + height, left : left + width]
+
+
+def _sample(frame: Tensor, flow: Tensor) -> Tensor:
+    """Sample a frame at each pixel plus a flow of pixels [N, 2, H, W], x and y."""
+    height, width = frame.shape[2:]
+    rows = torch.arange(height, dtype=flow.dtype, device=flow.device)
+    columns = torch.arange(width, dtype=flow.dtype, device=flow.device)
+    x = (columns + flow[:, 0]) * (2 / (width - 1)) - 1
+    y = (rows[:, None] + flow[:, 1]) * (2 / (height - 1)) - 1
+    return functional.grid_sample(
+        frame, torch.stack([x, y], -1), mode="bilinear", padding_mode="border", align_corners=True
+    )
