@@ -26,7 +26,6 @@ from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import CHOICES, FEATURES, NEXT_NODE, NODES
 from exwarp_cli.policy.outcomes import choice_rewards
 from exwarp_cli.policy.state import INPUTS, STATE_COUNT
-from exwarp_cli.research.training.crop_cache import decode, encode
 from exwarp_cli.research.training.outcome_tables import F64, PolicyTable
 from exwarp_cli.research.training.training_settings import PolicySettings, TilePolicySettings
 from exwarp_cli.runtime.stop import check_stop
@@ -119,20 +118,27 @@ def train_decisions(tables: Sequence[PolicyTable], settings: PolicySettings) -> 
                 (states[index][row, node], gains[index][row, node], following, (after >= 0).float())
             )
         state, reward, following, continues = (torch.cat(part) for part in zip(*batch, strict=True))
-        # Returns are 20 dB where everything moves and a few tenths where hardly anything does.
-        # Coded, their errors count alike. Order is kept, hence so is every decision. (Pohlen et
-        # al., Observe and look further, 2018, use a square root to the same end.)
-        ahead = decode(target(following).amax(dim=-1)) * continues
-        return state, encode(reward + settings.discount * ahead)
+        ahead = expand_value(target(following).amax(dim=-1)) * continues
+        return state, compress_gain(reward + settings.discount * ahead)
 
     return fit_network(settings, draw, lambda answer, aim: (answer - aim).square().mean())
 
 
-def q_values(layers: Layers, table: PolicyTable) -> F64:
-    """Return a network's outputs at every node of every interval, float64 [N, 5, 2].
+def compress_gain(gain: Tensor) -> Tensor:
+    """Return sign(x) log(1 + |x|): what the network's outputs stand for."""
+    # Returns are 20 dB where everything moves and a few tenths where hardly anything does; errors
+    # count alike so. Order is kept, hence so is every decision. (Pohlen et al., Observe and look
+    # further, 2018, use a square root to the same end.)
+    return gain.sign() * gain.abs().log1p()
 
-    They are returns, coded by `crop_cache.encode`.
-    """
+
+def expand_value(value: Tensor) -> Tensor:
+    """Return the gain that an output stands for: the inverse of `compress_gain`."""
+    return value.sign() * value.abs().expm1()
+
+
+def q_values(layers: Layers, table: PolicyTable) -> F64:
+    """Return a network's outputs at every node of every interval, float64 [N, 5, 2]."""
     activations = table.states
     for weights, biases in layers[:-1]:
         activations = np.maximum(activations @ weights.T + biases, 0)

@@ -12,7 +12,6 @@ import torch
 from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, WARP
 from exwarp_cli.policy.outcomes import best_return, choice_rewards, path_returns
 from exwarp_cli.policy.state import INPUTS
-from exwarp_cli.research.training.crop_cache import decode, encode
 from exwarp_cli.research.training.outcome_tables import PolicyTable
 from exwarp_cli.research.training.policy_training import (
     greedy_paths,
@@ -22,6 +21,8 @@ from exwarp_cli.research.training.q_learning import (
     AFTER,
     LAYERS,
     Layers,
+    compress_gain,
+    expand_value,
     make_network,
     q_values,
     train_decisions,
@@ -81,7 +82,7 @@ def test_looking_at_the_next_reward_only_fails():
         assert mean_return(found) < fixed + 0.1 * (oracle - fixed)
     # What comes next does not matter to it; what each choice earns at once, it does know.
     gain = torch.from_numpy(choice_rewards(UNSEEN.outcomes))
-    wanted = encode(gain).numpy()
+    wanted = compress_gain(gain).numpy()
     assert np.abs(greedy - wanted).mean() < 0.15
 
 
@@ -96,7 +97,7 @@ def test_without_a_fresh_target_nothing_is_foreseen():
 
 
 def test_values_are_discounted_returns():
-    found = decode(torch.from_numpy(q_values(learned(), UNSEEN))).numpy()
+    found = expand_value(torch.from_numpy(q_values(learned(), UNSEEN))).numpy()
     gain = choice_rewards(UNSEEN.outcomes)
     exact = np.zeros_like(gain)
     for n in reversed(range(len(NODES))):
@@ -161,7 +162,7 @@ def test_scenes_count_alike_whatever_their_size():
         train_decisions([many, turned], replace(SETTINGS, steps=60, discount=0.0)), turned
     )
     one, other = (
-        encode(torch.from_numpy(choice_rewards(scene.outcomes[:1]))).numpy()
+        compress_gain(torch.from_numpy(choice_rewards(scene.outcomes[:1]))).numpy()
         for scene in (many, turned)
     )
     assert np.abs(one - other).max() > 2.5
@@ -180,13 +181,13 @@ def test_what_comes_after_a_choice_is_the_tree():
 
 def test_compression_keeps_order_and_is_undone():
     gains = torch.linspace(-40, 40, 4001, dtype=torch.float64)
-    small = encode(gains)
+    small = compress_gain(gains)
     assert (small.diff() > 0).all()
-    torch.testing.assert_close(decode(small), gains)
-    torch.testing.assert_close(encode(decode(small)), small)
-    torch.testing.assert_close(encode(-gains), -small)
-    assert float(encode(torch.tensor(np.e - 1))) == pytest.approx(1)
-    assert float(encode(torch.tensor(0.0))) == float(decode(torch.tensor(0.0))) == 0
+    torch.testing.assert_close(expand_value(small), gains)
+    torch.testing.assert_close(compress_gain(expand_value(small)), small)
+    torch.testing.assert_close(compress_gain(-gains), -small)
+    assert float(compress_gain(torch.tensor(np.e - 1))) == pytest.approx(1)
+    assert float(compress_gain(torch.tensor(0.0))) == float(expand_value(torch.tensor(0.0))) == 0
     assert float(small[-1]) < 4
 
 
