@@ -73,31 +73,10 @@ def train_policy(
     make_folder(output)
     folds: dict[str, Any] = {}
     written = [SHIPPED_POLICY, FLOAT_MODEL, INTEGER_MODEL]
-    for left_out in (*tables, None):
+    for left_out in tables:
         known = [table for table in tables if table is not left_out]
-        scenes = [table.scene for table in known]
-        if left_out is None:
-            say(f"training on all {len(tables)} scenes")
-        else:
-            say(f"without {left_out.scene}: training on {', '.join(scenes)}")
-        floats = q_learning.train_decisions(known, settings)
-        # What it learned from are the calibration states too.
-        states = np.concatenate([table.states.reshape(-1, INPUTS) for table in known])
-        network = q_learning.quantise(floats, states)
-        metadata = {
-            "about": "ExWarp's predictor: deep Q-learning on rendered scenes",
-            "state": STATE_VERSION,
-            "scenes": scenes,
-            "settings": asdict(settings),
-            "extrapolator": sorted({table.network for table in known}),
-        }
-        if left_out is None:
-            # In the precision that they were trained in.
-            single = [(w.astype(np.float32), b.astype(np.float32)) for w, b in floats]
-            save_network(output / SHIPPED_POLICY, network, metadata, single)
-            export_float(single, output / FLOAT_MODEL)
-            export_integer(network, output / INTEGER_MODEL)
-            continue
+        say(f"without {left_out.scene}: training on {', '.join(table.scene for table in known)}")
+        floats, network, metadata = _learn(known, settings)
         written.append(policy_name_without(left_out.scene))
         save_network(output / written[-1], network, metadata)
         folds[left_out.scene] = _judge(floats, network, left_out, known)
@@ -110,6 +89,13 @@ def train_policy(
             f"best fixed path {best:.3f}, oracle {oracle['psnr_db']:.3f}; "
             f"int8 agrees on {whole['agreement']:.2%}"
         )
+    say(f"training on all {len(tables)} scenes")
+    floats, network, metadata = _learn(tables, settings)
+    # In the precision that they were trained in.
+    single = [(w.astype(np.float32), b.astype(np.float32)) for w, b in floats]
+    save_network(output / SHIPPED_POLICY, network, metadata, single)
+    export_float(single, output / FLOAT_MODEL)
+    export_integer(network, output / INTEGER_MODEL)
     report = {
         "schema": SCHEMA,
         "settings": asdict(settings),
@@ -130,6 +116,23 @@ def train_policy(
     atomic_write_text(output / REPORT, json.dumps(report, separators=(",", ":")) + "\n")
     add_checksums(output, written)
     return report
+
+
+def _learn(
+    tables: Sequence[PolicyTable], settings: PolicySettings
+) -> tuple[q_learning.Layers, QuantisedMlp, dict[str, Any]]:
+    """Train a network on some scenes; return it as floats, in integers, and its metadata."""
+    floats = q_learning.train_decisions(tables, settings)
+    # What it learned from are the calibration states too.
+    states = np.concatenate([table.states.reshape(-1, INPUTS) for table in tables])
+    metadata = {
+        "about": "ExWarp's predictor: deep Q-learning on rendered scenes",
+        "state": STATE_VERSION,
+        "scenes": [table.scene for table in tables],
+        "settings": asdict(settings),
+        "extrapolator": sorted({table.network for table in tables}),
+    }
+    return floats, q_learning.quantise(floats, states), metadata
 
 
 def require_two_scenes(count: int) -> None:
