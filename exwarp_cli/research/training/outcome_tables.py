@@ -120,9 +120,10 @@ def measure_view(scene: RenderedScene, view: View, model: Path | None, cache: Pa
     for part, path in paths.items():
         # Measured anew: what cannot be read, is older than a frame, or has another number of rows.
         with suppress(OSError, ValueError, EOFError):
+            if path.stat().st_mtime_ns < max(file.stat().st_mtime_ns for file in files):
+                continue
             array: F64 = np.load(path, allow_pickle=False)
-            is_newest = path.stat().st_mtime_ns >= max(file.stat().st_mtime_ns for file in files)
-            if is_newest and len(array) == len(numbers):
+            if len(array) == len(numbers):
                 measured[part] = array
     rows: dict[str, list[F64]] = {part: [] for part in paths if part not in measured}
     # Interval by interval, so that both find the same frames in memory.

@@ -9,12 +9,14 @@ from functools import lru_cache, partial
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32, GBuffer, Image, KeyFrame
+from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.domain.network_api import HISTORY_FRAMES
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, read_raw
+from exwarp_cli.io.shot import Shot
 from exwarp_cli.pipeline.key_frames import over_interval
 from exwarp_cli.pipeline.motion_convention import motion_names, parse_motion
 from exwarp_cli.research.training.augmentation import (
@@ -78,10 +80,8 @@ class SceneClip:
         index, manifest = self._order[FACTOR * k], self.scene.manifest
         if self.variant.speed == 1 and manifest.has_key(index):
             number = manifest.keys.first + index // manifest.keys.step
-            shot = self.scene.keys
-            size = (shot.display.width, shot.display.height)
-            motion = parse_motion(manifest.motion, motion_names(shot), size)
-            gbuffer = settle_motion(read_raw(shot, number, GEOMETRY).settle(motion))
+            raw = read_raw(self.scene.keys, number, GEOMETRY)
+            gbuffer = settle_motion(raw.settle(_convention(self.scene, self.scene.keys)))
             return self._play(index, gbuffer.to_previous, gbuffer.to_next, gbuffer.bend)
         span = FACTOR * self.variant.speed
         return self._play(index, self._spanned(index, span, -1), self._spanned(index, span, 1))
@@ -101,8 +101,8 @@ class SceneClip:
 
         The setting is "key", or "slot" for G-buffers of the slots.
         """
-        slots = self._slots(k, setting)
-        return Interval(self.key(k, setting), self.key(k + 1, setting), slots)
+        key, following = (self.key(index, setting) for index in (k, k + 1))
+        return Interval(key, following, self._slots(k, setting))
 
     def causal(self, k: int, setting: str) -> Interval:
         """Return key interval k for causal synthesis: with its past, without the next key frame."""
@@ -117,8 +117,8 @@ class SceneClip:
                 keys.append(self._play(instant, None, self._spanned(instant, span, 1)))
             else:
                 keys.append(self._play(instant, self._spanned(instant, span, -1), None))
-        slots = self._slots(k, setting)
-        return Interval(self.key(k, setting), None, slots, older_key_frames(keys))
+        key = self.key(k, setting)
+        return Interval(key, None, self._slots(k, setting), older_key_frames(keys))
 
     def _slots(self, k: int, setting: str) -> tuple[GBuffer, ...]:
         if setting == "key":
@@ -159,9 +159,12 @@ class SceneClip:
 def _read_instant(scene: RenderedScene, index: int) -> tuple[KeyFrame, GBuffer]:
     """Return an instant as rendered, and its G-buffer, motion settled; index from 0."""
     number = scene.manifest.instants.first + index
-    shot = scene.instants
-    size = (shot.display.width, shot.display.height)
-    motion = parse_motion(scene.manifest.motion, motion_names(shot), size)
-    frame = read_raw(shot, number, (Role.COLOUR, *GEOMETRY, *SURFACE)).key(motion)
+    raw = read_raw(scene.instants, number, (Role.COLOUR, *GEOMETRY, *SURFACE))
+    frame = raw.key(_convention(scene, scene.instants))
     assert frame.gbuffer is not None
     return replace(frame, gbuffer=None), settle_motion(frame.gbuffer)
+
+
+def _convention(scene: RenderedScene, shot: Shot) -> MotionConvention:
+    size = (shot.display.width, shot.display.height)
+    return parse_motion(scene.manifest.motion, motion_names(shot), size)
