@@ -208,13 +208,7 @@ class ResumableTraining(ABC):
             self.seconds = time.monotonic() - begin
             if self.step % every == 0 or self.step == self.settings.steps:
                 self._record(float(np.mean(losses)), *self._validate(held_out))
-                content = {
-                    "network": self.network.state_dict(), "average": self.average.state_dict(),
-                    "optimiser": self.optimiser.state_dict(),
-                    "step": self.step, "seconds": self.seconds,
-                }  # fmt: skip
-                with atomic_path(self.folder / CHECKPOINT) as temporary:
-                    torch.save(content, temporary)
+                self._save()
                 losses = []
             check_stop()
 
@@ -257,7 +251,7 @@ class ResumableTraining(ABC):
         """Add a row to the curve; rows from this step on are of a broken run, and removed."""
         path = self.folder / CURVE
         rows = path.read_text(encoding="utf-8").splitlines()[1:] if path.exists() else []
-        rows = [row for row in rows if int(row.split(",")[0]) < self.step]
+        rows = [row for row in rows if row and int(row.split(",")[0]) < self.step]
         values = (self.step, round(self.seconds), loss, self._rate(), *scores)
         rows.append(",".join(str(v) if isinstance(v, int) else f"{v:.5g}" for v in values))
         atomic_write_text(path, "\n".join([",".join(self.columns), *rows, ""]))
@@ -266,6 +260,17 @@ class ResumableTraining(ABC):
             f"step {self.step} of {self.settings.steps}: loss {loss:.4f}, held-out scenes "
             f"{self.scores_text.format(*scores)}, {minutes_left:.0f} min left"
         )
+
+    def _save(self) -> None:
+        content = {
+            "network": self.network.state_dict(),
+            "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "step": self.step,
+            "seconds": self.seconds,
+        }
+        with atomic_path(self.folder / CHECKPOINT) as temporary:
+            torch.save(content, temporary)
 
 
 def read_checkpoint(path: Path, device: str) -> dict[str, Any]:

@@ -32,7 +32,7 @@ def said(_line: str) -> None: ...
 
 def trained(folder, settings: ExtrapolatorSettings = TINY) -> ExtrapolatorTraining:
     made = ExtrapolatorTraining(folder, settings, said)
-    torch.save({"average": made.average.state_dict()}, folder / CHECKPOINT)
+    made._save()
     return made
 
 
