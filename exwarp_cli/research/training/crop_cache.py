@@ -267,6 +267,11 @@ class Batch(NamedTuple):
         """What the network is called with."""
         return self.warped, self.mask, self.features, self.history, self.time
 
+    @property
+    def plain(self) -> Tensor:
+        """The filled warp, scene-linear: what the network has to be better than."""
+        return self.finish(self.warped[:, 3:])
+
     def finish(self, answer: Tensor) -> Tensor:
         """Return the scene-linear colour that an answer means."""
         return decode(answer) * self.modulation

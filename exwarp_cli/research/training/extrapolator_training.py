@@ -146,7 +146,7 @@ class ExtrapolatorTraining(ResumableTraining):
         with torch.autocast(self.device, torch.bfloat16, enabled=self._uses_bfloat16):
             answer = self.network(*batch.inputs)
         colour = batch.finish(answer.float())
-        return loss_of(colour, batch.target, batch.finish(batch.warped[:, 3:]), batch.mask)
+        return loss_of(colour, batch.target, batch.plain, batch.mask)
 
     @torch.no_grad()
     def _validate(self, samples: Crops) -> tuple[float, float]:
@@ -158,8 +158,7 @@ class ExtrapolatorTraining(ResumableTraining):
         for first in range(0, len(indices), VALIDATION_BATCH):
             check_stop()
             batch = to_device(samples.batch(indices[first : first + VALIDATION_BATCH]), self.device)
-            colour = batch.finish(self.average(*batch.inputs))
-            plain = batch.finish(batch.warped[:, 3:])
+            colour, plain = batch.finish(self.average(*batch.inputs)), batch.plain
             for where, rows in ((None, gains), (1 - batch.mask, gains_in_holes)):
                 gain = psnr(colour, batch.target, where) - psnr(plain, batch.target, where)
                 rows += gain.tolist()

@@ -373,8 +373,9 @@ class LookAheadTraining(ResumableTraining):
             sample = to_device(samples.batch([index]), self.device)
             height, width = sample.truth.shape[-2:]
             padding = (0, -width % STRIDE, 0, -height % STRIDE)
-            pictures = [functional.pad(p, padding, mode="replicate") for p in sample[:4]]
-            colour = mix(self.average(*pictures, sample.time), pictures[0])
+            *pictures, time = sample[:-1]
+            pictures = [functional.pad(picture, padding, mode="replicate") for picture in pictures]
+            colour = mix(self.average(*pictures, time), pictures[0])
             colour = colour[..., :height, :width].clamp(0, 1)
             truth, plain = sample.truth.clamp(0, 1), sample.colour[:, :3].clamp(0, 1)
             gain = 10 / math.log(10) * (_log_error(plain, truth) - _log_error(colour, truth))

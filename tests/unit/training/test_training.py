@@ -26,7 +26,6 @@ from exwarp_cli.research.training import crop_cache as batches
 from exwarp_cli.research.training.crop_cache import (
     IN_HOLES,
     SHORT,
-    Batch,
     Crops,
     FrameChoice,
     _crop_weight,
@@ -84,11 +83,6 @@ def crops(scenes, cache) -> Crops:
 
 
 def quiet(_line: str) -> None: ...
-
-
-def plain(batch: Batch) -> torch.Tensor:
-    """The filled warp, scene-linear."""
-    return batch.finish(batch.warped[:, 3:])
 
 
 @pytest.fixture
@@ -177,7 +171,7 @@ def test_crops_are_parts_of_what_was_rendered(scenes, crops):
     assert len(crops) == len(again["time"])
     np.testing.assert_array_equal(batch.target.numpy(), again["target"].astype(np.float32))
     assert batch.warped.shape[1:] == (6, SIDE, SIDE)
-    gain = psnr(plain(batch), batch.target)
+    gain = psnr(batch.plain, batch.target)
     assert gain.mean() > 20  # the warp shows about what was rendered
     hole = batch.mask == 0
     assert (batch.warped[:, :3] * hole == 0).all()
@@ -220,8 +214,8 @@ def test_variation_keeps_pictures_and_truth_together(crops, seed):
     """The filled warp is as far from the truth as before, whatever is turned or re-coloured."""
     batch = crops.batch(range(8))
     found = vary(batch, np.random.default_rng(seed))
-    error = (encoded(plain(batch)) - encoded(batch.target)).abs()
-    changed = (encoded(plain(found)) - encoded(found.target)).abs()
+    error = (encoded(batch.plain) - encoded(batch.target)).abs()
+    changed = (encoded(found.plain) - encoded(found.target)).abs()
     share = (error > 0.05).float().mean((1, 2, 3)), (changed > 0.05).float().mean((1, 2, 3))
     assert torch.allclose(*share, atol=0.1)
     assert torch.equal(found.mask.sum((1, 2, 3)), batch.mask.sum((1, 2, 3)))
@@ -239,7 +233,7 @@ def test_nothing_of_a_step_changes_the_device(crops):
     for name in ARCHITECTURES:
         network = ExtrapolationNetwork(name, 8).to("meta")
         made = found.finish(network(*found.inputs))
-        loss = loss_of(made, found.target, plain(found), found.mask)
+        loss = loss_of(made, found.target, found.plain, found.mask)
         assert loss.device.type == made.device.type == "meta"
         assert psnr(made, found.target, 1 - found.mask).device.type == "meta"
 
