@@ -8,16 +8,8 @@ from typing import Any
 
 import click
 
-from exwarp_cli.commands.options import (
-    FILE,
-    Decorator,
-    combined,
-    json_option,
-    print_json,
-    show,
-    summary_of_files,
-    threads_option,
-)
+from exwarp_cli.commands import options
+from exwarp_cli.commands.options import FILE
 from exwarp_cli.domain.wording import one_line
 from exwarp_cli.research.training.training_settings import (
     ExtrapolatorSettings,
@@ -38,7 +30,7 @@ def command() -> None:
 
 
 # What is learnt from, and where the outcome goes.
-_scene_options = combined(
+_scene_options = options.combined(
     click.option("--data", type=FILE, required=True, help="Folder of rendered scenes."),
     click.option("-o", "--output", type=FILE, required=True, help="For checkpoints and the model."),
     click.option(
@@ -53,9 +45,9 @@ def _policy_options(
     outcome: str,
     unit: str,
     network: str = "--extrapolator",
-) -> Decorator[Any]:
+) -> options.Decorator[Any]:
     """Return the options of all trainings of a policy, but for the data."""
-    return combined(
+    return options.combined(
         click.option(
             "--tables", type=FILE, help="Use these; default: those that come with ExWarp."
         ),
@@ -87,9 +79,9 @@ def _policy_options(
 )
 @click.option("--every", type=click.IntRange(1), default=500, help="Checkpoint.")
 @click.option("--cache", type=FILE, help="For crops; default: in the data folder's parent.")
-@threads_option
-@json_option
-def extrapolator(**options: Any) -> None:
+@options.threads_option
+@options.json_option
+def extrapolator(**values: Any) -> None:
     """Train the network that extrapolates, on a GPU where there is one.
 
     Stopped at any time, the same command goes on from the last checkpoint. The output folder gets
@@ -99,7 +91,7 @@ def extrapolator(**options: Any) -> None:
     from exwarp_cli.research.training.extrapolator_training import ExtrapolatorTraining
 
     use = "--extrapolator"
-    _train_network("extrapolator", ExtrapolatorTraining.train, ExtrapolatorSettings, use, **options)
+    _train_network("extrapolator", ExtrapolatorTraining.train, ExtrapolatorSettings, use, **values)
 
 
 @command.command("lookahead", context_settings={"show_default": True})
@@ -112,9 +104,9 @@ def extrapolator(**options: Any) -> None:
 @click.option("--start", type=FILE, metavar="FILE", help="Checkpoint to begin with.")
 @click.option("--every", type=click.IntRange(1), default=1000, help="Checkpoint.")
 @click.option("--cache", type=FILE, help="For samples; default: in the data folder's parent.")
-@threads_option
-@json_option
-def lookahead(**options: Any) -> None:
+@options.threads_option
+@options.json_option
+def lookahead(**values: Any) -> None:
     """Train the network that weighs both key frames.
 
     Stopped at any time, the same command goes on from the last checkpoint. The output folder gets
@@ -124,7 +116,7 @@ def lookahead(**options: Any) -> None:
     from exwarp_cli.research.training.lookahead_training import LookAheadTraining
 
     use = "--method lookahead --interpolator"
-    _train_network("lookahead", LookAheadTraining.train, LookAheadSettings, use, **options)
+    _train_network("lookahead", LookAheadTraining.train, LookAheadSettings, use, **values)
 
 
 def _train_network(
@@ -142,7 +134,7 @@ def _train_network(
     threads: int | None,
     start: Path | None,
     as_json: bool,
-    **options: Any,
+    **values: Any,
 ) -> None:
     """Train a network of a kind, and say by which options of upsample it is used."""
     from exwarp_cli.io.dataset import select_scenes
@@ -150,7 +142,7 @@ def _train_network(
 
     chosen = select_scenes(data, scenes, exclude, _say)
     crops = cache or data.resolve().parent / "crops"
-    model = train(chosen, output, crops, settings(**options), every, threads, _say, start)
+    model = train(chosen, output, crops, settings(**values), every, threads, _say, start)
     scores, advice = last_row(output / CURVE), f"{model}: give it to exwarp upsample {use}"
     _print_outcome(kind, output, model, scores, advice, as_json)
 
@@ -165,7 +157,7 @@ def _train_network(
 @_policy_options(PolicySettings(), "models and scores", "states")
 @click.option("--cache", type=FILE, help="For --data; default: in the data folder's parent.")
 @click.option("--jobs", type=click.IntRange(1), help="Scenes at a time; default: all cores.")
-@json_option
+@options.json_option
 def policy(
     data: tuple[Path, ...],
     tables: Path | None,
@@ -174,7 +166,7 @@ def policy(
     cache: Path | None,
     jobs: int | None,
     as_json: bool,
-    **options: object,
+    **values: Any,
 ) -> None:
     """Train the policy that chooses between warping and extrapolation.
 
@@ -187,84 +179,69 @@ def policy(
     from exwarp_cli.research.training.outcome_tables import find_tables
     from exwarp_cli.research.training.policy_training import policy_card, train_policy
 
-    settings = PolicySettings(**options)  # type: ignore[arg-type]
+    settings = PolicySettings(**values)
     require_sane_policy(settings)
     scenes = find_tables(data, tables, output, _say, extrapolator, cache, jobs)
     scores = train_policy(scenes, output, settings, _say)
-    model, text = output / SHIPPED_POLICY, policy_card(scores)
-    _print_outcome("policy", output, model, scores, text, as_json)
+    _print_outcome("policy", output, output / SHIPPED_POLICY, scores, policy_card(scores), as_json)
 
 
 @command.command("tile-policy", context_settings={"show_default": True})
 @click.option("--data", type=FILE, help="Folder of rendered scenes to measure.")
 @_policy_options(TilePolicySettings(), "model and scores", "tiles")
-@json_option
-def tile_policy(
-    data: Path | None,
-    tables: Path | None,
-    output: Path,
-    extrapolator: Path | None,
-    as_json: bool,
-    **options: object,
-) -> None:
+@options.json_option
+def tile_policy(extrapolator: Path | None, **values: Any) -> None:
     """Train the policy that chooses tile by tile between warping and extrapolation.
 
     With --data, every maker's frames of the benchmark scenes are measured first, and kept as tables
     in the output folder. Each scene is left out of one training and judged by it.
     """
-    from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY
-
     require_train()
-    from exwarp_cli.research.training.tile_policy_training import (
-        TileTable,
-        find_tile_tables,
-        gain_card,
-        train_tile_policy,
-    )
+    from exwarp_cli.research.training.tile_policy_training import TileTable, train_tile_policy
 
-    settings = TilePolicySettings(**options)  # type: ignore[arg-type]
-    require_sane_policy(settings)
-    found = find_tile_tables(TileTable, data, extrapolator, tables, output, _say)
-    scores = train_tile_policy(found, output, settings, _say)
-    model = output / SHIPPED_TILE_POLICY
-    text = gain_card(scores, "E", scores["extrapolator_gain_db"])
-    text += f" Always S4, at half of the area, gains {scores['always_s4_percent']:.0f} %."
-    _print_outcome("tile-policy", output, model, scores, text, as_json)
+    _train_tile_policy("tile-policy", TileTable, train_tile_policy, extrapolator, **values)
 
 
 @command.command("look-ahead-policy", context_settings={"show_default": True})
 @click.option("--data", type=FILE, help="Folder of rendered scenes to measure.")
 @_policy_options(TilePolicySettings(), "model and scores", "tiles", "--interpolator")
-@json_option
-def look_ahead_policy(
-    data: Path | None,
-    tables: Path | None,
-    output: Path,
-    interpolator: Path | None,
-    as_json: bool,
-    **options: object,
-) -> None:
+@options.json_option
+def look_ahead_policy(interpolator: Path | None, **values: Any) -> None:
     """Find where the look-ahead network pays, tile by tile between key frames.
 
     A rule is compared with a learned policy, left out on each scene in turn. With --data, frames of
     the benchmark scenes are measured first, and kept as tables in the output folder.
     """
-    from exwarp_cli.models.policy_files import SHIPPED_LOOK_AHEAD_POLICY
-
     require_train()
     from exwarp_cli.research.training.look_ahead_policy import (
         LookAheadTable,
         train_look_ahead_policy,
     )
+
+    kind, train = "look-ahead-policy", train_look_ahead_policy
+    _train_tile_policy(kind, LookAheadTable, train, interpolator, **values)
+
+
+def _train_tile_policy(
+    kind: str,
+    table: Any,
+    train: Callable[..., dict[str, Any]],
+    network: Path | None,
+    *,
+    data: Path | None,
+    tables: Path | None,
+    output: Path,
+    as_json: bool,
+    **values: Any,
+) -> None:
+    """Train a policy of tiles, of which `table` has the measurements."""
     from exwarp_cli.research.training.tile_policy_training import find_tile_tables, gain_card
 
-    settings = TilePolicySettings(**options)  # type: ignore[arg-type]
+    settings = TilePolicySettings(**values)
     require_sane_policy(settings)
-    found = find_tile_tables(LookAheadTable, data, interpolator, tables, output, _say)
-    scores = train_look_ahead_policy(found, output, settings, _say)
-    model = output / SHIPPED_LOOK_AHEAD_POLICY
-    text = gain_card(scores, "The network", scores["network_gain_db"])
-    _print_outcome("look-ahead-policy", output, model, scores, text, as_json)
+    found = find_tile_tables(table, data, network, tables, output, _say)
+    scores = train(found, output, settings, _say)
+    _print_outcome(kind, output, output / table.policy, scores, gain_card(scores), as_json)
 
 
 def _print_outcome(
@@ -272,7 +249,7 @@ def _print_outcome(
 ) -> None:
     """Print what a training came to: `text` for people, or as JSON where things are."""
     if as_json:
-        print_json(
+        options.print_json(
             {
                 "schema": "exwarp.training/1",
                 "kind": kind,
@@ -282,9 +259,9 @@ def _print_outcome(
             }
         )
         return
-    with summary_of_files():
+    with options.summary_of_files():
         for line in text.split("\n"):
-            show(line)
+            options.show(line)
 
 
 def _say(line: str) -> None:

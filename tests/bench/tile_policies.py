@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import itertools
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +31,6 @@ from exwarp_cli.research.training.tile_policy_training import (
     TileTable,
     choice_margins,
     gain_percent,
-    kept_table,
     price_for,
     train_tiles,
 )
@@ -90,8 +88,12 @@ def measured(
 ) -> TileTable:
     """Measure a scene's tiles, or read what was measured before."""
     variants = VARIANTS if kind == "still" else HALF
-    measure = partial(TileTable.measure, scene, network, print, look, variants)
-    return kept_table(TileTable, folder / f"{scene.name}-{kind}.npz", network, measure)
+    path = folder / f"{scene.name}-{kind}.npz"
+    table = TileTable.load(path) if path.exists() else None
+    if table is None or table.network != network.checksum:
+        TileTable.measure(scene, network, print, look, variants).save(path)
+        table = TileTable.load(path)
+    return table
 
 
 def scores(

@@ -82,9 +82,9 @@ def test_the_scores_come_from_the_files_beside_them(report, scene):
     paths = greedy_paths(outputs.astype(float).reshape(-1, len(NODES), 2))
     found = score_paths(table, paths, np.ones(len(table), np.bool_))
     scores = report["left_out"][scene][ALL]["scores"]["exwarp"]
-    assert found.psnr_db == pytest.approx(scores["psnr_db"], abs=1e-6)
-    assert found.reward == pytest.approx(scores["reward"], abs=1e-6)
-    assert list(found.paths) == scores["paths"]
+    assert found["psnr_db"] == pytest.approx(scores["psnr_db"], abs=1e-6)
+    assert found["reward"] == pytest.approx(scores["reward"], abs=1e-6)
+    assert found["paths"] == scores["paths"]
 
 
 def test_all_forms_of_it_agree():

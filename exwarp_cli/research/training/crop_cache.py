@@ -27,12 +27,7 @@ from exwarp_cli.research.training.augmentation import Look, Variant, draw_look
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.research.training.training_settings import ExtrapolatorSettings
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.synthesis.extrapolation import (
-    UNKNOWN_DEPTH,
-    UNKNOWN_METALLIC,
-    UNKNOWN_ROUGHNESS,
-    Prepared,
-)
+from exwarp_cli.synthesis import extrapolation
 from exwarp_cli.synthesis.interval import Interval
 
 # Of what is cached; crops of another version are made again.
@@ -139,7 +134,7 @@ def _draw_view(frame: Window, side: int, rng: np.random.Generator) -> Window:
     return Window(frame.x + int(x), frame.y + int(y), width, height)
 
 
-def _training_planes(prepared: Prepared, truth: Float32) -> dict[str, np.ndarray]:
+def _training_planes(prepared: extrapolation.Prepared, truth: Float32) -> dict[str, np.ndarray]:
     planes = prepared.inputs.part(slice(None), slice(None)).pictures
     history = planes["history"].reshape(HISTORY_FRAMES, 4, *planes["history"].shape[1:])
     colour = np.concatenate([planes["warped"][3:], *history[:, :3]])
@@ -227,25 +222,32 @@ class CachedArrays(ABC):
         """Make a scene's arrays, of one row for each sample."""
 
     @abstractmethod
+    def batch(
+        self, indices: Sequence[int], side: int = 0, rng: np.random.Generator | None = None
+    ) -> Any:
+        """Return samples as they are cached, or a patch of `side` pixels of each, varied by `rng`.
+
+        Samples of several sizes make no batch as they are.
+        """
+
     def draw(self, step: int, size: int, side: int, seed: int) -> Any:
         """Return the batch of a step of training: `size` patches of `side` pixels, varied.
 
         The seed and the step alone decide the order and the changes.
         """
-
-    def spread(self, count: int) -> list[int]:
-        """Return the indices of at most `count` samples, evenly apart."""
-        places = np.linspace(0, len(self) - 1, min(count, len(self)))
-        return [int(index) for index in np.unique(places.astype(int))]
-
-    def draw_indices(self, step: int, size: int, seed: int) -> list[int]:
-        """Return the indices of a step's samples: of a permutation, then of another one."""
+        # Of a permutation, then of another one.
         places = [divmod(n, len(self)) for n in range(step * size, (step + 1) * size)]
         orders = {
             epoch: np.random.default_rng((seed, epoch, 1)).permutation(len(self))
             for epoch in {epoch for epoch, _ in places}
         }
-        return [int(orders[epoch][offset]) for epoch, offset in places]
+        indices = [int(orders[epoch][offset]) for epoch, offset in places]
+        return self.batch(indices, side, np.random.default_rng((seed, step)))
+
+    def spread(self, count: int) -> list[int]:
+        """Return the indices of at most `count` samples, evenly apart."""
+        places = np.linspace(0, len(self) - 1, min(count, len(self)))
+        return [int(index) for index in np.unique(places.astype(int))]
 
 
 class Batch(NamedTuple):
@@ -333,11 +335,15 @@ class Crops(CachedArrays):
         return {name: np.stack(arrays) for name, arrays in crops.items()}
 
     def batch(
-        self, indices: Sequence[int], patches: Sequence[tuple[slice, slice]] | None = None
+        self, indices: Sequence[int], side: int = 0, rng: np.random.Generator | None = None
     ) -> Batch:
-        """Return crops as they are cached, or a patch of each: its rows and columns."""
-        if patches is None:
-            patches = [(slice(None), slice(None))] * len(indices)
+        """Return crops as they are cached, or a patch of `side` pixels of each, varied by `rng`."""
+        patches = [(slice(None), slice(None))] * len(indices)
+        if rng is not None:
+            room = int(self._files[0]["mask"].shape[-1]) - side
+            over = int(OVERHANG * side)
+            corners = rng.integers(-over, room + over + 1, (len(indices), 2)).clip(0, room)
+            patches = [(slice(y, y + side), slice(x, x + side)) for y, x in corners.tolist()]
         places = [self._places[index] for index in indices]
         tensors: dict[str, Tensor] = {}
         for name in self.names:
@@ -350,7 +356,7 @@ class Crops(CachedArrays):
         visible = mask[:, :1]
         frames = zip(torch.split(colour[:, 3:], 3, 1), torch.split(mask, 1, 1), strict=True)
         history = torch.cat([part for frame in frames for part in frame], 1)
-        return Batch(
+        batch = Batch(
             warped=torch.cat([history[:, :3] * visible, colour[:, :3]], 1),
             mask=visible,
             features=tensors["features"],
@@ -359,16 +365,7 @@ class Crops(CachedArrays):
             modulation=tensors["modulation"],
             target=tensors["target"],
         )
-
-    def draw(self, step: int, size: int, side: int, seed: int) -> Batch:
-        """Return the batch of a step of training: patches of crops, varied."""
-        rng = np.random.default_rng((seed, step))
-        indices = self.draw_indices(step, size, seed)
-        room = int(self._files[0]["mask"].shape[-1]) - side
-        over = int(OVERHANG * side)
-        corners = rng.integers(-over, room + over + 1, (size, 2)).clip(0, room).tolist()
-        patches = [(slice(y, y + side), slice(x, x + side)) for y, x in corners]
-        return vary(self.batch(indices, patches), rng)
+        return batch if rng is None else vary(batch, rng)
 
 
 def encode(linear: Tensor) -> Tensor:
@@ -410,9 +407,10 @@ def vary(batch: Batch, rng: np.random.Generator) -> Batch:
     if rng.random() < NO_NORMAL:
         normal = torch.zeros_like(normal)
     if rng.random() < NO_DEPTH:
-        surface[:, 0] = UNKNOWN_DEPTH
+        surface[:, 0] = extrapolation.UNKNOWN_DEPTH
     if rng.random() < NO_MATERIAL:
-        surface[:, 1], surface[:, 2] = UNKNOWN_ROUGHNESS, UNKNOWN_METALLIC
+        surface[:, 1] = extrapolation.UNKNOWN_ROUGHNESS
+        surface[:, 2] = extrapolation.UNKNOWN_METALLIC
     return Batch(
         warped=torch.cat([recolour(batch.warped[:, :3]), recolour(batch.warped[:, 3:])], 1),
         mask=place(batch.mask),

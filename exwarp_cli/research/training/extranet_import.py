@@ -39,7 +39,6 @@ PICTURES = 6
 FEATURES = 6
 PAST = 4
 
-
 # Before every name where the network was trained on several devices.
 DATA_PARALLEL = "module."
 
@@ -184,29 +183,20 @@ class ExtraNetAdapter(nn.Module):
         """
         newest_first = torch.relu(history).chunk(HISTORY_FRAMES, dim=1)
         pictures = torch.cat([newest_first[0][:, :3], torch.relu(warped[:, 3:])], dim=1)
-        answer = self.network(pictures, mask, release_features(features), newest_first[::-1])
-        return torch.relu(answer)
-
-
-def release_features(ours: Tensor) -> Tensor:
-    """Translate features, [N, 6, H, W], from ours to what the release was trained with."""
-    normal, depth, material = ours[:, :3], ours[:, 3:4], ours[:, 4:]
-    is_background = (normal == 0).all(dim=1, keepdim=True)
-    normal = torch.where(is_background, torch.full_like(normal, -1), normal)
-    is_finite = depth < 1
-    distance = torch.where(is_finite, depth, 0) / torch.where(is_finite, 1 - depth, 1)
-    nearest = distance.amin(dim=(2, 3), keepdim=True)
-    furthest = distance.amax(dim=(2, 3), keepdim=True)
-    distance = (distance - nearest) / (furthest - nearest + 1e-6)
-    return torch.cat([normal, distance, material], dim=1)
+        normal, depth, material = features[:, :3], features[:, 3:4], features[:, 4:]
+        is_background = (normal == 0).all(dim=1, keepdim=True)
+        normal = torch.where(is_background, torch.full_like(normal, -1), normal)
+        is_finite = depth < 1
+        distance = torch.where(is_finite, depth, 0) / torch.where(is_finite, 1 - depth, 1)
+        nearest = distance.amin(dim=(2, 3), keepdim=True)
+        furthest = distance.amax(dim=(2, 3), keepdim=True)
+        distance = (distance - nearest) / (furthest - nearest + 1e-6)
+        translated = torch.cat([normal, distance, material], dim=1)
+        return torch.relu(self.network(pictures, mask, translated, newest_first[::-1]))
 
 
 def _convolution(inputs: int, outputs: int, step: int = 1) -> list[nn.Module]:
-    return [
-        nn.Conv2d(inputs, outputs, 3, step, padding=1),
-        nn.BatchNorm2d(outputs),
-        nn.ReLU(),
-    ]
+    return [nn.Conv2d(inputs, outputs, 3, step, padding=1), nn.BatchNorm2d(outputs), nn.ReLU()]
 
 
 def _history_block(inputs: int, outputs: int) -> nn.Sequential:

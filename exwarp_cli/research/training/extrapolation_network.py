@@ -144,9 +144,13 @@ class UNet(nn.Module):
 class ExtrapolationNetwork(nn.Module):
     """The network as it is exported: the inputs of `domain.network_api`, colour out."""
 
-    def __init__(self, architecture: Architecture) -> None:
+    def __init__(self, name: str, width: int | None = None) -> None:
+        """Build the network of an architecture, with another width if given."""
         super().__init__()
-        self.architecture = a = architecture
+        a = ARCHITECTURES[name]
+        if width is not None:
+            a = replace(a, width=width)
+        self.architecture = a
         taps = sum((2 * radius + 1) ** 2 for radius in a.taps)
         sides = len(SIDES) if a.reach else 0
         self.candidate_count = 0
@@ -283,11 +287,3 @@ def _sample(frame: Tensor, flow: Tensor) -> Tensor:
     return functional.grid_sample(
         frame, torch.stack([x, y], -1), mode="bilinear", padding_mode="border", align_corners=True
     )
-
-
-def build_network(name: str, width: int | None = None) -> ExtrapolationNetwork:
-    """Build a network by the name of its architecture, with another width if given."""
-    architecture = ARCHITECTURES[name]
-    if width is not None:
-        architecture = replace(architecture, width=width)
-    return ExtrapolationNetwork(architecture)

@@ -23,7 +23,6 @@ from exwarp_cli.research.training.extrapolation_network import (
     STRIDE,
     ExtrapolationNetwork,
     GatedConvolution,
-    build_network,
 )
 from exwarp_cli.research.training.resumable_training import (
     ResumableTraining,
@@ -81,6 +80,7 @@ class ExtrapolatorTraining(ResumableTraining):
     largest_gradient = 0.3
     high = 0.0
     least_rate = 0.02
+    network_class, network_options = ExtrapolationNetwork, ("architecture", "width")
     model, interface = MODEL, EXTRAPOLATOR_INTERFACE
     about = "extrapolation network, {0.architecture}"
     startable = "{0.architecture} or a smaller one; give its --architecture and --width"
@@ -118,9 +118,6 @@ class ExtrapolatorTraining(ResumableTraining):
             if self.device == "cuda"
             else processors.is_file() and "avx512_bf16" in processors.read_text(encoding="utf-8")
         )
-
-    def _make_network(self) -> ExtrapolationNetwork:
-        return build_network(self.settings.architecture, self.settings.width)
 
     def _load_start(self, path: Path) -> None:
         if path.suffix == ".onnx":

@@ -40,10 +40,9 @@ from exwarp_cli.research.training.tile_policy_training import (
     Margins,
     TableOfTiles,
     choice_margins,
-    gains_by_share,
-    gains_in_db,
     margins_unseen,
     price_for,
+    score_choices,
     train_tiles,
 )
 from exwarp_cli.research.training.training_settings import TilePolicySettings
@@ -74,6 +73,7 @@ class LookAheadTable(TableOfTiles):
     schema = "exwarp.look-ahead-table/1"
     facts = ("scene", "network")
     folder, option = Path(TILE_TABLES, "look-ahead"), "--interpolator"
+    policy = SHIPPED_LOOK_AHEAD_POLICY
     load_network = staticmethod(partial(load_lookahead, threads=1, device="cpu"))
     arrays: ClassVar = {
         "slot": (np.int32, np.int32, ()),
@@ -102,11 +102,6 @@ class LookAheadTable(TableOfTiles):
         """What the network takes from each tile's squared error, float64 [N, 1, 2]."""
         gain = self.errors[:, 0] - self.errors[:, 1]
         return np.stack([np.zeros(len(self)), gain], axis=-1)[:, None]
-
-    @staticmethod
-    def cost(margins: Margins, price: float) -> float:
-        """Return the share of the area that the network computes."""
-        return float((margins > price).mean())
 
     def error(self, margins: Margins, price: float) -> float:
         """Return the mean squared error of slots 1 to 3, squared display levels."""
@@ -173,7 +168,8 @@ def train_look_ahead_policy(
     rng = np.random.default_rng(settings.seed)
     margins["coin"] = [rng.random((len(table), 1)) for table in tables]
     margins["the truth"] = [table.gains[..., 1] for table in tables]
-    gains = gains_by_share(tables, margins)
+    scores = score_choices(tables, margins, "network")
+    gains = scores["gain_percent"]
     is_learned = bool(gains[LEARNED][QUARTER] >= gains[RULE][QUARTER] + CLEARLY)
     best, how = rule, "where both key frames are apart"
     if is_learned:
@@ -187,14 +183,7 @@ def train_look_ahead_policy(
         "efforts": [[s, round(price_for(s, own, LookAheadTable.cost))] for s in EFFORTS],
     }
     save_network(output / SHIPPED_LOOK_AHEAD_POLICY, best, metadata)
-    report = {
-        "schema": SCHEMA,
-        "settings": asdict(settings),
-        "is_learned": is_learned,
-        "tiles": {table.scene: len(table) for table in tables},
-        "network_gain_db": gains_in_db(tables),
-        "gain_percent": gains,
-    }
+    report = {"schema": SCHEMA, "settings": asdict(settings), "is_learned": is_learned, **scores}
     atomic_write_text(output / REPORT, json.dumps(report, indent=1) + "\n")
     add_checksums(output, [SHIPPED_LOOK_AHEAD_POLICY])
     return report

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -117,26 +117,6 @@ class _Recorder:
         yield (TileSpan(0, height, 0, height), TileSpan(0, width, 0, width)), weights
 
 
-def slot_samples(clip: SceneClip, setting: str = "key") -> Iterator[dict[str, np.ndarray]]:
-    """Yield what a network is given at each slot between key frames, with the truth.
-
-    The inputs and ``truth`` [3, H, W], as displayed, float16; ``time`` float32.
-    """
-    for k in clip.intervals:
-        interval = clip.interval(k, setting)
-        for slot in range(1, FACTOR):
-            recorder, following = _Recorder(), interval.following
-            assert following is not None
-            mixer = replace(interval, interpolator=recorder).look_ahead(slot, weighs=True)
-            mixer.make(interval.key.image.pixels, following.image.pixels)
-            truth = np.ascontiguousarray(clip.truth(k, slot).pixels[..., :3], np.float32)
-            yield recorder.pictures | {
-                "truth": linear_to_srgb(truth).transpose(2, 0, 1).astype(np.float16),
-                "time": np.array(interval.time(slot), np.float32),
-            }
-            check_stop()
-
-
 def variants_of(name: str, seed: int) -> list[tuple[Variant, Look]]:
     """Return how a scene is played and delivered; looks are drawn by its name and a seed."""
     rng = np.random.default_rng((seed, zlib.crc32(name.encode())))
@@ -147,7 +127,7 @@ def variants_of(name: str, seed: int) -> list[tuple[Variant, Look]]:
 
 
 class SampleBatch(NamedTuple):
-    """A batch as the network takes it, and the truth; float32 [N, channels, S, S]."""
+    """A batch as the network takes it, then the truth; float32 [N, channels, S, S]."""
 
     colour: Tensor
     masks: Tensor
@@ -155,11 +135,6 @@ class SampleBatch(NamedTuple):
     agreement: Tensor
     time: Tensor  # float32 [N]
     truth: Tensor  # As displayed
-
-    @property
-    def pictures(self) -> tuple[Tensor, ...]:
-        """What the network is called with, but for the time."""
-        return self.colour, self.masks, self.depth, self.agreement
 
 
 class Samples(CachedArrays):
@@ -175,23 +150,42 @@ class Samples(CachedArrays):
 
     @staticmethod
     def prepare(scene: RenderedScene, settings: LookAheadSettings) -> dict[str, np.ndarray]:
-        """Make the samples of a scene: what `slot_samples` yields, of all variants."""
+        """Make the samples of a scene: what a network is given at the slots of all variants.
+
+        The inputs and ``truth`` [N, 3, H, W], as displayed, float16; ``time`` [N] float32.
+        """
         clip, samples = SceneClip(scene), []
         for variant, look in variants_of(scene.name, settings.seed):
             clip = clip.seen_as(variant, look)
-            samples += list(slot_samples(clip))
+            for k in clip.intervals:
+                interval = clip.interval(k, "key")
+                assert interval.following is not None
+                frames = interval.key.image.pixels, interval.following.image.pixels
+                for slot in range(1, FACTOR):
+                    recorder = _Recorder()
+                    seen = replace(interval, interpolator=recorder)
+                    seen.look_ahead(slot, weighs=True).make(*frames)
+                    truth = np.ascontiguousarray(clip.truth(k, slot).pixels[..., :3], np.float32)
+                    shown = linear_to_srgb(truth).transpose(2, 0, 1)
+                    recorder.pictures["truth"] = shown.astype(np.float16)
+                    recorder.pictures["time"] = np.array(interval.time(slot), np.float32)
+                    samples.append(recorder.pictures)
+                    check_stop()
         return {name: np.stack([sample[name] for sample in samples]) for name in samples[0]}
 
-    def whole(self, index: int) -> SampleBatch:
-        """Return a slot as it is, as a batch of one."""
-        f, i = self._places[index]
-        return _stack([{name: array[i] for name, array in self._files[f].items()}])
-
-    def draw(self, step: int, size: int, side: int, seed: int) -> SampleBatch:
-        """Return the batch of a step of training: patches of slots, varied."""
-        rng = np.random.default_rng((seed, step))
-        indices = self.draw_indices(step, size, seed)
-        return _stack([self._draw_patch(index, side, rng) for index in indices])
+    def batch(
+        self, indices: Sequence[int], side: int = 0, rng: np.random.Generator | None = None
+    ) -> SampleBatch:
+        """Return slots as they are cached, or a patch of `side` pixels of each, varied by `rng`."""
+        patches: list[dict[str, np.ndarray]] = []
+        for index in indices:
+            f, i = self._places[index]
+            if rng is None:
+                patches.append({name: array[i] for name, array in self._files[f].items()})
+            else:
+                patches.append(self._draw_patch(index, side, rng))
+        stacks = (np.stack([patch[name] for patch in patches]) for name in self.names)
+        return SampleBatch(*(torch.from_numpy(np.ascontiguousarray(s, np.float32)) for s in stacks))
 
     def _draw_patch(self, index: int, side: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
         """Cut a patch; turn, flip, play it backwards, re-expose and recolour it, or hide depth."""
@@ -235,11 +229,6 @@ class Samples(CachedArrays):
                 pictures[name] = pictures[name][list(channels)]
             time = np.float32(1) - time
         return pictures | {"time": np.array(time)}
-
-
-def _stack(patches: Sequence[Mapping[str, np.ndarray]]) -> SampleBatch:
-    stacks = (np.stack([patch[name] for patch in patches]) for name in SampleBatch._fields)
-    return SampleBatch(*(torch.from_numpy(np.ascontiguousarray(s, np.float32)) for s in stacks))
 
 
 class NormalisedConvolution(nn.Module):
@@ -361,6 +350,8 @@ class LookAheadTraining(ResumableTraining):
     largest_gradient = 0.5
     high = 0.3
     least_rate = 0.005
+    network_class, network_options = WeighingNetwork, ("width",)
+    shipped = ShippedNetwork
     model, interface = MODEL, LOOKAHEAD_INTERFACE
     about = "look-ahead network, {0.width} channels"
     startable = "one of {0.width} channels; give its --width"
@@ -369,14 +360,8 @@ class LookAheadTraining(ResumableTraining):
     columns = ("step", "seconds", "loss", "rate", "gain_db", "sharpness_percent")
     scores_text = "{:+.2f} dB over softsplat, gradients {:+.1f} % of the truth's"
 
-    def _make_network(self) -> WeighingNetwork:
-        return WeighingNetwork(self.settings.width)
-
-    def _shipped(self) -> ShippedNetwork:
-        return ShippedNetwork(self.average)
-
     def _loss(self, batch: SampleBatch) -> Tensor:
-        colour = mix(self.network(*batch.pictures, batch.time), batch.colour)
+        colour = mix(self.network(*batch[:-1]), batch.colour)
         return loss_of(colour, batch.truth)
 
     @torch.no_grad()
@@ -385,11 +370,12 @@ class LookAheadTraining(ResumableTraining):
         self.average.eval()
         scores = []
         for index in samples.spread(VALIDATED):
-            sample = to_device(samples.whole(index), self.device)
+            sample = to_device(samples.batch([index]), self.device)
             height, width = sample.truth.shape[-2:]
             padding = (0, -width % STRIDE, 0, -height % STRIDE)
-            pictures = [functional.pad(p, padding, mode="replicate") for p in sample.pictures]
-            colour = mix(self.average(*pictures, sample.time), pictures[0])
+            *pictures, time = sample[:-1]
+            pictures = [functional.pad(picture, padding, mode="replicate") for picture in pictures]
+            colour = mix(self.average(*pictures, time), pictures[0])
             colour = colour[..., :height, :width].clamp(0, 1)
             truth, plain = sample.truth.clamp(0, 1), sample.colour[:, :3].clamp(0, 1)
             gain = 10 / math.log(10) * (_log_error(plain, truth) - _log_error(colour, truth))

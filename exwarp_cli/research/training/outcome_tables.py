@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import astuple, dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -50,6 +50,9 @@ TABLES = "tables"
 
 FIELDS = 8  # of `Features`
 
+# Said of both options.
+GIVE_ONE = "--data makes tables and --tables takes those that are there; give one"
+
 F64 = npt.NDArray[np.float64]
 Say = Callable[[str], None]
 Table = TypeVar("Table", bound="TrainingTable")
@@ -71,10 +74,6 @@ class View:
         name = f"{self.setting}-phase{self.variant.phase}-speed{self.variant.speed}"
         return f"{name}-begins" if self.begins else name
 
-    def intervals(self, clip: SceneClip) -> Sequence[int]:
-        """Return the indices of the key intervals that are measured."""
-        return clip.intervals[:: BEGINNING_EVERY if self.begins else 1]
-
 
 # Every phase at normal speed, two at double speed, and beginnings, in both settings.
 VIEWS = (
@@ -85,11 +84,6 @@ VIEWS = (
     ),
     *(View(s, Variant(speed=speed), begins=True) for speed in (1, 2) for s in ("key", "slot")),
 )
-
-
-def is_long_enough(scene: RenderedScene, view: View) -> bool:
-    """True if a scene has a whole key interval in a view."""
-    return len(view.variant.order(scene.manifest.instants.count)) > FACTOR
 
 
 @dataclass(frozen=True)
@@ -113,51 +107,41 @@ def measure_view(scene: RenderedScene, view: View, model: Path | None, cache: Pa
     `model` is E's ONNX file; None for the one that comes with ExWarp.
     """
     clip, network = SceneClip(scene, view.variant), extrapolator(model)
+    numbers = clip.intervals[:: BEGINNING_EVERY if view.begins else 1]
     name = f"{scene.name}-{scene.manifest.size}-{view.name}"
-    features_file = cache / f"{name}-features-v{FEATURES_VERSION}.npy"
-    outcomes_file = cache / f"{name}-{network.checksum[:12]}-v{OUTCOMES_VERSION}.npy"
+    paths = {
+        "features": cache / f"{name}-features-v{FEATURES_VERSION}.npy",
+        "outcomes": cache / f"{name}-{network.checksum[:12]}-v{OUTCOMES_VERSION}.npy",
+    }
     make_folder(cache)
-    features = _read_cached(features_file, clip, view)
-    outcomes = _read_cached(outcomes_file, clip, view)
-    feature_rows: list[F64] = []
-    outcome_rows: list[F64] = []
+    both = scene.manifest.instants, scene.manifest.keys
+    files = [scene.path(frames, number) for frames in both for number in frames.numbers]
+    measured: dict[str, F64] = {}
+    for part, path in paths.items():
+        # Measured anew: what cannot be read, is older than a frame, or has another number of rows.
+        with suppress(OSError, ValueError, EOFError):
+            if path.stat().st_mtime_ns < max(file.stat().st_mtime_ns for file in files):
+                continue
+            array: F64 = np.load(path, allow_pickle=False)
+            if len(array) == len(numbers):
+                measured[part] = array
+    rows: dict[str, list[F64]] = {part: [] for part in paths if part not in measured}
     # Interval by interval, so that both find the same frames in memory.
-    for k in view.intervals(clip) if features is None or outcomes is None else ():
-        if features is None:
-            feature_rows.append(_interval_features(clip, view, k))
-        if outcomes is None:
+    for k in numbers if rows else ():
+        if "features" in rows:
+            rows["features"].append(_interval_features(clip, view, k))
+        if "outcomes" in rows:
             interval = replace(clip.causal(k, view.setting), extrapolator=network)
             if view.begins:
                 interval = replace(interval, past=())
             truth = {slot: clip.truth(k, slot).pixels for slot in range(1, FACTOR)}
-            outcome_rows.append(outcomes_of(interval, truth))
+            rows["outcomes"].append(outcomes_of(interval, truth))
         check_stop()
-    if features is None:
-        features = _write_cached(features_file, feature_rows)
-    if outcomes is None:
-        outcomes = _write_cached(outcomes_file, outcome_rows)
-    return Measured(features, outcomes)
-
-
-def _write_cached(path: Path, rows: list[F64]) -> F64:
-    array = np.array(rows)
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.save(file, array)
-    return array
-
-
-def _read_cached(path: Path, clip: SceneClip, view: View) -> F64 | None:
-    """Return what an earlier run measured; None if a frame is younger, or there are more now."""
-    scene = clip.scene
-    frames = scene.manifest.instants, scene.manifest.keys
-    files = [scene.path(part, number) for part in frames for number in part.numbers]
-    try:
-        if path.stat().st_mtime_ns < max(file.stat().st_mtime_ns for file in files):
-            return None
-        array: F64 = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError):
-        return None
-    return array if len(array) == len(view.intervals(clip)) else None
+    for part, found in rows.items():
+        measured[part] = np.array(found)
+        with atomic_path(paths[part]) as temporary, temporary.open("wb") as file:
+            np.save(file, measured[part])
+    return Measured(**measured)
 
 
 def _interval_features(clip: SceneClip, view: View, k: int) -> F64:
@@ -215,7 +199,13 @@ class TrainingTable:
                 name: content[name].astype(kind) for name, (_, kind, _) in cls.arrays.items()
             }
             table = cls(**facts, **rows)
-            table.validate()
+            if not len(table):
+                raise ValueError(f"it has no {cls.row}")
+            for name, (_, _, shape) in cls.arrays.items():
+                if rows[name].shape != (len(table), *shape):
+                    raise ValueError(f"an array is {rows[name].shape}, not {(len(table), *shape)}")
+                if not np.isfinite(rows[name]).all():
+                    raise ValueError("a number is not finite")
         except FileNotFoundError as error:
             raise InputError(f"there is no {cls.kind} {path}; check the path") from error
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
@@ -224,17 +214,6 @@ class TrainingTable:
                 f"{path} is no {cls.kind} that can be read ({reason}); make it again with --data"
             ) from error
         return table
-
-    def validate(self) -> None:
-        """Raise ValueError for no rows, other shapes, or numbers that are not finite."""
-        if not len(self):
-            raise ValueError(f"it has no {self.row}")
-        for name, (_, _, shape) in self.arrays.items():
-            array = getattr(self, name)
-            if array.shape != (len(self), *shape):
-                raise ValueError(f"an array is {array.shape}, not {(len(self), *shape)}")
-            if not np.isfinite(array).all():
-                raise ValueError("a number is not finite")
 
 
 @dataclass(frozen=True)
@@ -261,22 +240,19 @@ class PolicyTable(TrainingTable):
     outcomes: F64  # float64 [N, 5, 2, 2], see `exwarp_cli.policy.outcomes`.
     network: str  # Checksum of the network whose frames were judged.
 
-    def validate(self) -> None:
-        """Raise ValueError for groups without a name as well."""
-        super().validate()
-        if self.group.min() < 0 or self.group.max() >= len(self.groups):
+    def __post_init__(self) -> None:
+        if ((self.group < 0) | (self.group >= len(self.groups))).any():
             raise ValueError("a group has no name")
 
     @cached_property
     def states(self) -> F64:
         """The network's inputs at every node of every interval, float64 [N, 5, 44]."""
         states = np.empty((len(self), len(NODES), INPUTS))
-        features = []
-        for fields in self.features.reshape(-1, FIELDS).tolist():
-            objects, normal, position, x, y, width, height, distance = fields
-            features.append(
-                Features(int(objects), normal, position, x, y, int(width), int(height), distance)
-            )
+        fields = self.features.reshape(-1, FIELDS).tolist()
+        features = [
+            Features(int(objects), normal, position, x, y, int(width), int(height), distance)
+            for objects, normal, position, x, y, width, height, distance in fields
+        ]
         for row in range(len(self)):
             older = range(row - 1, max(row - 1 - OLDER_KEYS, -1), -1)
             before = tuple(features[3 * i] for i in older if self.group[i] == self.group[row])
@@ -337,7 +313,8 @@ def find_tables(
                 f"{unused[0]} is for measuring scenes; give --data too, or leave it out"
             )
         return read_tables(PolicyTable, tables or shipped_folder() / TABLES)
-    require_no_tables(tables)
+    if tables is not None:
+        raise UsageError(GIVE_ONE)
     cache = cache or data[0].resolve().parent / "policy"
     measured = _build_tables(data, model, cache, jobs or processors().usable, say)
     make_folder(output / TABLES)
@@ -354,12 +331,6 @@ def read_tables(kind: type[Table], folder: Path) -> list[Table]:
     if not tables:
         raise InputError(f"{folder} holds no {kind.kind}; make some with --data")
     return tables
-
-
-def require_no_tables(tables: Path | None) -> None:
-    """Raise UsageError for tables where scenes are measured."""
-    if tables is not None:
-        raise UsageError("--data makes tables and --tables takes those that are there; give one")
 
 
 def _build_tables(
@@ -385,7 +356,8 @@ def _build_tables(
         (scene, view, model, cache)
         for view in VIEWS
         for scene in scenes.values()
-        if is_long_enough(scene, view)
+        # One whole key interval, at least.
+        if len(view.variant.order(scene.manifest.instants.count)) > FACTOR
     ]
     measured: dict[tuple[str, str, str], Measured] = {}
     with closing(run_tasks(measure_view, work, jobs)) as results:

@@ -12,7 +12,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,36 +20,18 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.accelerator.mlp import QuantisedMlp
-from exwarp_cli.domain.decision import (
-    EXTRAPOLATE,
-    NODES,
-    PATHS,
-    WARP,
-    walk_tree,
-)
+from exwarp_cli.domain.decision import EXTRAPOLATE, NODES, PATHS, WARP, walk_tree
 from exwarp_cli.domain.frame import Bool
 from exwarp_cli.domain.settings import DEFAULT_FPS
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.models.model_file import CHECKSUMS
 from exwarp_cli.models.policy_files import SHIPPED_POLICY, policy_name_without, save_network
-from exwarp_cli.policy.outcomes import (
-    best_psnr,
-    best_return,
-    choice_rewards,
-    path_returns,
-    slot_quality,
-)
+from exwarp_cli.policy import outcomes
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
+from exwarp_cli.research.training import q_learning
 from exwarp_cli.research.training.onnx_export import export_float, export_integer
 from exwarp_cli.research.training.outcome_tables import F64, PolicyTable, Say
-from exwarp_cli.research.training.q_learning import (
-    Layers,
-    integer_values,
-    q_values,
-    quantise,
-    train_decisions,
-)
 from exwarp_cli.research.training.training_settings import PolicySettings
 
 Paths = npt.NDArray[np.intp]
@@ -76,13 +58,6 @@ TITLES = {
 }
 
 
-def learn(tables: Sequence[PolicyTable], settings: PolicySettings) -> tuple[Layers, QuantisedMlp]:
-    """Train a network on some scenes and quantise it; they are the calibration states too."""
-    floats = train_decisions(tables, settings)
-    states = np.concatenate([table.states.reshape(-1, INPUTS) for table in tables])
-    return floats, quantise(floats, states)
-
-
 def train_policy(
     tables: Sequence[PolicyTable], output: Path, settings: PolicySettings, say: Say
 ) -> dict[str, Any]:
@@ -96,29 +71,29 @@ def train_policy(
         # Each would be judged by a network that saw the other.
         raise InputError(f"two tables are of the scene {twice[0]}; keep one of them")
     make_folder(output)
-    folds, written = {}, []
-    for index, table in enumerate(tables):
-        training_tables = [t for i, t in enumerate(tables) if i != index]
-        say(f"without {table.scene}: training on {', '.join(t.scene for t in training_tables)}")
-        floats, network = learn(training_tables, settings)
-        name = policy_name_without(table.scene)
-        save_network(output / name, network, _metadata(training_tables, settings))
-        written.append(name)
-        folds[table.scene] = _judge(floats, network, table, training_tables)
-        whole = folds[table.scene][ALL]
+    folds: dict[str, Any] = {}
+    written = [SHIPPED_POLICY, FLOAT_MODEL, INTEGER_MODEL]
+    for left_out in tables:
+        known = [table for table in tables if table is not left_out]
+        say(f"without {left_out.scene}: training on {', '.join(table.scene for table in known)}")
+        floats, network, metadata = _learn(known, settings)
+        written.append(policy_name_without(left_out.scene))
+        save_network(output / written[-1], network, metadata)
+        folds[left_out.scene] = _judge(floats, network, left_out, known)
+        whole = folds[left_out.scene][ALL]
         scores = whole["scores"]
         own, oracle = scores["exwarp"], scores["oracle"]
         best = max(scores[path]["psnr_db"] for path in PATHS)
         say(
-            f"without {table.scene}: return {own['reward']:.3f}, PSNR {own['psnr_db']:.3f} dB; "
+            f"without {left_out.scene}: return {own['reward']:.3f}, PSNR {own['psnr_db']:.3f} dB; "
             f"best fixed path {best:.3f}, oracle {oracle['psnr_db']:.3f}; "
             f"int8 agrees on {whole['agreement']:.2%}"
         )
     say(f"training on all {len(tables)} scenes")
-    floats, network = learn(tables, settings)
+    floats, network, metadata = _learn(tables, settings)
     # In the precision that they were trained in.
     single = [(w.astype(np.float32), b.astype(np.float32)) for w, b in floats]
-    save_network(output / SHIPPED_POLICY, network, _metadata(tables, settings), single)
+    save_network(output / SHIPPED_POLICY, network, metadata, single)
     export_float(single, output / FLOAT_MODEL)
     export_integer(network, output / INTEGER_MODEL)
     report = {
@@ -139,8 +114,25 @@ def train_policy(
         "left_out": folds,
     }
     atomic_write_text(output / REPORT, json.dumps(report, separators=(",", ":")) + "\n")
-    add_checksums(output, [SHIPPED_POLICY, FLOAT_MODEL, INTEGER_MODEL, *written])
+    add_checksums(output, written)
     return report
+
+
+def _learn(
+    tables: Sequence[PolicyTable], settings: PolicySettings
+) -> tuple[q_learning.Layers, QuantisedMlp, dict[str, Any]]:
+    """Train a network on some scenes; return it as floats, in integers, and its metadata."""
+    floats = q_learning.train_decisions(tables, settings)
+    # What it learned from are the calibration states too.
+    states = np.concatenate([table.states.reshape(-1, INPUTS) for table in tables])
+    metadata = {
+        "about": "ExWarp's predictor: deep Q-learning on rendered scenes",
+        "state": STATE_VERSION,
+        "scenes": [table.scene for table in tables],
+        "settings": asdict(settings),
+        "extrapolator": sorted({table.network for table in tables}),
+    }
+    return floats, q_learning.quantise(floats, states), metadata
 
 
 def require_two_scenes(count: int) -> None:
@@ -152,29 +144,22 @@ def require_two_scenes(count: int) -> None:
         )
 
 
-def rows_by_part(table: PolicyTable) -> dict[str, Bool]:
-    """Return the rows of each part of a table: all, and each setting at each size."""
-    names = np.array([f"{name.split('-')[0]} {name.split()[-1]}" for name in table.groups])
-    names = names[table.group]
-    parts = {ALL: np.ones(len(table), np.bool_)}
-    return parts | {str(name): names == name for name in sorted(set(names))}
-
-
 def _judge(
-    network_floats: Layers,
+    network_floats: q_learning.Layers,
     network: QuantisedMlp,
     table: PolicyTable,
     training_tables: Sequence[PolicyTable],
 ) -> dict[str, Any]:
     """Score a policy on a scene that it never saw, beside what it competes with."""
-    floats, integers = q_values(network_floats, table), integer_values(network, table.states)
+    floats = q_learning.q_values(network_floats, table)
+    integers = q_learning.integer_values(network, table.states)
     taken = greedy_paths(integers)
     policies = {
         "exwarp": taken,
         "float": greedy_paths(floats),
-        "regressor": greedy_paths(predict_rewards(fit_regression(training_tables), table)),
-        "oracle": best_psnr(table.outcomes),
-        "oracle-return": best_return(table.outcomes),
+        "regressor": greedy_paths(predict_rewards(training_tables, table)),
+        "oracle": outcomes.best_psnr(table.outcomes),
+        "oracle-return": outcomes.best_return(table.outcomes),
         **{name: np.full(len(table), index) for index, name in enumerate(NAMES)},
         "random": None,
     }
@@ -182,24 +167,19 @@ def _judge(
     passed = np.array([[node in PATHS[name].choices for node in NODES] for name in NAMES])
     is_met = passed[taken]  # [N, 5]: the nodes that the policy's paths pass
     judgement: dict[str, Any] = {}
-    for part, rows in rows_by_part(table).items():
-        scores = {name: asdict(score_paths(table, paths, rows)) for name, paths in policies.items()}
+    # The parts of the table: all, and each setting at each size.
+    names = np.array([f"{name.split('-')[0]} {name.split()[-1]}" for name in table.groups])
+    part_of_row = names[table.group]
+    parts: dict[str, Bool] = {ALL: np.ones(len(table), np.bool_)}
+    parts |= {str(part): part_of_row == part for part in sorted(set(part_of_row))}
+    for part, rows in parts.items():
+        scores = {name: score_paths(table, paths, rows) for name, paths in policies.items()}
         judgement[part] = {
             "scores": scores,
             "agreement": float(agrees[rows].mean()),
             "agreement_met": float(agrees[rows][is_met[rows]].mean()),
         }
     return judgement
-
-
-def _metadata(tables: Sequence[PolicyTable], settings: PolicySettings) -> dict[str, Any]:
-    return {
-        "about": "ExWarp's predictor: deep Q-learning on rendered scenes",
-        "state": STATE_VERSION,
-        "scenes": [table.scene for table in tables],
-        "settings": asdict(settings),
-        "extrapolator": sorted({table.network for table in tables}),
-    }
 
 
 def add_checksums(folder: Path, names: Sequence[str]) -> None:
@@ -216,46 +196,35 @@ def add_checksums(folder: Path, names: Sequence[str]) -> None:
     atomic_write_text(path, json.dumps(checksums, indent=1, sort_keys=True) + "\n")
 
 
-@dataclass(frozen=True)
-class PolicyScore:
-    """Means over the key intervals of a table, or of a part of it."""
-
-    intervals: int  # How many
-    reward: float  # Undiscounted sum of the rewards of an interval.
-    # Of what is shown at slots 1 to 3
-    psnr_db: float
-    ssim: float
-    new_frames: float  # Of an interval; effective FPS is base FPS times one more than this.
-    warp_share: float  # Share of the decisions that are warps, 0 to 1.
-    paths: tuple[int, ...]  # Intervals by path, S1 to S6
-
-
-def score_paths(table: PolicyTable, paths: Paths | None, rows: Bool) -> PolicyScore:
-    """Score the paths, an index each, that some rows of a table took.
+def score_paths(table: PolicyTable, paths: Paths | None, rows: Bool) -> dict[str, Any]:
+    """Score the paths, an index each, that some rows of a table took: means over key intervals.
 
     None is for what tossing a coin at every node comes to on average, exactly.
     """
-    outcomes = table.outcomes[rows]
-    taken: tuple[int, ...] = ()
+    judged = table.outcomes[rows]
+    taken: list[int] = []
     decisions = np.array([len(path.choices) for path in PATHS.values()])
     if paths is None:
-        shares = np.tile(0.5**decisions, (len(outcomes), 1))
+        shares = np.tile(0.5**decisions, (len(judged), 1))
     else:
         shares = np.eye(len(NAMES))[paths[rows]]
-        taken = tuple(int(n) for n in shares.sum(axis=0))
-    quality = slot_quality(outcomes).mean(axis=-2)
+        taken = [int(n) for n in shares.sum(axis=0)]
+    quality = outcomes.slot_quality(judged).mean(axis=-2)
     generated = np.array([path.generated for path in PATHS.values()])
     warps = np.array([list(path.choices.values()).count(WARP) for path in PATHS.values()])
     per_path = shares.mean(axis=0)
-    return PolicyScore(
-        intervals=len(outcomes),
-        reward=float((shares * path_returns(outcomes)).sum(axis=1).mean()),
-        psnr_db=float((shares * quality[..., 0]).sum(axis=1).mean()),
-        ssim=float((shares * quality[..., 1]).sum(axis=1).mean()),
-        new_frames=float(per_path @ generated),
-        warp_share=float(per_path @ warps / (per_path @ decisions)),
-        paths=taken,
-    )
+    return {
+        "intervals": len(judged),
+        # Undiscounted sum of the rewards of an interval.
+        "reward": float((shares * outcomes.path_returns(judged)).sum(axis=1).mean()),
+        # Of what is shown at slots 1 to 3.
+        "psnr_db": float((shares * quality[..., 0]).sum(axis=1).mean()),
+        "ssim": float((shares * quality[..., 1]).sum(axis=1).mean()),
+        # Of an interval; effective FPS is base FPS times one more than this.
+        "new_frames": float(per_path @ generated),
+        "warp_share": float(per_path @ warps / (per_path @ decisions)),  # of the decisions, 0 to 1
+        "paths": taken,  # intervals by path, S1 to S6
+    }
 
 
 def greedy_paths(values: npt.NDArray[Any]) -> Paths:
@@ -267,14 +236,15 @@ def greedy_paths(values: npt.NDArray[Any]) -> Paths:
     return np.array(paths, np.intp)
 
 
-def fit_regression(tables: Sequence[PolicyTable]) -> F64:
-    """Fit the reward of both choices at each node to the states of some scenes.
+def predict_rewards(tables: Sequence[PolicyTable], table: PolicyTable) -> F64:
+    """Return the reward of both choices at every node of a table, float64 [N, 5, 2].
 
-    Returns coefficients float64 [5, 45, 2] of the 44 inputs and of a constant, by node and choice.
+    A linear regression, node by node, of some scenes' rewards on the 44 inputs and a constant.
     """
-    states = np.concatenate([table.states for table in tables])
-    gains = np.concatenate([choice_rewards(table.outcomes) for table in tables])
-    weights = np.concatenate([np.full(len(table), 1 / len(table)) for table in tables])
+    states = np.concatenate([known.states for known in tables])
+    gains = np.concatenate([outcomes.choice_rewards(known.outcomes) for known in tables])
+    # Scenes count alike, whatever their size.
+    weights = np.concatenate([np.full(len(known), 1 / len(known)) for known in tables])
     coefficients = []
     for node in range(len(NODES)):
         x = np.concatenate([states[:, node], np.ones((len(states), 1))], axis=1)
@@ -282,14 +252,8 @@ def fit_regression(tables: Sequence[PolicyTable]) -> F64:
         coefficients.append(
             np.linalg.solve(scaled.T @ x + RIDGE * np.eye(x.shape[1]), scaled.T @ gains[:, node])
         )
-    return np.array(coefficients)
-
-
-def predict_rewards(coefficients: F64, table: PolicyTable) -> F64:
-    """Return the expected reward of both choices at every node, float64 [N, 5, 2]."""
-    states = table.states
-    x = np.concatenate([states, np.ones((*states.shape[:2], 1))], axis=2)
-    return np.asarray(np.einsum("nki,kic->nkc", x, coefficients))
+    inputs = np.concatenate([table.states, np.ones((len(table), len(NODES), 1))], axis=2)
+    return np.asarray(np.einsum("nki,kic->nkc", inputs, np.array(coefficients)))
 
 
 def policy_card(report: dict[str, Any]) -> str:

@@ -21,15 +21,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from exwarp_cli.accelerator.mlp import (
-    MAX_ACTIVATION,
-    MAX_SHIFT,
-    ONE,
-    QuantisedLayer,
-    QuantisedMlp,
-    Requantisation,
-    to_fixed,
-)
+from exwarp_cli.accelerator import mlp
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import CHOICES, FEATURES, NEXT_NODE, NODES
 from exwarp_cli.policy.outcomes import choice_rewards
@@ -154,42 +146,42 @@ def q_values(layers: Layers, table: PolicyTable) -> F64:
     return np.asarray(activations @ weights.T + biases)
 
 
-def integer_values(network: QuantisedMlp, states: F64) -> npt.NDArray[np.int64]:
+def integer_values(network: mlp.QuantisedMlp, states: F64) -> npt.NDArray[np.int64]:
     """Return a network's outputs in integers for states float64 [N, nodes, 44], [N, nodes, 2]."""
-    outputs, _ = MlpKernel(network).decide_many(to_fixed(states.reshape(-1, INPUTS)))
+    outputs, _ = MlpKernel(network).decide_many(mlp.to_fixed(states.reshape(-1, INPUTS)))
     return outputs.astype(np.int64).reshape(*states.shape[:2], len(CHOICES))
 
 
-def quantise(network: Layers, states: F64) -> QuantisedMlp:
+def quantise(network: Layers, states: F64) -> mlp.QuantisedMlp:
     """Return a network in integers.
 
     Activations are calibrated on states, float64 [N, in], 0 to 1.
     """
-    unit = 1 / MAX_ACTIVATION
-    inputs = factors(np.full(states.shape[1], MAX_ACTIVATION / ONE))
-    layers: list[QuantisedLayer] = []
+    unit = 1 / mlp.MAX_ACTIVATION
+    inputs = factors(np.full(states.shape[1], mlp.MAX_ACTIVATION / mlp.ONE))
+    layers: list[mlp.QuantisedLayer] = []
     activations = states
     for number, (weight, bias) in enumerate(network):
         is_last = number == len(network) - 1
-        largest = np.abs(weight).max(axis=1) / MAX_ACTIVATION
+        largest = np.abs(weight).max(axis=1) / mlp.MAX_ACTIVATION
         scale = np.maximum(np.maximum(largest, np.abs(bias) / (MOST_BIAS * unit)), 1e-14)
         if is_last:
             scale = np.full(bias.shape, scale.max())
         integers = np.rint(weight / scale[:, None]).astype(np.int8)
         offset = np.rint(bias / (scale * unit)).astype(np.int32)
         if is_last:
-            layers.append(QuantisedLayer(integers, offset))
+            layers.append(mlp.QuantisedLayer(integers, offset))
             break
         activations = np.maximum(activations @ weight.T + bias, 0)
-        following = max(float(activations.max()), 1e-12) / MAX_ACTIVATION
-        layers.append(QuantisedLayer(integers, offset, factors(scale * unit / following)))
+        following = max(float(activations.max()), 1e-12) / mlp.MAX_ACTIVATION
+        layers.append(mlp.QuantisedLayer(integers, offset, factors(scale * unit / following)))
         unit = following
-    return QuantisedMlp(inputs, tuple(layers))
+    return mlp.QuantisedMlp(inputs, tuple(layers))
 
 
-def factors(ratios: F64) -> Requantisation:
+def factors(ratios: F64) -> mlp.Requantisation:
     """Return positive ratios as int32 multipliers and shifts, to 30 bits where they fit."""
     _, exponents = np.frexp(ratios)
-    shifts = np.clip(MULTIPLIER_BITS - exponents, 0, MAX_SHIFT)
+    shifts = np.clip(MULTIPLIER_BITS - exponents, 0, mlp.MAX_SHIFT)
     multipliers = np.rint(np.ldexp(ratios, shifts)).clip(1, 2**MULTIPLIER_BITS - 1)
-    return Requantisation(multipliers.astype(np.int32), shifts.astype(np.uint8))
+    return mlp.Requantisation(multipliers.astype(np.int32), shifts.astype(np.uint8))

@@ -49,6 +49,11 @@ AVERAGED = 0.998
 # H100 learns in 33 ms beside two other trainings.
 LOADERS = 12
 
+DAMAGED = (
+    "{} is damaged, or no checkpoint of this version; choose another folder, or remove this one to "
+    "start again"
+)
+
 Say = Callable[[str], None]
 Settings = ExtrapolatorSettings | LookAheadSettings
 
@@ -61,6 +66,10 @@ class ResumableTraining(ABC):
     """
 
     samples: type[CachedArrays]  # what it learns from
+    # The network, the settings that it is made of, and what is put around it in the model.
+    network_class: type[nn.Module]
+    network_options: tuple[str, ...]
+    shipped: type[nn.Module] | None = None
     weight_decay: float
     largest_gradient: float  # a longer one is scaled to this norm
     # The learning rate: the share of the steps for which it stays at its highest, and what it ends
@@ -79,7 +88,8 @@ class ResumableTraining(ABC):
         self.folder, self.settings, self.say = folder, settings, say
         self.device = "cuda" if torch.cuda.is_available() else "cpu"
         torch.manual_seed(settings.seed)
-        network = self._make_network().to(self.device)
+        options = (getattr(settings, name) for name in self.network_options)
+        network = self.network_class(*options).to(self.device)
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.network, self.average = network, deepcopy(network)
         self.optimiser = torch.optim.AdamW(
@@ -102,12 +112,9 @@ class ResumableTraining(ABC):
                 self.optimiser.load_state_dict(content["optimiser"])
                 self.step, self.seconds = content["step"], content["seconds"]
             except (KeyError, RuntimeError, ValueError) as error:
-                raise _damaged(checkpoint) from error
+                raise DamagedFileError(DAMAGED.format(checkpoint)) from error
             self.say(f"going on at step {self.step} of {settings.steps}")
         atomic_write_text(path, text)
-
-    @abstractmethod
-    def _make_network(self) -> nn.Module: ...
 
     @abstractmethod
     def _loss(self, batch: Any) -> Tensor: ...
@@ -142,11 +149,9 @@ class ResumableTraining(ABC):
             f"ExWarp {self.about.format(settings)}, {self.step} steps on "
             f"{len(settings.scenes['training'])} scenes, seed {settings.seed}"
         )
-        export_network(self._shipped(), path, self.interface, stride=STRIDE, about=about)
+        network = self.average if self.shipped is None else self.shipped(self.average)
+        export_network(network, path, self.interface, stride=STRIDE, about=about)
         return path
-
-    def _shipped(self) -> nn.Module:
-        return self.average
 
     @classmethod
     def train(
@@ -245,14 +250,11 @@ class ResumableTraining(ABC):
     def _record(self, loss: float, *scores: float) -> None:
         """Add a row to the curve; rows from this step on are of a broken run, and removed."""
         path = self.folder / CURVE
-        rows = [row for row in _rows(path) if int(row["step"]) < self.step]
+        rows = path.read_text(encoding="utf-8").splitlines()[1:] if path.exists() else []
+        rows = [row for row in rows if row and int(row.split(",")[0]) < self.step]
         values = (self.step, round(self.seconds), loss, self._rate(), *scores)
-        texts = (str(v) if isinstance(v, int) else f"{v:.5g}" for v in values)
-        rows.append(dict(zip(self.columns, texts, strict=True)))
-        with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
-            writer = csv.DictWriter(file, self.columns, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        rows.append(",".join(str(v) if isinstance(v, int) else f"{v:.5g}" for v in values))
+        atomic_write_text(path, "\n".join([",".join(self.columns), *rows, ""]))
         minutes_left = self.seconds / self.step * (self.settings.steps - self.step) / 60
         self.say(
             f"step {self.step} of {self.settings.steps}: loss {loss:.4f}, held-out scenes "
@@ -261,26 +263,23 @@ class ResumableTraining(ABC):
 
     def _save(self) -> None:
         content = {
-            "network": self.network.state_dict(), "average": self.average.state_dict(),
-            "optimiser": self.optimiser.state_dict(), "step": self.step, "seconds": self.seconds,
-        }  # fmt: skip
+            "network": self.network.state_dict(),
+            "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "step": self.step,
+            "seconds": self.seconds,
+        }
         with atomic_path(self.folder / CHECKPOINT) as temporary:
             torch.save(content, temporary)
 
 
 def read_checkpoint(path: Path, device: str) -> dict[str, Any]:
     """Read a checkpoint of a training; raises InputError or DamagedFileError."""
-    content = read_tensors(path, device, _damaged(path))
+    damaged = DamagedFileError(DAMAGED.format(path))
+    content = read_tensors(path, device, damaged)
     if not isinstance(content, dict):
-        raise _damaged(path)
+        raise damaged
     return content
-
-
-def _damaged(path: Path) -> DamagedFileError:
-    return DamagedFileError(
-        f"{path} is damaged, or no checkpoint of this version; choose another folder, or remove "
-        "this one to start again"
-    )
 
 
 def read_file(path: Path) -> bytes:
@@ -300,8 +299,7 @@ def read_tensors(path: Path, device: str, damaged: DamagedFileError) -> object:
     """
     data = read_file(path)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # old checkpoints warn of torch's own past
+        with warnings.catch_warnings(action="ignore"):  # old checkpoints warn of torch's own past
             content: object = torch.load(BytesIO(data), map_location=device, weights_only=True)
     except Exception as error:  # damaged pickles and archives end in exceptions of every kind
         raise damaged from error
@@ -310,12 +308,5 @@ def read_tensors(path: Path, device: str, damaged: DamagedFileError) -> object:
 
 def last_row(path: Path) -> dict[str, float]:
     """Return the numbers of a curve's last row by their columns; `step` and `seconds` are int."""
-    row = _rows(path)[-1]
+    *_, row = csv.DictReader(path.read_text(encoding="utf-8").splitlines())
     return {name: int(text) if text.isdigit() else float(text) for name, text in row.items()}
-
-
-def _rows(path: Path) -> list[dict[str, str]]:
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))

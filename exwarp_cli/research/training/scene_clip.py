@@ -67,22 +67,29 @@ class SceneClip:
         """Indices k of the key frames that are followed by another one."""
         return range((len(self._order) - 1) // FACTOR)
 
-    def key(self, k: int) -> KeyFrame:
+    def key(self, k: int, setting: str = "key") -> KeyFrame:
         """Return key frame k, with settled motion to the neighbouring key frames.
 
-        Motion to a key frame that lies outside the render is None, unless the render has it.
+        Motion to a key frame that lies outside the render is None, unless the render has it. In the
+        setting "slot" motion is made of the slots' G-buffers, as in a run.
         """
+        if setting == "slot":
+            frame = self.slot(k, 0)
+            assert frame.gbuffer is not None
+            return replace(frame, gbuffer=over_interval(frame.gbuffer, FACTOR))
         index, manifest = self._order[FACTOR * k], self.scene.manifest
         if self.variant.speed == 1 and manifest.has_key(index):
             number = manifest.keys.first + index // manifest.keys.step
             raw = read_raw(self.scene.keys, number, GEOMETRY)
             gbuffer = settle_motion(raw.settle(_convention(self.scene, self.scene.keys)))
             return self._play(index, gbuffer.to_previous, gbuffer.to_next, gbuffer.bend)
-        return self._play_over(index, FACTOR * self.variant.speed)
+        span = FACTOR * self.variant.speed
+        return self._play(index, self._spanned(index, span, -1), self._spanned(index, span, 1))
 
     def slot(self, k: int, i: int) -> KeyFrame:
         """Return slot i of key frame k: ground truth, and settled motion to neighbouring slots."""
-        return self._play_over(self._order[FACTOR * k + i], self.variant.speed)
+        index, span = self._order[FACTOR * k + i], self.variant.speed
+        return self._play(index, self._spanned(index, span, -1), self._spanned(index, span, 1))
 
     def truth(self, k: int, i: int) -> Image:
         """Return what slot i of key frame k is to show."""
@@ -94,32 +101,24 @@ class SceneClip:
 
         The setting is "key", or "slot" for G-buffers of the slots.
         """
-        key, following = (self._key(index, setting) for index in (k, k + 1))
+        key, following = (self.key(index, setting) for index in (k, k + 1))
         return Interval(key, following, self._slots(k, setting))
 
     def causal(self, k: int, setting: str) -> Interval:
         """Return key interval k for causal synthesis: with its past, without the next key frame."""
-        keys = [self._causal_key(k - j, setting) for j in range(HISTORY_FRAMES) if k >= j]
-        return Interval(
-            self._key(k, setting), None, self._slots(k, setting), older_key_frames(keys)
-        )
-
-    def _key(self, k: int, setting: str) -> KeyFrame:
-        """Return key frame k; with slot G-buffers its motion is made of those, as in a run."""
-        if setting == "key":
-            return self.key(k)
-        frame = self.slot(k, 0)
-        assert frame.gbuffer is not None
-        return replace(frame, gbuffer=over_interval(frame.gbuffer, FACTOR))
-
-    def _causal_key(self, k: int, setting: str) -> KeyFrame:
-        """Return key frame k; with slot G-buffers, with motion to the one before through those."""
-        if setting == "key":
-            return self.key(k)
-        index, span = self._order[FACTOR * k], FACTOR * self.variant.speed
-        if self.variant.backwards:
-            return self._play(index, None, self._spanned(index, span, 1))
-        return self._play(index, self._spanned(index, span, -1), None)
+        keys = []
+        for index in range(k, max(k - HISTORY_FRAMES, -1), -1):
+            if setting == "key":
+                keys.append(self.key(index))
+                continue
+            # Motion to the key frame before leads through the slots between.
+            instant, span = self._order[FACTOR * index], FACTOR * self.variant.speed
+            if self.variant.backwards:
+                keys.append(self._play(instant, None, self._spanned(instant, span, 1)))
+            else:
+                keys.append(self._play(instant, self._spanned(instant, span, -1), None))
+        key = self.key(k, setting)
+        return Interval(key, None, self._slots(k, setting), older_key_frames(keys))
 
     def _slots(self, k: int, setting: str) -> tuple[GBuffer, ...]:
         if setting == "key":
@@ -144,10 +143,6 @@ class SceneClip:
             return frame
         noise = np.random.default_rng((zlib.crc32(self.scene.name.encode()), index))
         return deliver(frame, self.look, noise)
-
-    def _play_over(self, index: int, span: int) -> KeyFrame:
-        """Return an instant as `_play` does, with its motion over `span` instants."""
-        return self._play(index, self._spanned(index, span, -1), self._spanned(index, span, 1))
 
     def _spanned(self, index: int, span: int, direction: int) -> Float32 | None:
         """Return the motion over `span` instants in one direction; None beyond the render."""

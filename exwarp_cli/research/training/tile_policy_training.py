@@ -13,7 +13,7 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -34,20 +34,15 @@ from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import OnnxExtrapolator
 from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, save_network
-from exwarp_cli.policy.state import (
-    INPUTS,
-    TILE_NODES,
-    scale_tile_features,
-    tile_inputs,
-)
+from exwarp_cli.policy.state import INPUTS, TILE_NODES, scale_tile_features, tile_inputs
 from exwarp_cli.research.training.augmentation import PLAIN, Look, Variant
 from exwarp_cli.research.training.outcome_tables import (
     F64,
+    GIVE_ONE,
     Say,
     TrainingTable,
     extrapolator,
     read_tables,
-    require_no_tables,
 )
 from exwarp_cli.research.training.policy_training import (
     add_checksums,
@@ -100,6 +95,7 @@ class TableOfTiles(TrainingTable, ABC):
     kind, row = "table of tiles", "tile"
     folder: ClassVar[Path]  # of tables, beside the models and in the output
     option: ClassVar[str]  # that names the network
+    policy: ClassVar[str]  # name of the file of what learns from it
     load_network: ClassVar[Callable[[Path | None], NetworkModel]]
     # By the index of a node, those of the nodes after either choice.
     after: ClassVar[Mapping[int, tuple[int, int]]] = {}
@@ -126,18 +122,16 @@ class TableOfTiles(TrainingTable, ABC):
         """Make frames of a scene with and without the network, and measure their tiles."""
 
     @staticmethod
-    @abstractmethod
     def cost(margins: Margins, price: float) -> float:
         """Return the share of the area that the network computes."""
+        return float((margins > price).mean())
 
     @abstractmethod
     def error(self, margins: Margins, price: float) -> float:
-        """Return the mean squared error of the frames, squared display levels."""
+        """Return the mean squared error of the frames, squared display levels.
 
-    def fixed_errors(self) -> tuple[float, float]:
-        """Return the errors without the network, and by it alone."""
-        margins = np.zeros(self.gains.shape[:2])
-        return self.error(margins, np.inf), self.error(margins, -np.inf)
+        Without the network at an infinite price, and by it alone at the negative one.
+        """
 
 
 Table = TypeVar("Table", bound=TableOfTiles)
@@ -149,7 +143,7 @@ class TileTable(TableOfTiles):
 
     schema = "exwarp.tile-table/1"
     facts = ("scene", "width", "network")
-    folder, option = Path(TILE_TABLES), "--extrapolator"
+    folder, option, policy = Path(TILE_TABLES), "--extrapolator", SHIPPED_TILE_POLICY
     load_network = staticmethod(extrapolator)
     arrays: ClassVar = {
         "interval": (np.int32, np.int32, ()),
@@ -238,17 +232,6 @@ class TileTable(TableOfTiles):
         return cls(scene.name, width, numbers, features, errors_of, network.checksum)
 
 
-def kept_table(
-    kind: type[Table], path: Path, network: NetworkModel, measure: Callable[[], Table]
-) -> Table:
-    """Return the table of a file, measured first if it is missing or of another network."""
-    table = kind.load(path) if path.exists() else None
-    if table is None or table.network != network.checksum:
-        measure().save(path)
-        table = kind.load(path)
-    return table
-
-
 def find_tile_tables(
     kind: type[Table],
     data: Path | None,
@@ -266,17 +249,21 @@ def find_tile_tables(
         if model is not None:
             raise UsageError(f"{kind.option} is for measuring scenes; give --data too")
         return read_tables(kind, tables or shipped_folder() / kind.folder)
-    require_no_tables(tables)
+    if tables is not None:
+        raise UsageError(GIVE_ONE)
     folder = output / kind.folder
     make_folder(folder)
     scenes = find_scenes(data, BENCHMARK)
     network = kind.load_network(model)
-    return [
-        kept_table(
-            kind, folder / f"{scene.name}.npz", network, partial(kind.measure, scene, network, say)
-        )
-        for scene in scenes
-    ]
+    found = []
+    for scene in scenes:
+        path = folder / f"{scene.name}.npz"
+        table = kind.load(path) if path.exists() else None
+        if table is None or table.network != network.checksum:
+            kind.measure(scene, network, say).save(path)
+            table = kind.load(path)
+        found.append(table)
+    return found
 
 
 def train_tiles(tables: Sequence[Table], settings: TilePolicySettings) -> QuantisedMlp:
@@ -345,16 +332,20 @@ def gain_percent(tables: Sequence[TableOfTiles], margins: Sequence[Margins], pri
     """Return what margins gain at a price, in % of the network's gain in dB over all scenes."""
     gained = everything = 0.0
     for table, margin in zip(tables, margins, strict=True):
-        without, alone = table.fixed_errors()
+        without, alone = (table.error(margin, limit) for limit in (np.inf, -np.inf))
         gained += np.log10(without / table.error(margin, price))
         everything += np.log10(without / alone)
     return 100 * float(gained / everything)
 
 
-def gains_by_share(
-    tables: Sequence[TableOfTiles], margins: Mapping[str, Sequence[Margins]]
-) -> dict[str, dict[str, float]]:
-    """Return what each choice gains at each of `SHARES`, in %, as the scores file has it."""
+def score_choices(
+    tables: Sequence[TableOfTiles], margins: Mapping[str, Sequence[Margins]], network: str
+) -> dict[str, Any]:
+    """Return what a scores file has of a network and of choices, by name of a choice.
+
+    Tiles of each scene, what the network gains everywhere there in dB, and what each choice gains
+    at each of `SHARES`, in %.
+    """
     gains: dict[str, dict[str, float]] = {}
     for name, of_choice in margins.items():
         prices = {share: price_for(share, of_choice, tables[0].cost) for share in SHARES}
@@ -362,13 +353,15 @@ def gains_by_share(
             f"{share:g}": round(gain_percent(tables, of_choice, price), 1)
             for share, price in prices.items()
         }
-    return gains
-
-
-def gains_in_db(tables: Sequence[TableOfTiles]) -> dict[str, float]:
-    """Return what a network gains everywhere in each scene, dB."""
-    fixed = {table.scene: table.fixed_errors() for table in tables}
-    return {s: round(10 * float(np.log10(without / by)), 3) for s, (without, by) in fixed.items()}
+    everywhere: dict[str, float] = {}
+    for table, margin in zip(tables, next(iter(margins.values())), strict=True):
+        without, alone = (table.error(margin, limit) for limit in (np.inf, -np.inf))
+        everywhere[table.scene] = round(10 * float(np.log10(without / alone)), 3)
+    return {
+        "tiles": {table.scene: len(table) for table in tables},
+        f"{network}_gain_db": everywhere,
+        "gain_percent": gains,
+    }
 
 
 def train_tile_policy(
@@ -408,9 +401,7 @@ def train_tile_policy(
     report = {
         "schema": SCHEMA,
         "settings": asdict(settings),
-        "tiles": {table.scene: len(table) for table in tables},
-        "extrapolator_gain_db": gains_in_db(tables),
-        "gain_percent": gains_by_share(tables, margins),
+        **score_choices(tables, margins, "extrapolator"),
         "always_s4_percent": round(gain_percent(tables, always_s4, 0.5), 1),
     }
     atomic_write_text(output / REPORT, json.dumps(report, indent=1) + "\n")
@@ -418,14 +409,20 @@ def train_tile_policy(
     return report
 
 
-def gain_card(report: dict[str, Any], network: str, by_scene: Mapping[str, float]) -> str:
+def gain_card(report: dict[str, Any]) -> str:
     """Return what a scores file holds: what choices gain at some shares of the area.
 
     In per cent of what the network gains everywhere, which is said for each scene, dB.
     """
+    if "extrapolator_gain_db" in report:
+        network, by_scene = "E", report["extrapolator_gain_db"]
+        always = f" Always S4, at half of the area, gains {report['always_s4_percent']:.0f} %."
+    else:
+        network, by_scene, always = "The network", report["network_gain_db"], ""
     curves = report["gain_percent"]
     shares = list(next(iter(curves.values())))
     titles = ["choice", *(f"{float(share):.0%} of the area" for share in shares)]
     rows = [[name, *(f"{gains[s]:.0f} %" for s in shares)] for name, gains in curves.items()]
     everywhere = ", ".join(f"{scene} {gain:+.2f}" for scene, gain in by_scene.items())
-    return f"{markdown_table(titles, rows)}\n\n{network} everywhere gains, in dB: {everywhere}."
+    summary = f"{network} everywhere gains, in dB: {everywhere}.{always}"
+    return f"{markdown_table(titles, rows)}\n\n{summary}"

@@ -14,7 +14,6 @@ from exwarp_cli.policy.outcomes import best_return, choice_rewards, path_returns
 from exwarp_cli.policy.state import INPUTS
 from exwarp_cli.research.training.outcome_tables import PolicyTable
 from exwarp_cli.research.training.policy_training import (
-    fit_regression,
     greedy_paths,
     predict_rewards,
 )
@@ -78,7 +77,7 @@ def test_looking_at_the_next_reward_only_fails():
     """The reward at d1 speaks for E in every row, and so does a policy that looks no further."""
     fixed, oracle = bounds()
     greedy = q_values(learned(discount=0.0), UNSEEN)
-    for found in (predict_rewards(fit_regression([KNOWN]), UNSEEN), greedy):
+    for found in (predict_rewards([KNOWN], UNSEEN), greedy):
         assert (found[:, 0, 1] > found[:, 0, 0]).all()
         assert mean_return(found) < fixed + 0.1 * (oracle - fixed)
     # What comes next does not matter to it; what each choice earns at once, it does know.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from exwarp_cli.research.training.extrapolation_network import build_network
+from exwarp_cli.research.training.extrapolation_network import ExtrapolationNetwork
 from exwarp_cli.research.training.extrapolator_training import grow_weights
 from tests.unit.training.network_inputs import example
 
@@ -13,7 +13,7 @@ from tests.unit.training.network_inputs import example
 def learnt(name: str, width: int) -> torch.nn.Module:
     """A network whose weights and statistics are all of some importance."""
     torch.manual_seed(1)
-    network = build_network(name, width)
+    network = ExtrapolationNetwork(name, width)
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.add_(0.1 * torch.randn_like(parameter))
@@ -32,7 +32,7 @@ def learnt(name: str, width: int) -> torch.nn.Module:
     ],
 )
 def test_larger_networks_begin_as_the_smaller_ones(small, large):
-    before, after = learnt(*small), build_network(*large)
+    before, after = learnt(*small), ExtrapolationNetwork(*large)
     after.load_state_dict(grow_weights(before.state_dict(), after))
     given = example(48, 32)
     with torch.no_grad():
@@ -41,7 +41,7 @@ def test_larger_networks_begin_as_the_smaller_ones(small, large):
 
 def test_what_is_new_can_be_learnt():
     """Channels that nothing listens to still get gradients where they are listened to."""
-    before, after = learnt("kernels-patched", 8), build_network("kernels-deep", 8)
+    before, after = learnt("kernels-patched", 8), ExtrapolationNetwork("kernels-deep", 8)
     after.load_state_dict(grow_weights(before.state_dict(), after))
     after.train()(**example(48, 32)).square().sum().backward()
     weight = after.net.down[0][1].both.weight
@@ -58,9 +58,11 @@ def test_what_is_new_can_be_learnt():
 )
 def test_networks_do_not_shrink_nor_answer_otherwise(small, large):
     with pytest.raises(ValueError, match=r"cannot hold|answers with"):
-        grow_weights(build_network(*small).state_dict(), build_network(*large))
+        grow_weights(ExtrapolationNetwork(*small).state_dict(), ExtrapolationNetwork(*large))
 
 
 def test_other_layers_are_refused():
     with pytest.raises(KeyError, match="detail"):
-        grow_weights(build_network("blend", 8).state_dict(), build_network("blend-detail", 8))
+        grow_weights(
+            ExtrapolationNetwork("blend", 8).state_dict(), ExtrapolationNetwork("blend-detail", 8)
+        )

@@ -34,7 +34,7 @@ from exwarp_cli.research.training.outcome_tables import (
     VIEWS,
     Measured,
     View,
-    is_long_enough,
+    find_tables,
     join_views,
     measure_view,
 )
@@ -90,16 +90,23 @@ def test_views_are_all_phases_in_both_settings():
     assert not any(view.variant.backwards for view in VIEWS)
 
 
-def test_which_views_a_scene_is_long_enough_for(scene):
+def test_which_views_a_scene_is_long_enough_for(scene, model, tmp_path, monkeypatch):
+    """Those with a whole key interval: only these are measured."""
+
+    def measured(_measure, work, _jobs):
+        yield from ((task, Measured(np.zeros((1, 3, 8)), np.ones((1, 5, 2, 2)))) for task in work)
+
+    monkeypatch.setattr(outcome_tables, "run_tasks", measured)
+    monkeypatch.setattr(RenderedScene, "as_far_as_rendered", lambda self: self)
     for count in range(1, 14):
         instants = replace(scene.manifest.instants, count=count)
         short = replace(scene, manifest=replace(scene.manifest, instants=instants))
-        for view in VIEWS:
-            assert is_long_enough(short, view) == (
-                count > view.variant.phase + 4 * view.variant.speed
-            )
-            if is_long_enough(short, view):
-                assert len(SceneClip(short, view.variant).intervals) >= 1
+        monkeypatch.setattr(outcome_tables, "find_scenes", lambda _, role, short=short: [short])
+        tables = find_tables([FOLDER], None, tmp_path, str, model)
+        views = [v for v in VIEWS if count > v.variant.phase + 4 * v.variant.speed]
+        groups = [name for table in tables for name in table.groups]
+        assert groups == [f"{view.name} 64x36" for view in views]
+        assert all(SceneClip(short, view.variant).intervals for view in views)
 
 
 @pytest.mark.parametrize(

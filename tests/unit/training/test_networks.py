@@ -13,9 +13,8 @@ from exwarp_cli.research.training.extrapolation_network import (
     SIDES,
     STRIDE,
     Architecture,
+    ExtrapolationNetwork,
     _first_visible,
-    _sample,
-    build_network,
 )
 from tests.unit.training.network_inputs import example
 
@@ -23,7 +22,7 @@ from tests.unit.training.network_inputs import example
 @pytest.fixture(params=ARCHITECTURES)
 def network(request):
     torch.manual_seed(0)
-    return build_network(request.param, 8).eval()
+    return ExtrapolationNetwork(request.param, 8).eval()
 
 
 @pytest.mark.parametrize("size", [(STRIDE, 2 * STRIDE), (48, 80)])
@@ -39,7 +38,7 @@ def test_networks_answer_at_any_multiple_of_the_stride(network, size):
 def test_weights_invent_nothing(name):
     """Where all candidates are of one colour, so is the answer."""
     torch.manual_seed(1)
-    network = build_network(name, 8).eval()
+    network = ExtrapolationNetwork(name, 8).eval()
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.add_(0.1 * torch.randn_like(parameter))
@@ -51,7 +50,7 @@ def test_weights_invent_nothing(name):
 
 
 def test_an_unknown_past_is_replaced_by_the_filled_warp():
-    network = build_network("kernels", 8).eval()
+    network = ExtrapolationNetwork("kernels", 8).eval()
     given = example(32, 32)
     given["warped"][:, 3:] = 0.7
     given["history"].zero_()
@@ -60,7 +59,7 @@ def test_an_unknown_past_is_replaced_by_the_filled_warp():
 
 def test_candidates_are_counted_right():
     for name, architecture in ARCHITECTURES.items():
-        network = build_network(name, 8)
+        network = ExtrapolationNetwork(name, 8)
         given = example(32, 32)
         filled = given["warped"][:, 3:]
         flow = torch.zeros(1, 2 * architecture.flow, 32, 32)
@@ -72,10 +71,15 @@ def test_candidates_are_counted_right():
 
 
 def test_a_candidate_can_be_moved():
+    network = ExtrapolationNetwork("kernels-flow", 8)
     frame = torch.arange(12.0).reshape(1, 1, 3, 4).repeat(1, 3, 1, 1)
-    flow = torch.zeros(1, 2, 3, 4)
-    flow[:, 0] = 1
-    np.testing.assert_allclose(_sample(frame, flow)[0, 0, :, :3], frame[0, 0, :, 1:], atol=1e-5)
+    history, when = torch.zeros(1, 12, 3, 4), torch.zeros(1, 1, 1, 1)
+    flow = torch.zeros(1, 4, 3, 4)
+    flow[:, 0] = 1  # the first one by a column, the second one by two rows
+    flow[:, 3] = 2
+    *_, first, second = network._candidates(frame, history, when, flow, [])
+    np.testing.assert_allclose(first[0, 0, :, :3], frame[0, 0, :, 1:], atol=1e-5)
+    np.testing.assert_allclose(second[0, 0, 0], frame[0, 0, 2], atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -105,7 +109,9 @@ class TestLight:
     @pytest.fixture
     def answers(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Filled warp and mask; what the same weights answer with that bound and without it."""
-        networks = [build_network(name, 8).eval() for name in ("kernels-light", "kernels-deep")]
+        networks = [
+            ExtrapolationNetwork(name, 8).eval() for name in ("kernels-light", "kernels-deep")
+        ]
         torch.manual_seed(2)
         with torch.no_grad():
             for parameter in networks[0].parameters():
@@ -137,7 +143,7 @@ class TestLight:
     def test_where_all_is_hidden_nothing_is_divided_by_zero(self):
         given = example(32, 48)
         given["mask"].zero_()
-        assert torch.isfinite(build_network("kernels-light", 8).eval()(**given)).all()
+        assert torch.isfinite(ExtrapolationNetwork("kernels-light", 8).eval()(**given)).all()
 
 
 def test_architectures_differ():

@@ -11,7 +11,7 @@ from exwarp_cli.domain.decision import NODES
 from exwarp_cli.policy.outcomes import PENALTIES, choice_rewards
 from exwarp_cli.research.training import policy_training
 from exwarp_cli.research.training.outcome_tables import PolicyTable
-from exwarp_cli.research.training.policy_training import fit_regression, predict_rewards
+from exwarp_cli.research.training.policy_training import predict_rewards
 from tests.unit.training.policy_tables import random_table
 
 
@@ -34,28 +34,28 @@ def linear(table: PolicyTable, seed: int = 0) -> PolicyTable:
 
 def test_linear_rewards_are_found_node_by_node(unhindered):
     known, unseen = linear(random_table(300, 1)), linear(random_table(50, 2))
-    found = fit_regression([known])
-    assert found.shape == (5, 45, 2)
     wanted = choice_rewards(unseen.outcomes)
     assert wanted.std() > 2
-    np.testing.assert_allclose(predict_rewards(found, unseen), wanted, atol=1e-4)
+    np.testing.assert_allclose(predict_rewards([known], unseen), wanted, atol=1e-4)
 
 
 def test_each_node_has_coefficients_of_its_own(unhindered):
     known = linear(random_table(300, 1))
     changed = known.outcomes.copy()
     changed[:, 2] = changed[:, 2, ::-1]
-    one, other = fit_regression([known]), fit_regression([replace(known, outcomes=changed)])
+    unseen = random_table(50, 2)
+    one = predict_rewards([known], unseen)
+    other = predict_rewards([replace(known, outcomes=changed)], unseen)
     for node in range(5):
-        assert np.allclose(one[node], other[node], atol=1e-5) == (node != 2)
+        assert np.allclose(one[:, node], other[:, node], atol=1e-5) == (node != 2)
 
 
-def test_the_ridge_draws_coefficients_towards_0(monkeypatch):
+def test_the_ridge_draws_predictions_towards_0(monkeypatch):
     known = linear(random_table(300, 1))
     sizes = []
     for ridge in (1e-6, policy_training.RIDGE, 1e4):
         monkeypatch.setattr(policy_training, "RIDGE", ridge)
-        sizes.append(float(np.square(fit_regression([known])).sum()))
+        sizes.append(float(np.square(predict_rewards([known], known)).sum()))
     assert sizes[0] > sizes[1] > 100 * sizes[2]
 
 
@@ -63,9 +63,7 @@ def test_a_constant_is_learned_of_states_that_tell_nothing(unhindered):
     table = random_table(200, 3)
     outcomes = np.full((200, 5, 2, 2), 30.0)
     outcomes[:, :, 1, 0] += 2.0
-    found = predict_rewards(
-        fit_regression([replace(table, outcomes=outcomes)]), random_table(10, 4)
-    )
+    found = predict_rewards([replace(table, outcomes=outcomes)], random_table(10, 4))
     np.testing.assert_allclose(
         found, np.array([-2.0, 2.0]) + PENALTIES + np.zeros((10, 1, 1)), atol=1e-4
     )
@@ -86,7 +84,8 @@ def test_scenes_count_alike_whatever_their_size():
     """Every row five times is no other scene, only a larger one."""
     one, other = random_table(40, 5), random_table(40, 6)
     once, often = np.arange(40), np.tile(np.arange(40), 5)
-    found = fit_regression([lonely(one, often), lonely(other, once)])
-    wanted = fit_regression([lonely(one, once), lonely(other, once)])
+    unseen = random_table(50, 7)
+    found = predict_rewards([lonely(one, often), lonely(other, once)], unseen)
+    wanted = predict_rewards([lonely(one, once), lonely(other, once)], unseen)
     np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-8)
-    assert not np.allclose(wanted, fit_regression([lonely(one, once)]), atol=0.1)
+    assert not np.allclose(wanted, predict_rewards([lonely(one, once)], unseen), atol=0.1)

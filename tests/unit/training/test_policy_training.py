@@ -11,7 +11,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from exwarp_cli.accelerator.mlp import PAPER_SIZES, infer_reference, to_fixed
+from exwarp_cli.accelerator.mlp import PAPER_SIZES, QuantisedMlp, infer_reference, to_fixed
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.errors import InputError, UsageError
@@ -27,17 +27,19 @@ from exwarp_cli.research.training.policy_training import (
     INTEGER_MODEL,
     REPORT,
     SCHEMA,
-    fit_regression,
     greedy_paths,
-    learn,
     policy_card,
     predict_rewards,
-    quantise,
-    rows_by_part,
     score_paths,
     train_policy,
 )
-from exwarp_cli.research.training.q_learning import integer_values, q_values
+from exwarp_cli.research.training.q_learning import (
+    Layers,
+    integer_values,
+    q_values,
+    quantise,
+    train_decisions,
+)
 from exwarp_cli.research.training.training_settings import PolicySettings, require_sane_policy
 from tests.unit.training.policy_tables import NETWORK, random_table, tempting
 
@@ -53,6 +55,21 @@ def dealt(table: PolicyTable) -> PolicyTable:
     return replace(
         table, groups=GROUPS, group=np.arange(len(table), dtype=np.int16) * 3 // len(table)
     )
+
+
+def parts_of(table: PolicyTable) -> dict[str, np.ndarray]:
+    """The rows of each part of a table that was dealt."""
+    names = {"key 64x36": 0, "slot 64x36": 1, "slot 32x18": 2}
+    parts = {name: table.group == group for name, group in names.items()}
+    return {ALL: np.ones(len(table), bool)} | parts
+
+
+def learn(
+    tables: list[PolicyTable], settings: PolicySettings, rounded=quantise
+) -> tuple[Layers, QuantisedMlp]:
+    """A network as it was trained on some scenes, and in integers."""
+    floats = train_decisions(tables, settings)
+    return floats, rounded(floats, np.concatenate([t.states.reshape(-1, 44) for t in tables]))
 
 
 @pytest.fixture(scope="module")
@@ -167,19 +184,19 @@ class TestReport:
             others = [other for i, other in enumerate(tables) if i != k]
             paths = {
                 "exwarp": greedy_paths(whole.astype(float)),
-                "regressor": greedy_paths(predict_rewards(fit_regression(others), table)),
+                "regressor": greedy_paths(predict_rewards(others, table)),
                 "oracle": best_psnr(table.outcomes),
                 "oracle-return": best_return(table.outcomes),
                 **{path: np.full(len(table), index) for index, path in enumerate(PATHS)},
             }
             found = report["left_out"][table.scene]
             assert set(found) == PARTS
-            for part, rows in rows_by_part(table).items():
+            for part, rows in parts_of(table).items():
                 scores = found[part]["scores"]
                 assert set(scores) == {*paths, "float", "random"}
-                assert scores["random"] == asdict(score_paths(table, None, rows))
+                assert scores["random"] == score_paths(table, None, rows)
                 for policy, taken_by in paths.items():
-                    assert scores[policy] == asdict(score_paths(table, taken_by, rows)), policy
+                    assert scores[policy] == score_paths(table, taken_by, rows), policy
 
     def test_integers_and_floats_are_distinguished(self, tables, tmp_path, monkeypatch):
         """Weights are rounded to sixteenths first, as honest integers decide alike in all rows."""
@@ -187,24 +204,24 @@ class TestReport:
         def crude(floats, states):
             return quantise(tuple((np.round(16 * w) / 16, b) for w, b in floats), states)
 
-        monkeypatch.setattr("exwarp_cli.research.training.policy_training.quantise", crude)
+        monkeypatch.setattr("exwarp_cli.research.training.q_learning.quantise", crude)
         settings = replace(SETTINGS, steps=30, seed=5)
         report = train_policy(tables, tmp_path, settings, lambda line: None)
         shares = set()
         for k, table in enumerate(tables):
-            floats, network = learn([t for i, t in enumerate(tables) if i != k], settings)
+            floats, network = learn([t for i, t in enumerate(tables) if i != k], settings, crude)
             whole, real = integer_values(network, table.states), q_values(floats, table)
             same = (whole[..., 1] > whole[..., 0]) == (real[..., 1] > real[..., 0])
             met = np.zeros(same.shape, bool)
             for row, path in enumerate(greedy_paths(whole)):
                 met[row] = [node in tuple(PATHS.values())[path].choices for node in NODES]
-            for part, rows in rows_by_part(table).items():
+            for part, rows in parts_of(table).items():
                 entry = report["left_out"][table.scene][part]
                 assert entry["agreement"] == pytest.approx(same[rows].mean())
                 assert entry["agreement_met"] == pytest.approx(same[rows][met[rows]].mean())
                 for name, outputs in (("exwarp", whole), ("float", real)):
                     wanted = score_paths(table, greedy_paths(outputs), rows)
-                    assert entry["scores"][name] == asdict(wanted)
+                    assert entry["scores"][name] == wanted
                 shares |= {entry["agreement"], entry["agreement_met"]}
         assert len(shares) > 4 and 0.2 < min(shares) < 1
 
@@ -214,14 +231,16 @@ class TestReport:
             for part in parts.values():
                 assert 0.9 < part["agreement"] <= 1 and 0.9 < part["agreement_met"] <= 1
 
-    def test_parts(self):
-        table = random_table(12, 1, "lab", (*GROUPS, "slot-phase4-speed2 64x36"))
-        parts = rows_by_part(table)
-        assert set(parts) == PARTS
-        assert parts[ALL].all() and parts["slot 64x36"].tolist() == (
-            [0] * 3 + [1] * 3 + [0] * 3 + [1] * 3
-        )
-        assert parts["key 64x36"].sum() == parts["slot 32x18"].sum() == 3
+    def test_parts(self, tmp_path):
+        """A part has all views of a setting at a size."""
+        groups = (*GROUPS, "slot-phase4-speed2 64x36")
+        tables = [random_table(12, seed, scene, groups) for seed, scene in enumerate(SCENES[:2])]
+        report = train_policy(tables, tmp_path, replace(SETTINGS, steps=1), lambda line: None)
+        parts = report["left_out"]["lab"]
+        sizes = {part: found["scores"]["random"]["intervals"] for part, found in parts.items()}
+        assert sizes == {ALL: 12, "key 64x36": 3, "slot 64x36": 6, "slot 32x18": 3}
+        rows = np.array([0] * 3 + [1] * 3 + [0] * 3 + [1] * 3, bool)
+        assert parts["slot 64x36"]["scores"]["random"] == score_paths(tables[1], None, rows)
 
     def test_what_is_said(self, trained):
         _, report, said = trained

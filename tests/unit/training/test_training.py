@@ -35,7 +35,7 @@ from exwarp_cli.research.training.crop_cache import (
     vary,
     write_arrays,
 )
-from exwarp_cli.research.training.extrapolation_network import ARCHITECTURES, build_network
+from exwarp_cli.research.training.extrapolation_network import ARCHITECTURES, ExtrapolationNetwork
 from exwarp_cli.research.training.extrapolator_training import (
     FEW,
     HOLES,
@@ -182,26 +182,28 @@ def test_scenes_smaller_than_a_crop_are_refused(scenes):
         Crops.prepare(scenes[0], ExtrapolatorSettings(frames=2, side=96, seed=0))
 
 
-def test_batches_follow_from_seed_and_step(crops):
+def test_batches_follow_from_seed_and_step(crops, monkeypatch):
     first = crops.draw(3, 4, 32, 7)
     for a, b in zip(first.inputs, crops.draw(3, 4, 32, 7).inputs, strict=True):
         assert torch.equal(a, b)
     assert not torch.equal(first.warped, crops.draw(4, 4, 32, 7).warped)
     assert not torch.equal(first.warped, crops.draw(3, 4, 32, 8).warped)
-    order = [i for step in range(2) for i in crops.draw_indices(step, len(crops), 7)]
-    assert crops.draw_indices(1, len(crops) + 2, 7)[:-4] == order[len(crops) + 2 :]
+    monkeypatch.setattr(Crops, "batch", lambda self, indices, side, rng: indices)
+    order = [i for step in range(2) for i in crops.draw(step, len(crops), 32, 7)]
+    assert crops.draw(1, len(crops) + 2, 32, 7)[:-4] == order[len(crops) + 2 :]
     assert sorted(order[: len(crops)]) == sorted(order[len(crops) :]) == list(range(len(crops)))
     assert order[: len(crops)] != order[len(crops) :]
 
 
 def test_the_edges_of_crops_are_often_those_of_patches(crops, monkeypatch):
     """What lies there is hidden like nothing else, and has to be learnt."""
-    corners = []
-    monkeypatch.setattr(Crops, "batch", lambda self, indices, patches: corners.extend(patches))
+    places = np.arange(SIDE, dtype=np.float16) + np.zeros((len(crops), 3, SIDE, 1), np.float16)
+    monkeypatch.setitem(
+        crops._files[0], "target", places.swapaxes(2, 3)
+    )  # every pixel is its row's number
     monkeypatch.setattr(batches, "vary", lambda batch, rng: batch)
-    for step in range(100):
-        crops.draw(step, 4, 32, 0)
-    rows = np.array([rows.start for rows, _ in corners])
+    drawn = [crops.draw(step, 4, 32, 0).target[:, 0, 0, 0] for step in range(100)]
+    rows = torch.cat(drawn).numpy()
     assert rows.min() == 0 and rows.max() == SIDE - 32
     for edge in (0, SIDE - 32):
         assert 0.15 < np.mean(rows == edge) < 0.35
@@ -229,7 +231,7 @@ def test_nothing_of_a_step_changes_the_device(crops):
         found = vary(meta, np.random.default_rng(seed))
         assert {plane.device.type for plane in found} == {"meta"}
     for name in ARCHITECTURES:
-        network = build_network(name, 8).to("meta")
+        network = ExtrapolationNetwork(name, 8).to("meta")
         made = found.finish(network(*found.inputs))
         loss = loss_of(made, found.target, found.plain, found.mask)
         assert loss.device.type == made.device.type == "meta"
