@@ -16,7 +16,6 @@ from exwarp_cli.domain.network_api import (
 )
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.kernels._row_bands import Band, band_slice
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.history import SMOOTH, HistorySamples, OlderKeyFrame, is_lit_alike
 from exwarp_cli.synthesis.motion_fields import SlotField
@@ -80,11 +79,11 @@ class SlotInputs:
         self.scratch.page_out()  # before the network takes its memory
         return NetworkPictures(EXTRAPOLATOR_INTERFACE.split(out), self.time)
 
-    def _write_rows(self, planes: Float32, corner: tuple[int, int], band: Band) -> None:
+    def _write_rows(self, planes: Float32, corner: tuple[int, int], band: _row_bands.Band) -> None:
         """Write a band of rows of a part [25, h, w], which begins at a row and column."""
         (height, width), (top, left), surface = self.shape, corner, self.surface
-        lines = band_slice(planes.shape[1], band)
-        part = planes[:, lines]
+        lines = _row_bands.band_range(planes.shape[1], band)
+        part = planes[:, lines.start : lines.stop]
         begin, end = max(-left, 0), min(width - left, part.shape[2])
         rows = np.clip(np.arange(top + lines.start, top + lines.stop), 0, height - 1)
         place = np.s_[rows, left + begin : left + end]
