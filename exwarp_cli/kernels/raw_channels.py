@@ -83,7 +83,7 @@ def _dominant_id(
 
 @inline
 def _is_listed(ident: np.int32, ids: I32) -> bool:
-    low, high = 0, ids.size
+    low, high = 0, ids.size  # np.searchsorted takes 4 s more to compile
     while low < high:
         middle = (low + high) // 2
         if ids[middle] < ident:
