@@ -270,7 +270,8 @@ def find_networks(
          lambda m: m.last.extrapolates),
         ("--interpolator", settings.interpolator is not None, "interpolate so",
          lambda m: m.interpolates or m.weighs),
-        ("--device", other_device, "run a network", lambda m: m.runs_network),
+        ("--device", other_device, "run a network",
+         lambda m: m.extrapolates or m.interpolates or m.weighs),
     )  # fmt: skip
     for option, is_set, what, uses in rules:
         # At an effort of 0 the default takes options of the networks that it would run.
@@ -395,8 +396,10 @@ def _require_usable(
             "colour alone; use --method softsplat or s6"
         )
     timeline = source.timeline
-    if not (method.any_factor or source.allows_decisions):
-        names = ", ".join(each.name for each in METHODS.values() if each.any_factor)
+    # The paper's decisions are for slots of 4x alone.
+    limited = [m.name for m in METHODS.values() if m.judge is not None or m.extrapolates]
+    if method.name in limited and not source.allows_decisions:
+        names = ", ".join(name for name in METHODS if name not in limited)
         raise UsageError(
             f"--method {method.name} decides between slots of {FACTOR} times the rate, and "
             f"{float(timeline.factor):g} times are asked for; use one of {names}"

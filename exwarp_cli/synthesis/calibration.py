@@ -19,15 +19,11 @@ from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import MotionError
 from exwarp_cli.kernels._row_bands import threads
 from exwarp_cli.synthesis.calibration_evidence import (
-    AROUND,
-    CLEAR_FLOOR,
-    CLEARLY_BETTER,
     CLEARLY_WORSE,
     TIE_FLOOR,
     Evidence,
     Key,
     Ranked,
-    channel_pairs,
     fit_scales,
     gather_evidence,
     is_alike,
@@ -38,6 +34,9 @@ from exwarp_cli.synthesis.calibration_samples import FrameSamples, KeyPair
 
 # An error up to this much above the least does not speak against a convention known by name.
 TIE_RATIO = 1.1
+
+# A usual scale stands unless another near it has an error that is smaller by this ratio, and more.
+CLEARLY_BETTER, CLEAR_FLOOR = 1.25, 0.01
 
 # Mean error without any motion below which a pair has too little motion to measure.
 STILL_ERROR = 0.08
@@ -73,11 +72,8 @@ def calibrate(
 ) -> MotionFinding:
     """Find the convention of motion channels.
 
-    Raises
-    ------
-    MotionError
-        When there is motion and no candidate explains it, when nothing separates the candidates
-        and no name is known, or when the channels hold no values.
+    Raises MotionError if there is motion and no candidate explains it, if nothing separates the
+    candidates and no name is known, or if the channels hold no values.
     """
     if not pairs:
         return _untested(guess, "one frame alone shows no motion")
@@ -99,36 +95,30 @@ def calibrate(
         )
         return _untested(usable_guess, reason)
     if max(each.moved() for each in measured.values()) < STILL_ERROR:
-        return _too_little_motion(pairs, usable_guess, names, frames)
+        reason = f"frames {frames} hold too little motion to measure"
+        if any((frame.moving & frame.usable).any() for pair in pairs for frame in pair):
+            return _untested(usable_guess, reason)
+        if usable_guess is not None:
+            return replace(_untested(usable_guess, reason), resting=True)
+        rest = float(np.nan_to_num(np.nanmedian(pairs[0][0].motion[:, :2])))
+        convention = MotionConvention(AxisMap(0, 1, 1.0, -1.0, still=rest))
+        assumed = (
+            f"{convention.describe(names)} assumed, as the channel names are not known: nothing "
+            f"moves in frames {frames}, where every reading is the same"
+        )
+        return MotionFinding(convention, "untested", assumed, resting=True)
     spanning = guess
     if guess is not None and step > 1:
         # Both directions are compared together: they span the same.
         short = guess.scaled(step)
         if _convention_error(short, measured) + SPAN_FLOOR < _convention_error(guess, measured):
             spanning = short
-    finding = _measure(measured, spanning, names, frames, presets or {})
+    channels = sorted({pair for pair, _ in evidence})
+    finding = _measure(measured, channels, spanning, names, frames, presets or {})
     if spanning == guess or finding.convention != spanning:
         return finding
     span = f"{finding.evidence}; vectors span one frame of the {step} from key frame to key frame"
     return replace(finding, evidence=span)
-
-
-def _too_little_motion(
-    pairs: Pairs, guess: MotionConvention | None, names: tuple[str, ...], frames: str
-) -> MotionFinding:
-    """Return the reading where too little moves to measure: at rest, all readings are the same."""
-    reason = f"frames {frames} hold too little motion to measure"
-    if any((frame.moving & frame.usable).any() for pair in pairs for frame in pair):
-        return _untested(guess, reason)
-    if guess is not None:
-        return replace(_untested(guess, reason), resting=True)
-    rest = float(np.nan_to_num(np.nanmedian(pairs[0][0].motion[:, :2])))
-    convention = MotionConvention(AxisMap(0, 1, 1.0, -1.0, still=rest))
-    evidence = (
-        f"{convention.describe(names)} assumed, as the channel names are not known: nothing moves "
-        f"in frames {frames}, where every reading is the same"
-    )
-    return MotionFinding(convention, "untested", evidence, resting=True)
 
 
 def _without_vanishing(guess: MotionConvention, pairs: Pairs) -> MotionConvention:
@@ -165,6 +155,7 @@ def _convention_error(convention: MotionConvention, measured: dict[Key, Evidence
 
 def _measure(
     measured: dict[Key, Evidence],
+    channels: Sequence[tuple[int, int]],  # all pairs of them
     guess: MotionConvention | None,
     names: tuple[str, ...],
     frames: str,
@@ -172,7 +163,7 @@ def _measure(
 ) -> MotionFinding:
     """Find the convention of those channels that hold vectors; see `calibrate`."""
     written = {key[0] for key, evidence in measured.items() if not evidence.empty}
-    lost = [pair for pair in channel_pairs(names) if written and pair not in written]
+    lost = [pair for pair in channels if written and pair not in written]
     if lost:
         measured = {key: evidence for key, evidence in measured.items() if key[0] in written}
         maps = {key[1]: axes for key, axes in _maps(guess).items() if key[0] in written}
@@ -287,11 +278,6 @@ class _Verdict:
         return self.error <= BEATS_STILL * self.still and self.worst <= HARDLY_BEATS
 
     @property
-    def alone(self) -> bool:
-        """Whether no other is as good."""
-        return self.rival >= self.error * TIE_RATIO
-
-    @property
     def is_hardly_better(self) -> bool:
         """Whether it is what the names say, and only a little better than no motion."""
         hardly = BEATS_STILL * self.still < self.error < HARDLY_BEATS * self.still
@@ -302,25 +288,22 @@ class _Verdict:
         """Whether no other scales than the usual ones need to be tried."""
         if self.convention == self.guess:
             return self.explains or self.is_hardly_better
-        if not self.explains or not self.alone:
-            return False
+        if not self.explains or not self.rival >= self.error * TIE_RATIO:
+            return False  # or another is as good
         # Another scale near the convention's own may be clearly better, one for both directions.
         errors = {key: self.measured[key].error(axes) for key, axes in self.maps.items()}
         if len(self.maps) == 2 and is_alike(*self.maps.values()):
             own = {key: (errors[key], axes) for key, axes in self.maps.items()}
-            fits = [(mean_error(fit_scales(own, self.measured, AROUND)), mean_error(own))]
+            fits = [(mean_error(fit_scales(own, self.measured)), mean_error(own))]
         else:
             fits = [
-                (self.measured[key].fit_scale(axes, AROUND)[0], errors[key])
+                (self.measured[key].fit_scale(axes)[0], errors[key])
                 for key, axes in self.maps.items()
             ]
         return not any(better * CLEARLY_BETTER + CLEAR_FLOOR < error for better, error in fits)
 
     def finding(
-        self,
-        names: tuple[str, ...],
-        frames: str,
-        presets: Mapping[str, MotionConvention],
+        self, names: tuple[str, ...], frames: str, presets: Mapping[str, MotionConvention]
     ) -> MotionFinding:
         """Accept the convention, or say why not; see :func:`calibrate`."""
         guess = self.guess
@@ -332,9 +315,26 @@ class _Verdict:
             strongest = max(evidence.moved() for evidence in self.measured.values())
             if guess is not None and strongest < DECISIVE:
                 return _untested(guess, f"frames {frames} tell too little to contradict them")
-            raise MotionError(self._unexplained(frames, presets))
+            direction = (
+                " in one of the two directions" if self.error <= BEATS_STILL * self.still else ""
+            )
+            hint, cause = (
+                preset_hint(_fitting_preset(presets, self.measured, guess)),
+                "check the pass",
+            )
+            if all(evidence.empty for evidence in self.measured.values()):
+                hint = ""
+                cause = (
+                    "they hold one value everywhere, so the pass is empty, or motion blur was on: "
+                    "switch it off and render the pass again"
+                )
+            raise MotionError(
+                "no reading of the motion channels explains the motion between frames "
+                f"{frames}{direction} (error {self.error:.3f}, {self.still:.3f} without motion); "
+                f"{cause}, or give --motion{hint}"
+            )
         fitting = _fitting_preset(presets, self.measured, self.convention)
-        if self.convention != guess and not self.alone:
+        if self.convention != guess and not self.rival >= self.error * TIE_RATIO:
             if guess is not None:
                 error = _convention_error(guess, self.measured)
                 if error <= HARDLY_BEATS * self.still and error <= CLEARLY_WORSE * self.error:
@@ -361,25 +361,6 @@ class _Verdict:
         as_named = self.convention == guess and not self.untried
         clear = as_named and min(self.rival, self.turned) > CLEARLY_WORSE * self.error
         return MotionFinding(self.convention, source, evidence, *errors, clear, preset=fitting)
-
-    def _unexplained(self, frames: str, presets: Mapping[str, MotionConvention]) -> str:
-        """Say that nothing explains the motion, what may be the cause, and what to do."""
-        direction = (
-            " in one of the two directions" if self.error <= BEATS_STILL * self.still else ""
-        )
-        empty = all(evidence.empty for evidence in self.measured.values())
-        hint = "" if empty else preset_hint(_fitting_preset(presets, self.measured, self.guess))
-        cause = (
-            "they hold one value everywhere, so the pass is empty, or motion blur was on: switch "
-            "it off and render the pass again"
-            if empty
-            else "check the pass"
-        )
-        return (
-            "no reading of the motion channels explains the motion between frames "
-            f"{frames}{direction} (error {self.error:.3f}, {self.still:.3f} without motion); "
-            f"{cause}, or give --motion{hint}"
-        )
 
 
 def preset_hint(preset: str) -> str:

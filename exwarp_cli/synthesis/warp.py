@@ -65,12 +65,8 @@ class Mover:
     # Whether colour stays scene-linear, so that layers which add up to the beauty still do. It is
     # 0.2 dB worse than colour as shown.
     linear: bool = False
-    _limit: Float32 | None = field(default=None, init=False)
-
-    @property
-    def has_beauty(self) -> bool:
-        """Whether the beauty was moved, if layers need that first."""
-        return not self.linear or self._limit is not None
+    # [h, w], with `linear`: how sharp the beauty is, 0 bilinear to 1 Lanczos-3, and its layers are.
+    limit: Float32 | None = field(default=None, init=False)
 
     def codes(self, pixels: Float32) -> Float32:
         """Return scene-linear colour as it is moved."""
@@ -86,22 +82,19 @@ class Mover:
     ) -> tuple[Float32, Bool]:
         """Return moved colour by Lanczos-3, and where it is unseen.
 
-        Returns
-        -------
-        float32 [h, w, C], of the motion field's size
-            Each channel of the beauty is within the range of the 3x3 pixels around; 0 where nothing
-            finite lies there, the edge's colour outside the frame.
-        bool [H, W]
-            Both of these, and where the source shows another surface.
+        Colour, float32 [h, w, C], has the motion field's size. Each channel of the beauty is within
+        the range of the 3x3 pixels around; 0 where nothing finite lies there, the edge's colour
+        outside the frame. Unseen, bool [h, w], are both of these, and where the source shows
+        another surface.
         """
         field = self.source.field
         out: Float32 = pool.empty((*field.shape[:2], codes.shape[2]), np.float32)
         unseen: Bool = pool.empty(field.shape[:2], np.bool_)
         if self.linear:
-            leads = self._limit is None
-            if self._limit is None:
-                self._limit = pool.empty(field.shape[:2], np.float32)
-            resample.resample_alike(codes, field, LANCZOS, self._limit, leads, out, unseen)
+            leads = self.limit is None
+            if self.limit is None:
+                self.limit = pool.empty(field.shape[:2], np.float32)
+            resample.resample_alike(codes, field, LANCZOS, self.limit, leads, out, unseen)
         else:
             resample.resample(codes, field, LANCZOS, out, unseen)
         np.logical_or(unseen, self.source.hole, out=unseen)
@@ -125,12 +118,8 @@ def sample_bilinear(
 ) -> tuple[Float32, Bool]:
     """Sample data, not colour, at the end of a motion field.
 
-    Returns
-    -------
-    out
-        float32 [H, W, C]; 0 where nothing finite lies there, the edge's colour outside the frame.
-    unseen
-        bool [H, W]: both of these.
+    Returns float32 [H, W, C]: 0 where nothing finite lies there, the edge's colour outside the
+    frame; and where both of these are, bool [H, W].
     """
     out: Float32 = pool.empty(pixels.shape, np.float32)
     unseen: Bool = pool.empty(pixels.shape[:2], np.bool_)
@@ -208,11 +197,6 @@ def find_hole_neighbours(depth: Float32, hole: Bool) -> HoleNeighbourhood | None
     return HoleNeighbourhood(first, column, np.float32(cap), steps)
 
 
-def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
-    """Blend two warped key frames by `mix_by_depth`, and fill what neither side sees."""
-    return fill_holes(*mix_by_depth(before, after, time))
-
-
 def mix_by_depth(
     # The key frames on both sides, warped to the slot. The pixels of `before` are overwritten.
     before: Warped,
@@ -221,15 +205,11 @@ def mix_by_depth(
 ) -> tuple[Float32, Float32, Bool]:
     """Blend two warped key frames as softmax splatting does, with the renderer's exact motion.
 
-    Returns
-    -------
-    float32 [H, W, C]
-        Each side weighs by its nearness in time, times a softmax over its depth; a side that does
-        not see the surface weighs nothing, so disocclusions come from the side that sees them.
-    float32 [H, W]
-        Depth of the nearer side.
-    bool [H, W]
-        What neither side sees.
+    Each side weighs by its nearness in time, times a softmax over its depth; a side that does not
+    see the surface weighs nothing, so disocclusions come from the side that sees them.
+
+    Returns what `fill_holes` takes: colour, float32 [H, W, C]; the depth of the nearer side,
+    float32 [H, W]; and what neither side sees, bool [H, W].
     """
     depth: Float32 = pool.empty(before.depth.shape, np.float32)
     hole: Bool = pool.empty(before.hole.shape, np.bool_)
@@ -271,23 +251,12 @@ class CoverageSide:
 
 
 @dataclass(frozen=True)
-class _Place:
-    """One place inside all N pixels that an edge passes through."""
-
-    offset: Float32  # [2], pixels, from the centre
-    vectors: list[Float32]  # of each key frame, [N, 2] pixels, to its source; NaN without one
-    holes: list[Bool]  # of each key frame, [N]
-    share: Float32 | None  # [N]: weight of the second key frame; None with one
-    hole: Bool  # [N]: no key frame shows what lies there
-
-
-@dataclass(frozen=True)
 class _PlaceMovers:
-    """What samples one place, for pixels gathered to [h, ROW]."""
+    """What samples one place inside each pixel beside an edge; pixels are gathered to [h, ROW]."""
 
     movers: list[Mover]  # of each key frame
-    share: Float32 | None
-    visible: Bool
+    share: Float32 | None  # weight of the second key frame; None with one
+    visible: Bool  # a key frame shows what lies there
 
 
 @dataclass(eq=False)
@@ -339,11 +308,11 @@ class Coverage:
         for source in self.fields:
             find_moving_edges(source.depth, source.field, source.fringe, near_edges)
         index = np.flatnonzero(near_edges)
-        centres = [field.field.reshape(-1, 2)[index] for field in self.fields]
-        places = [self._look(offset, index) for offset in PLACES]
-        crossed = np.zeros(len(index), np.bool_)
-        for place in places:
-            for vectors, centre in zip(place.vectors, centres, strict=True):
+        centres = [source.field.reshape(-1, 2)[index] for source in self.fields]
+        crossed, places = np.zeros(len(index), np.bool_), []
+        for offset in PLACES:
+            places.append(self._look(offset, index))
+            for vectors, centre in zip(places[-1][0], centres, strict=True):
                 unknown = np.isnan(vectors) & np.isnan(centre)
                 same = (np.abs(vectors - centre) <= MOTION_GAP) | unknown
                 crossed |= ~(same[:, 0] & same[:, 1])
@@ -351,37 +320,42 @@ class Coverage:
         rows, columns = np.divmod(index, self.fields[0].depth.shape[1])
         order = np.arange(len(index))
         gathered = []
-        for place in places:
+        for offset, (fields, hole_masks, share, hole) in zip(PLACES, places, strict=True):
             movers = []
-            for vectors, hole_mask in zip(place.vectors, place.holes, strict=True):
+            for vectors, hole_mask in zip(fields, hole_masks, strict=True):
                 # Colour is sampled halfway to the centre: at the place itself the mean of several
                 # blurs textures (0.2 dB on lab), at the centre edges are too near (0.2 dB on
                 # market).
-                ends = vectors[crossed] + place.offset / np.float32(2)
+                ends = vectors[crossed] + offset / np.float32(2)
                 ends[:, 0] += (columns - order % ROW).astype(np.float32)
                 ends[:, 1] += (rows - order // ROW).astype(np.float32)
-                hole = _in_rows(hole_mask[crossed], fill=True)
-                no_depth = np.zeros(hole.shape, np.float32)
-                source = SlotField(_in_rows(ends, fill=np.nan), no_depth, hole)
+                unseen = _in_rows(hole_mask[crossed], fill=True)
+                no_depth = np.zeros(unseen.shape, np.float32)
+                source = SlotField(_in_rows(ends, fill=np.nan), no_depth, unseen)
                 movers.append(Mover(source, self.linear))
-            share = None if place.share is None else _in_rows(place.share[crossed])
-            visible = ~_in_rows(place.hole[crossed], fill=True)
-            gathered.append(_PlaceMovers(movers, share, visible))
+            weight = None if share is None else _in_rows(share[crossed])
+            gathered.append(_PlaceMovers(movers, weight, ~_in_rows(hole[crossed], fill=True)))
         return index, gathered
 
-    def _look(self, offset: Float32, index: Index) -> _Place:
-        """Return what each side shows at a place inside some pixels."""
+    def _look(
+        self, offset: Float32, index: Index
+    ) -> tuple[list[Float32], list[Bool], Float32 | None, Bool]:
+        """Return what lies at a place inside N pixels.
+
+        Of each key frame vectors to its source, [N, 2] pixels, NaN without one, and holes, [N]; the
+        weight of the second key frame, [N], None with one; and where no key frame shows anything.
+        """
         fields = [side.moved(offset) for side in self.sides]
         vectors = [field.field.reshape(-1, 2)[index] - offset for field in fields]
         holes = [field.hole.flat[index] for field in fields]
         if len(fields) == 1:
-            return _Place(offset, vectors, holes, None, holes[0])
+            return vectors, holes, None, holes[0]
         shape = fields[0].depth.shape
         share, depth = pool.empty(shape, np.float32), pool.empty(shape, np.float32)
         hole: Bool = pool.empty(shape, np.bool_)
         first, second = ((field.depth, field.hole, field.fringe) for field in fields)
         blend.write_later_weights(first, second, np.float32(self.time), share, depth, hole)
-        return _Place(offset, vectors, holes, share.flat[index], hole.flat[index])
+        return vectors, holes, share.flat[index], hole.flat[index]
 
 
 def _in_rows(values: np.ndarray, fill: float = 0) -> np.ndarray:
