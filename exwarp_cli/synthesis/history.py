@@ -187,18 +187,15 @@ def look_back_rendered(
         # 1.4 dB further from the truth where things move. Depth shows a hidden point only where
         # something else predicts its motion.
         ids = stencil_of(newer), stencil_of(gbuffer)
-        point_motion.follow_points(
-            older.motion, ids, _UNCOMPARED, EXACT, np.float32(0), _UNFORESEEN, moved
-        )
+        uncompared = _UNCOMPARED, EXACT, np.float32(0)
+        point_motion.follow_points(older.motion, ids, *uncompared, _UNFORESEEN, moved)
         placed, there = moved.copy(), older.scene
         camera = None if there is None else there.camera
         if scene is not None and camera is not None and gbuffer.stencil is not None:
             place_still(scene, camera, gbuffer.stencil == 0, placed)
         fields.append(placed)
-        hidden.append(
-            motion_fields.find_holes(gbuffer, older.frame.gbuffer, placed, slot + FACTOR * count)
-        )
         newer = older.frame.gbuffer
+        hidden.append(motion_fields.find_holes(gbuffer, newer, placed, slot + FACTOR * count))
     nothing = np.zeros(gbuffer.window.shape, np.bool_)
     return HistorySamples(gbuffer, tuple(fields), tuple(hidden), unknown=nothing)
 

@@ -117,9 +117,8 @@ class Interval:
                     self.slots[:slot], self.key.gbuffer, -1, scenes
                 )
             else:
-                self._back[slot] = motion_fields.reproject(
-                    _require_motion(self.key), self.time(slot)
-                )
+                gbuffer = _require_motion(self.key)
+                self._back[slot] = motion_fields.reproject(gbuffer, self.time(slot))
         return self._back[slot]
 
     def forward(self, slot: int) -> motion_fields.SlotField:
@@ -163,9 +162,8 @@ class Interval:
                 none = np.zeros((TILE_ROWS, tiles.columns))
                 residual = predicted_error.KeyResidual(none, none)
                 if after is None and self.past:
-                    residual = predicted_error.key_residual(
-                        tiles, key, self.past[0].frame, self.past[0].motion
-                    )
+                    older = self.past[0]
+                    residual = predicted_error.key_residual(tiles, key, older.frame, older.motion)
                 elif after is not None and after.gbuffer is not None and after.gbuffer.has_motion:
                     motion = displacement(after.gbuffer, -1)
                     residual = predicted_error.key_residual(tiles, after, key, motion)
@@ -228,9 +226,8 @@ class Interval:
             if chooser is not None:
 
                 def choose(evidence: predicted_error.TileEvidence) -> Bool:
-                    return chooser(
-                        predicted_error.look_ahead_features(evidence, self.residual), time
-                    )
+                    features = predicted_error.look_ahead_features(evidence, self.residual)
+                    return chooser(features, time)
 
         movers = Mover(fields[0], self.linear), Mover(fields[1], self.linear)
         mixer = LookAhead(movers, time, coverage, network, self.tiles, choose)

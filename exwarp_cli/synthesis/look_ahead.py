@@ -126,7 +126,7 @@ class LookAhead:
         return self._weights
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Candidates:
     """The candidate colours of each pixel of a slot, of one layer: inputs of the network."""
 
@@ -191,13 +191,8 @@ class Candidates:
             part, share = weights[:, top:bottom], ramp[top:bottom]
             part[1:] *= share
             part[0] = 1 - share * (1 - part[0])
-            yield (
-                (
-                    network_api.TileSpan(top, bottom, top, bottom),
-                    network_api.TileSpan(0, width, 0, width),
-                ),
-                part,
-            )
+            down = network_api.TileSpan(top, bottom, top, bottom)
+            yield (down, network_api.TileSpan(0, width, 0, width)), part
 
     def mix(self, weights: Iterable[tuple[network_api.Tile, np.ndarray]]) -> Float32:
         """Mix the candidates by weights, float16 [5, h, w] of each tile.

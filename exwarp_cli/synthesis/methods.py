@@ -177,9 +177,8 @@ def terms_of_warp(interval: Interval, slot: int, pixels: Float32) -> F64:
     tiles, back = interval.tiles, interval.back(slot)
     (unseen,) = tiles.means([tiles.sample(back.hole | back.ghosts)])
     none = np.zeros_like(unseen)
-    return predicted_error.terms_of(
-        tiles, predicted_error.TileEvidence(none, none, unseen), interval.residual, pixels
-    )
+    evidence = predicted_error.TileEvidence(none, none, unseen)
+    return predicted_error.terms_of(tiles, evidence, interval.residual, pixels)
 
 
 def _without_next(
@@ -193,11 +192,8 @@ def _without_next(
     """Return a frame that is made of what came before its slot."""
     numbers = interval.key.number, *(older.frame.number for older in past)
     terms = terms_of_warp(interval, slot, pixels)
-    risk = predicted_error.predict_risk(
-        terms,
-        predicted_error.WARPED if interval.past else predicted_error.FIRST_WARPED,
-        interval.time(slot),
-    )
+    formula = predicted_error.WARPED if interval.past else predicted_error.FIRST_WARPED
+    risk = predicted_error.predict_risk(terms, formula, interval.time(slot))
     sources = tuple(sorted(numbers))
     return Predicted(pixels, FrameKind.GENERATED, method, sources, made_by, risk)
 
@@ -223,11 +219,8 @@ def _look_ahead(name: str, weighs: bool, interval: Interval, slot: int) -> Predi
         return _causal(interval, slot)
     mixer = interval.look_ahead(slot, weighs)
     pixels = mixer.make(key.image.pixels, following.image.pixels)
-    made_by, risk, tiles = (
-        decision.SOFTSPLAT if mixer.network is None else decision.LOOKAHEAD,
-        None,
-        None,
-    )
+    made_by = decision.SOFTSPLAT if mixer.network is None else decision.LOOKAHEAD
+    risk, tiles = None, None
     if mixer.chosen is not None:
         tiles = TileMakers.chosen(mixer.chosen)
         made_by = decision.LOOKAHEAD if mixer.chosen.any() else decision.SOFTSPLAT

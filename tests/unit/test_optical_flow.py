@@ -193,7 +193,7 @@ class TestMoving:
         after[40:60, 40:60] = 0
         there, back = estimate_flow(before, after)
         window = Window(0, 0, before.shape[1], before.shape[0])
-        frame = KeyFrame(1, Image(before, window, window))
+        frame = KeyFrame(1, Image(before, window, window), None)
         buffers = [
             with_estimated_motion(frame, *flows).gbuffer
             for flows in ((None, there), (back, None), (back, there))
