@@ -369,12 +369,10 @@ def open_farm_job(
     # The device is one of a worker, which this machine may not have.
     job = open_job(replace(settings, device=UpsampleSettings.device))
     try:
-        method = job.method
-        runs_network = method.extrapolates or method.interpolates or method.weighs
-        if settings.device != UpsampleSettings.device and not runs_network:
+        if settings.device != UpsampleSettings.device and not job.method.runs_network:
             raise UsageError(
                 f"--device {settings.device} is for methods that run a network, and --method "
-                f"{method.name} does not; leave it out"
+                f"{job.method.name} does not; leave it out"
             )
         job.refuse()
         chosen = list(options)

@@ -149,12 +149,11 @@ class KernelCache(NullCache):
             source = source_digest(file)
         except OSError:
             return None
-        compiler = numba.__version__, llvmlite.__version__, sys.version
+        versions = numba.__version__, llvmlite.__version__, sys.version
         switches = ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT")
         options = [getattr(numba.config, name) for name in switches]
-        # magic_tuple: the processor and its instructions.
-        target = codegen.magic_tuple()
-        key = repr((compiler, options, target, source, function, str(signature)))
+        machine = codegen.magic_tuple()  # the processor and its instructions
+        key = repr((versions, options, machine, source, function, str(signature)))
         digest = hashlib.sha256(key.encode()).hexdigest()
         return f"{file.stem}.{self.function.__name__}-{digest}{SUFFIX}"
 

@@ -10,7 +10,6 @@ whose positions span 1,900 units, where the distance is 0.3.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -80,19 +79,23 @@ def count_histograms(
                             bins[min(max(k, 0), BINS - 1)] += 1
 
 
-@dataclass
 class ValueDistribution:
     """The range and cumulative distributions of a buffer."""
 
-    values: F32  # [H, W, C]; NaN and infinities never count
-    shown: B8  # [H, W]: pixels that count
+    def __init__(
+        self,
+        values: F32,  # [H, W, C]; NaN and infinities never count
+        shown: B8,  # [H, W]: pixels that count
+    ) -> None:
+        self._values = np.ascontiguousarray(values)
+        self._mask = np.ascontiguousarray(shown)
+        self._strips = -(-values.shape[0] // ROWS_PER_STRIP)
 
     @cached_property
     def range(self) -> F64:
         """Minimum and maximum of each channel, float64 [C, 2]; crossed when there is none."""
-        values, shown = np.ascontiguousarray(self.values), np.ascontiguousarray(self.shown)
-        ends = np.empty((-(-len(values) // ROWS_PER_STRIP), values.shape[2], 2), np.float32)
-        write_ranges(values, shown, ends)
+        ends = np.empty((self._strips, self._values.shape[2], 2), np.float32)
+        write_ranges(self._values, self._mask, ends)
         low, high = ends[..., 0].min(axis=0), ends[..., 1].max(axis=0)
         return np.stack([low, high], axis=-1).astype(np.float64)
 
@@ -101,9 +104,8 @@ class ValueDistribution:
 
         `ranges` as in `count_histograms`.
         """
-        values, shown = np.ascontiguousarray(self.values), np.ascontiguousarray(self.shown)
-        counts = np.empty((-(-len(values) // ROWS_PER_STRIP), values.shape[2], BINS), np.int64)
-        count_histograms(values, shown, ranges, counts)
+        counts = np.empty((self._strips, self._values.shape[2], BINS), np.int64)
+        count_histograms(self._values, self._mask, ranges, counts)
         total = counts.sum(axis=0).cumsum(axis=-1)
         return np.asarray(total / np.maximum(total[:, -1:], 1))
 

@@ -172,11 +172,7 @@ def digest_json(facts: dict[str, Any]) -> str:
 def _reading_facts(source: Source, method: Method) -> dict[str, Any]:
     """Return how an input is read beside what its own channels say."""
     facts: dict[str, Any] = {}
-    # What looks ahead along vectors searches for motion of light beside them. What may warp from
-    # one key frame carries on how light moved before that, if there are vectors.
-    finds_flow = method.lookahead and method.needs_motion
-    carries_light = source.moves and (method.lookahead or method.needs_motion)
-    if source.estimated or finds_flow or carries_light:
+    if source.estimated or method.finds_flow or (source.moves and method.carries_light):
         facts["flow"] = flow_identity()
     if source.keys.by_hand:
         facts["read"] = source.keys.by_hand

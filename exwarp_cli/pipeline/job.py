@@ -270,8 +270,7 @@ def find_networks(
          lambda m: m.last.extrapolates),
         ("--interpolator", settings.interpolator is not None, "interpolate so",
          lambda m: m.interpolates or m.weighs),
-        ("--device", other_device, "run a network",
-         lambda m: m.extrapolates or m.interpolates or m.weighs),
+        ("--device", other_device, "run a network", lambda m: m.runs_network),
     )  # fmt: skip
     for option, is_set, what, uses in rules:
         # At an effort of 0 the default takes options of the networks that it would run.

@@ -64,8 +64,7 @@ def fits_pool(
     interval = prepared.interval
     fits = workers > 1 and pixels <= MAX_PIXELS_AHEAD and not has_layers
     # Optical flow takes as much memory as all the rest of a slot.
-    finds_flow = method.lookahead and method.needs_motion
-    only_warps = not (prepared.extrapolates or method.interpolates or finds_flow)
+    only_warps = not (prepared.extrapolates or method.interpolates or method.finds_flow)
     # Slots with G-buffers are led along those before.
     independent = interval is not None and not interval.slots
     return fits and only_warps and independent

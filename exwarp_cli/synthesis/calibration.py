@@ -95,18 +95,7 @@ def calibrate(
         )
         return _untested(usable_guess, reason)
     if max(each.moved() for each in measured.values()) < STILL_ERROR:
-        reason = f"frames {frames} hold too little motion to measure"
-        if any((frame.moving & frame.usable).any() for pair in pairs for frame in pair):
-            return _untested(usable_guess, reason)
-        if usable_guess is not None:
-            return replace(_untested(usable_guess, reason), resting=True)
-        rest = float(np.nan_to_num(np.nanmedian(pairs[0][0].motion[:, :2])))
-        convention = MotionConvention(AxisMap(0, 1, 1.0, -1.0, still=rest))
-        assumed = (
-            f"{convention.describe(names)} assumed, as the channel names are not known: nothing "
-            f"moves in frames {frames}, where every reading is the same"
-        )
-        return MotionFinding(convention, "untested", assumed, resting=True)
+        return _too_little_motion(pairs, usable_guess, names, frames)
     spanning = guess
     if guess is not None and step > 1:
         # Both directions are compared together: they span the same.
@@ -119,6 +108,24 @@ def calibrate(
         return finding
     span = f"{finding.evidence}; vectors span one frame of the {step} from key frame to key frame"
     return replace(finding, evidence=span)
+
+
+def _too_little_motion(
+    pairs: Pairs, guess: MotionConvention | None, names: tuple[str, ...], frames: str
+) -> MotionFinding:
+    """Return the reading where too little moves to measure: at rest, all readings are the same."""
+    reason = f"frames {frames} hold too little motion to measure"
+    if any((frame.moving & frame.usable).any() for pair in pairs for frame in pair):
+        return _untested(guess, reason)
+    if guess is not None:
+        return replace(_untested(guess, reason), resting=True)
+    rest = float(np.nan_to_num(np.nanmedian(pairs[0][0].motion[:, :2])))
+    convention = MotionConvention(AxisMap(0, 1, 1.0, -1.0, still=rest))
+    evidence = (
+        f"{convention.describe(names)} assumed, as the channel names are not known: nothing moves "
+        f"in frames {frames}, where every reading is the same"
+    )
+    return MotionFinding(convention, "untested", evidence, resting=True)
 
 
 def _without_vanishing(guess: MotionConvention, pairs: Pairs) -> MotionConvention:
@@ -278,6 +285,11 @@ class _Verdict:
         return self.error <= BEATS_STILL * self.still and self.worst <= HARDLY_BEATS
 
     @property
+    def alone(self) -> bool:
+        """Whether no other is as good."""
+        return self.rival >= self.error * TIE_RATIO
+
+    @property
     def is_hardly_better(self) -> bool:
         """Whether it is what the names say, and only a little better than no motion."""
         hardly = BEATS_STILL * self.still < self.error < HARDLY_BEATS * self.still
@@ -288,8 +300,8 @@ class _Verdict:
         """Whether no other scales than the usual ones need to be tried."""
         if self.convention == self.guess:
             return self.explains or self.is_hardly_better
-        if not self.explains or not self.rival >= self.error * TIE_RATIO:
-            return False  # or another is as good
+        if not self.explains or not self.alone:
+            return False
         # Another scale near the convention's own may be clearly better, one for both directions.
         errors = {key: self.measured[key].error(axes) for key, axes in self.maps.items()}
         if len(self.maps) == 2 and is_alike(*self.maps.values()):
@@ -318,23 +330,21 @@ class _Verdict:
             direction = (
                 " in one of the two directions" if self.error <= BEATS_STILL * self.still else ""
             )
-            hint, cause = (
-                preset_hint(_fitting_preset(presets, self.measured, guess)),
-                "check the pass",
-            )
+            hint, cause = "", "check the pass"
             if all(evidence.empty for evidence in self.measured.values()):
-                hint = ""
                 cause = (
                     "they hold one value everywhere, so the pass is empty, or motion blur was on: "
                     "switch it off and render the pass again"
                 )
+            else:
+                hint = preset_hint(_fitting_preset(presets, self.measured, guess))
             raise MotionError(
                 "no reading of the motion channels explains the motion between frames "
                 f"{frames}{direction} (error {self.error:.3f}, {self.still:.3f} without motion); "
                 f"{cause}, or give --motion{hint}"
             )
         fitting = _fitting_preset(presets, self.measured, self.convention)
-        if self.convention != guess and not self.rival >= self.error * TIE_RATIO:
+        if self.convention != guess and not self.alone:
             if guess is not None:
                 error = _convention_error(guess, self.measured)
                 if error <= HARDLY_BEATS * self.still and error <= CLEARLY_WORSE * self.error:

@@ -187,8 +187,9 @@ def look_back_rendered(
         # 1.4 dB further from the truth where things move. Depth shows a hidden point only where
         # something else predicts its motion.
         ids = stencil_of(newer), stencil_of(gbuffer)
-        uncompared = _UNCOMPARED, EXACT, np.float32(0)
-        point_motion.follow_points(older.motion, ids, *uncompared, _UNFORESEEN, moved)
+        point_motion.follow_points(
+            older.motion, ids, _UNCOMPARED, EXACT, np.float32(0), _UNFORESEEN, moved
+        )
         placed, there = moved.copy(), older.scene
         camera = None if there is None else there.camera
         if scene is not None and camera is not None and gbuffer.stencil is not None:

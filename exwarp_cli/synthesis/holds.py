@@ -294,10 +294,7 @@ def has_colour_moved(
     before: Float32,
     after: Float32,
 ) -> bool:
-    """Return True if shifts explain the change of colour in a large part of the picture.
-
-    That is in a large part of the blocks, where standing still does not explain it.
-    """
+    """Return True if shifts explain a large part of the picture, and standing still does not."""
     for width in WIDTHS:
         first, second = _texture(before, width), _texture(after, width)
         side = BLOCK if min(first.shape) >= 4 * BLOCK else BLOCK // 2

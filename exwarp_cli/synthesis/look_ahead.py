@@ -178,14 +178,15 @@ class Candidates:
         """
         weights = np.zeros((network_api.CANDIDATES, *self.shape), np.float16)
 
-        parts = []
-        for box, rows, columns in mosaic.parts(chosen):
+        def weigh(rows: slice, columns: slice) -> Float32:
             region = network_api.InputRegion(self, rows, columns)
-            answer = np.empty((network_api.CANDIDATES, *region.shape), np.float32)
+            out = np.empty((network_api.CANDIDATES, *region.shape), np.float32)
             for (down, across), planes in network.weigh(region):
-                answer[:, down.kept, across.kept] = planes
-            parts.append((box, rows, columns, answer))
-        lay_tiles(mosaic, parts, weights)
+                out[:, down.kept, across.kept] = planes
+            return out
+
+        answers = ((*part, weigh(part[1], part[2])) for part in mosaic.parts(chosen))
+        lay_tiles(mosaic, answers, weights)
         ramp, (_, width) = mosaic.weight(chosen), self.shape
         for top, bottom in mosaic.down:
             part, share = weights[:, top:bottom], ramp[top:bottom]

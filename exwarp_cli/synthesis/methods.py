@@ -68,9 +68,24 @@ class Method:
     tail: Method | None = None  # makes what has no next key frame; None: warping makes it
 
     @property
+    def runs_network(self) -> bool:
+        """Whether it may run any network."""
+        return self.extrapolates or self.interpolates or self.weighs
+
+    @property
     def decides(self) -> bool:
         """Whether its frames are made by paths of the paper's decision tree."""
         return self.path is not None or self.judge is not None
+
+    @property
+    def finds_flow(self) -> bool:
+        """Whether it searches for motion of light, beside the rendered motion of surfaces."""
+        return self.lookahead and self.needs_motion
+
+    @property
+    def carries_light(self) -> bool:
+        """Whether it may warp from one key frame, and carry on how light moved before that."""
+        return self.lookahead or self.needs_motion
 
     @property
     def last(self) -> Method:
@@ -84,8 +99,7 @@ class Method:
         """
         if (self if looks_ahead else self.last).extrapolates:
             return HISTORY_FRAMES - 1
-        # A warp from one key frame carries on how light moved before that.
-        return int((self.lookahead or self.needs_motion) and not looks_ahead)
+        return int(self.carries_light and not looks_ahead)
 
     @property
     def needs_truth(self) -> bool:

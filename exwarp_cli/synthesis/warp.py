@@ -251,12 +251,23 @@ class CoverageSide:
 
 
 @dataclass(frozen=True)
+class _Place:
+    """One place inside all N pixels that an edge passes through."""
+
+    offset: Float32  # [2], pixels, from the centre
+    vectors: list[Float32]  # of each key frame, [N, 2] pixels, to its source; NaN without one
+    holes: list[Bool]  # of each key frame, [N]
+    share: Float32 | None  # [N]: weight of the second key frame; None with one
+    hole: Bool  # [N]: no key frame shows what lies there
+
+
+@dataclass(frozen=True)
 class _PlaceMovers:
-    """What samples one place inside each pixel beside an edge; pixels are gathered to [h, ROW]."""
+    """What samples one place, for pixels gathered to [h, ROW]."""
 
     movers: list[Mover]  # of each key frame
-    share: Float32 | None  # weight of the second key frame; None with one
-    visible: Bool  # a key frame shows what lies there
+    share: Float32 | None
+    visible: Bool
 
 
 @dataclass(eq=False)
@@ -308,11 +319,11 @@ class Coverage:
         for source in self.fields:
             find_moving_edges(source.depth, source.field, source.fringe, near_edges)
         index = np.flatnonzero(near_edges)
-        centres = [source.field.reshape(-1, 2)[index] for source in self.fields]
-        crossed, places = np.zeros(len(index), np.bool_), []
-        for offset in PLACES:
-            places.append(self._look(offset, index))
-            for vectors, centre in zip(places[-1][0], centres, strict=True):
+        centres = [field.field.reshape(-1, 2)[index] for field in self.fields]
+        places = [self._look(offset, index) for offset in PLACES]
+        crossed = np.zeros(len(index), np.bool_)
+        for place in places:
+            for vectors, centre in zip(place.vectors, centres, strict=True):
                 unknown = np.isnan(vectors) & np.isnan(centre)
                 same = (np.abs(vectors - centre) <= MOTION_GAP) | unknown
                 crossed |= ~(same[:, 0] & same[:, 1])
@@ -320,42 +331,37 @@ class Coverage:
         rows, columns = np.divmod(index, self.fields[0].depth.shape[1])
         order = np.arange(len(index))
         gathered = []
-        for offset, (fields, hole_masks, share, hole) in zip(PLACES, places, strict=True):
+        for place in places:
             movers = []
-            for vectors, hole_mask in zip(fields, hole_masks, strict=True):
+            for vectors, hole_mask in zip(place.vectors, place.holes, strict=True):
                 # Colour is sampled halfway to the centre: at the place itself the mean of several
                 # blurs textures (0.2 dB on lab), at the centre edges are too near (0.2 dB on
                 # market).
-                ends = vectors[crossed] + offset / np.float32(2)
+                ends = vectors[crossed] + place.offset / np.float32(2)
                 ends[:, 0] += (columns - order % ROW).astype(np.float32)
                 ends[:, 1] += (rows - order // ROW).astype(np.float32)
-                unseen = _in_rows(hole_mask[crossed], fill=True)
-                no_depth = np.zeros(unseen.shape, np.float32)
-                source = SlotField(_in_rows(ends, fill=np.nan), no_depth, unseen)
+                hole = _in_rows(hole_mask[crossed], fill=True)
+                no_depth = np.zeros(hole.shape, np.float32)
+                source = SlotField(_in_rows(ends, fill=np.nan), no_depth, hole)
                 movers.append(Mover(source, self.linear))
-            weight = None if share is None else _in_rows(share[crossed])
-            gathered.append(_PlaceMovers(movers, weight, ~_in_rows(hole[crossed], fill=True)))
+            share = None if place.share is None else _in_rows(place.share[crossed])
+            visible = ~_in_rows(place.hole[crossed], fill=True)
+            gathered.append(_PlaceMovers(movers, share, visible))
         return index, gathered
 
-    def _look(
-        self, offset: Float32, index: Index
-    ) -> tuple[list[Float32], list[Bool], Float32 | None, Bool]:
-        """Return what lies at a place inside N pixels.
-
-        Of each key frame vectors to its source, [N, 2] pixels, NaN without one, and holes, [N]; the
-        weight of the second key frame, [N], None with one; and where no key frame shows anything.
-        """
+    def _look(self, offset: Float32, index: Index) -> _Place:
+        """Return what each side shows at a place inside some pixels."""
         fields = [side.moved(offset) for side in self.sides]
         vectors = [field.field.reshape(-1, 2)[index] - offset for field in fields]
         holes = [field.hole.flat[index] for field in fields]
         if len(fields) == 1:
-            return vectors, holes, None, holes[0]
+            return _Place(offset, vectors, holes, None, holes[0])
         shape = fields[0].depth.shape
         share, depth = pool.empty(shape, np.float32), pool.empty(shape, np.float32)
         hole: Bool = pool.empty(shape, np.bool_)
         first, second = ((field.depth, field.hole, field.fringe) for field in fields)
         blend.write_later_weights(first, second, np.float32(self.time), share, depth, hole)
-        return vectors, holes, share.flat[index], hole.flat[index]
+        return _Place(offset, vectors, holes, share.flat[index], hole.flat[index])
 
 
 def _in_rows(values: np.ndarray, fill: float = 0) -> np.ndarray:
