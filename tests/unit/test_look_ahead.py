@@ -130,3 +130,16 @@ def test_a_shadow_on_still_ground_moves_as_one(time, linear):
     error, plain = (np.abs(frame - truth.pixels).mean() for frame in (made, faded))
     assert error < 0.55 * plain
     assert made[28:34, 40 + round(10 * time)].mean() < 0.15, "the shadow's middle is dark"
+
+
+def test_a_layer_that_is_made_first_follows_the_light_of_the_beauty():
+    pair = lit_ground((40, 30)), lit_ground((50, 33))
+    fields = reproject(pair[0].gbuffer, 0.5), reproject(pair[1].gbuffer, -0.5)
+    beauty = [view.pixels for view in pair]
+    layer = [np.ascontiguousarray(pixels[::-1]) for pixels in beauty]  # shadows elsewhere
+    first, second = (
+        LookAhead((Mover(fields[0], True), Mover(fields[1], True)), 0.5) for _ in range(2)
+    )
+    second.make(*beauty)
+    expected = second.make(*layer)
+    np.testing.assert_array_equal(first.make(*layer, beauty), expected)
