@@ -18,12 +18,13 @@ import types
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from importlib import metadata
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import llvmlite  # type: ignore[import-untyped]
 import numba
-from llvmlite import binding  # type: ignore[import-untyped]
+from llvmlite import binding
 from numba.core import compiler, serialize
 from numba.core.caching import NullCache
 from numba.core.runtime.nrt import rtsys
@@ -94,6 +95,7 @@ def processor() -> str:
     return str(binding.get_host_cpu_name())
 
 
+@dataclass(eq=False)
 class KernelCache(NullCache):
     """The builds of one kernel on disk, one file each, in place of numba's cache.
 
@@ -101,8 +103,7 @@ class KernelCache(NullCache):
     their content is verified by a digest before it is loaded.
     """
 
-    def __init__(self, function: types.FunctionType) -> None:
-        self._function = function
+    function: types.FunctionType
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return a build from any folder, or None if it must be compiled."""
@@ -140,25 +141,21 @@ class KernelCache(NullCache):
 
     def _name(self, signature: Any, codegen: Any) -> str | None:
         """Return the file name of a build, or None if it cannot be cached."""
-        file = Path(self._function.__code__.co_filename)
-        function = f"{self._function.__module__}.{self._function.__qualname__}"
+        file = Path(self.function.__code__.co_filename)
+        function = f"{self.function.__module__}.{self.function.__qualname__}"
         if "<" in function:  # a closure may depend on variables of the function around it
             return None
         try:
             source = source_digest(file)
         except OSError:
             return None
-        # magic_tuple: the processor and its instructions.
-        key = repr((versions(), codegen.magic_tuple(), source, function, str(signature)))
+        versions = numba.__version__, llvmlite.__version__, sys.version
+        switches = ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT")
+        options = [getattr(numba.config, name) for name in switches]
+        machine = codegen.magic_tuple()  # the processor and its instructions
+        key = repr((versions, options, machine, source, function, str(signature)))
         digest = hashlib.sha256(key.encode()).hexdigest()
-        return f"{file.stem}.{self._function.__name__}-{digest}{SUFFIX}"
-
-
-@functools.cache
-def versions() -> tuple[object, ...]:
-    """Return the versions and options of the compiler that machine code depends on."""
-    options = [getattr(numba.config, name) for name in ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT")]
-    return numba.__version__, metadata.version("llvmlite"), sys.version, *options
+        return f"{file.stem}.{self.function.__name__}-{digest}{SUFFIX}"
 
 
 @functools.cache

@@ -8,6 +8,7 @@ and its threads end the process when two kernels run at once without OpenMP or T
 from __future__ import annotations
 
 import functools
+import itertools
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -38,19 +39,15 @@ def band_range(count: int, band: Band) -> range:
     return range(count * number // bands, count * (number + 1) // bands)
 
 
-def band_slice(count: int, band: Band) -> slice:
-    """Return a band's iterations as a slice; see `band_range`."""
-    iterations = band_range(count, band)
-    return slice(iterations.start, iterations.stop)
-
-
 def run_bands(kernel: Callable[..., None], arguments: Sequence[Any], threads: int) -> None:
     """Run a kernel, which takes a band as its last argument, on several threads.
 
     The caller is one of them. With one thread, or for small arrays, the kernel runs once, over
     everything. An exception of the kernel is raised when no thread works on the arguments any more.
     """
-    if threads == 1 or max((a.size for a in _arrays(arguments)), default=SMALL) < SMALL:
+    groups = (value if isinstance(value, tuple) else (value,) for value in arguments)
+    sizes = [each.size for each in itertools.chain(*groups) if isinstance(each, np.ndarray)]
+    if threads == 1 or max(sizes, default=SMALL) < SMALL:
         kernel(*arguments, ALL)
         return
     bands = max(threads, MIN_BANDS)
@@ -65,15 +62,6 @@ def run_bands(kernel: Callable[..., None], arguments: Sequence[Any], threads: in
     for helper in helpers:
         if not helper.cancelled():
             helper.result()
-
-
-def _arrays(arguments: Sequence[Any]) -> Iterator[np.ndarray]:
-    """Yield the arrays among arguments, and in tuples of them."""
-    for value in arguments:
-        if isinstance(value, np.ndarray):
-            yield value
-        elif isinstance(value, tuple):
-            yield from _arrays(value)
 
 
 def _run_remaining(

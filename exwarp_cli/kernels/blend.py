@@ -9,7 +9,6 @@ import numpy as np
 from exwarp_cli.kernels._compile import ParallelKernel, device_function, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32, I16, I32
-from exwarp_cli.kernels.gather import clamp
 from exwarp_cli.kernels.holes import DIRECTIONS
 
 Visibility = tuple[F32, B8, B8]
@@ -252,45 +251,6 @@ def choose_sources(
             hole[i, j] = source < 0
 
 
-@device_function
-def _nearest_visible(
-    i: int, j: int, depth: F32, cap: np.float32, steps: I16, hole: int
-) -> tuple[np.int64, np.int64]:
-    """Return row and column of the visible pixel that a hole belongs to; (-1, -1) without one.
-
-    Of the pixels seen in eight directions, those about as similar in depth as the best count, and
-    of these the nearest. Depths are compared with the hole's surface, or, if unknown, with the
-    furthest.
-    """
-    known = not math.isnan(depth[i, j])
-    wanted = np.float64(min(depth[i, j], cap)) if known else np.float64(0)
-    if not known:
-        for direction in range(len(DIRECTIONS)):
-            distance = np.int64(steps[direction, hole])
-            if distance > 0:
-                visible = depth[
-                    i + DIRECTIONS[direction][0] * distance, j + DIRECTIONS[direction][1] * distance
-                ]
-                wanted = max(wanted, np.float64(min(visible, cap)))
-    best, shortest, y, x = 0.0, np.int64(0), np.int64(-1), np.int64(-1)
-    for sweep in range(2):  # first the best similarity, then the pixels close to it
-        for direction in range(len(DIRECTIONS)):
-            dy, dx = DIRECTIONS[direction]
-            distance = np.int64(steps[direction, hole])
-            if distance == 0:
-                continue
-            far = np.float64(min(depth[i + dy * distance, j + dx * distance], cap))
-            most = max(far, wanted)
-            similarity = min(far, wanted) / most if most > 0 else 1.0
-            if sweep == 0:
-                best = max(best, similarity)
-                continue
-            length = distance * distance * (dy * dy + dx * dx)
-            if similarity >= SIMILAR_SHARE * best and (y < 0 or length < shortest):
-                shortest, y, x = length, i + dy * distance, j + dx * distance
-    return y, x
-
-
 @ParallelKernel
 def adopt_sources(
     # pixel: from `choose_sources`, as is `later`; changed in holes, its own place if nothing is
@@ -304,18 +264,42 @@ def adopt_sources(
     steps: I16,  # [8, N], from `holes.ray_march_visible`
     band: Band,
 ) -> None:
-    """Give holes the source of the visible pixel around them that they belong to."""
+    """Give holes the source of the visible pixel around them that they belong to.
+
+    Of the pixels seen in eight directions, those about as similar in depth as the best count, and
+    of these the nearest. Depths are compared with the hole's surface, or, if unknown, with the
+    furthest.
+    """
     height, width = depth.shape
+    ways = len(DIRECTIONS)
+    far = np.empty(ways, np.float64)
     for i in band_range(height, band):
         for hole in range(first[i], first[i + 1]):
             j = np.int64(column[hole])
-            y, x = _nearest_visible(i, j, depth, cap, steps, hole)
-            if y < 0:
-                pixel[i, j] = np.int32(i * width + j)
-                later[i, j] = False
-            else:
-                pixel[i, j] = pixel[y, x]
-                later[i, j] = later[y, x]
+            furthest = np.float64(0)
+            for way in range(ways):
+                away = np.int64(steps[way, hole])
+                seen = depth[i + DIRECTIONS[way][0] * away, j + DIRECTIONS[way][1] * away]
+                far[way] = np.float64(min(seen, cap))
+                furthest = max(furthest, far[way]) if away > 0 else furthest
+            known = not math.isnan(depth[i, j])
+            wanted = np.float64(min(depth[i, j], cap)) if known else furthest
+            best, shortest, y, x = 0.0, np.int64(0), np.int64(-1), np.int64(-1)
+            for sweep in range(2):  # first the best similarity, then the pixels close to it
+                for way in range(ways):
+                    dy, dx = DIRECTIONS[way]
+                    away = np.int64(steps[way, hole])
+                    if away > 0:
+                        most = max(far[way], wanted)
+                        similarity = min(far[way], wanted) / most if most > 0 else 1.0
+                        length = away * away * (dy * dy + dx * dx)
+                        if sweep == 0:
+                            best = max(best, similarity)
+                        elif similarity >= SIMILAR_SHARE * best and (y < 0 or length < shortest):
+                            shortest, y, x = length, i + dy * away, j + dx * away
+            # Its own place if nothing is visible.
+            pixel[i, j] = pixel[y, x] if y >= 0 else np.int32(i * width + j)
+            later[i, j] = y >= 0 and later[y, x]
 
 
 @ParallelKernel
@@ -341,8 +325,8 @@ def sample_surface(
             left, top = np.int32(x + np.float32(1)) - 1, np.int32(y + np.float32(1)) - 1
             total = np.float32(0)
             for corner in range(4):
-                p = clamp(left + corner % 2, 0, width - 1)
-                q = clamp(top + corner // 2, 0, height - 1)
+                p = min(max(left + corner % 2, 0), width - 1)
+                q = min(max(top + corner // 2, 0), height - 1)
                 fx = abs(np.float32(1 - corner % 2) - (x - np.float32(left)))
                 fy = abs(np.float32(1 - corner // 2) - (y - np.float32(top)))
                 weight = fx * fy

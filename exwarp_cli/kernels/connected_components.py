@@ -22,24 +22,6 @@ def _find_root(parent: I32, label: int) -> int:
 
 
 @device_function
-def _find_runs(row: I32, begins: I32, ends: I32) -> int:
-    """Write where a row's runs of objects begin and end, [W], and return their number."""
-    count, ident = 0, np.int32(0)
-    for j in range(row.size):
-        value = max(row[j], np.int32(0))
-        if value != ident:
-            if ident > 0:
-                ends[count - 1] = j
-            if value > 0:
-                begins[count] = j
-                count += 1
-            ident = value
-    if ident > 0:
-        ends[count - 1] = row.size
-    return count
-
-
-@device_function
 def _label_runs(
     rows: tuple[I32, I32],  # ids of the row before, and of this one
     # above: [3, W], the runs of the row before, from left to right: first columns, columns after
@@ -91,7 +73,16 @@ def measure_component_areas(
     last_label, above_count = 0, 0
     for i in range(height):
         above, current = runs[(i + 1) % 2], runs[i % 2]
-        count, before = _find_runs(stencil[i], current[0], current[1]), last_label
+        count, ident, before = 0, np.int32(0), last_label
+        for j in range(width + 1):  # one more, which ends the last run
+            value = max(stencil[i, j], np.int32(0)) if j < width else np.int32(0)
+            if value != ident:
+                if ident > 0:
+                    current[1, count - 1] = j
+                if value > 0:
+                    current[0, count] = j
+                    count += 1
+                ident = value
         rows, counts = (stencil[max(i - 1, 0)], stencil[i]), (above_count, count)
         last_label = _label_runs(rows, above, current, counts, parent, last_label)
         for k in range(before + 1, last_label + 1):
@@ -104,9 +95,9 @@ def measure_component_areas(
     for k in range(last_label, 0, -1):
         if parent[k] != k:  # it is lower, and comes later
             areas[parent[k]] += areas[k]
-    count = 0
+    components = 0
     for k in range(1, last_label + 1):
         if parent[k] == k:
-            count += 1
-            areas[count] = areas[k]
-    return count + 1
+            components += 1
+            areas[components] = areas[k]
+    return components + 1

@@ -15,12 +15,6 @@ U64 = np.uint64
 MAX_DISTANCE = np.float32(1e7)  # Pixels from the frame's corner beyond which nothing is sampled
 
 
-@device_function
-def clamp(value: int, low: int, high: int) -> int:
-    """Return the value, or the nearer bound."""
-    return min(max(value, low), high)
-
-
 @inline
 def _interpolate_pixel(
     pixels: F32,  # [H W C]
@@ -57,8 +51,8 @@ def sample_border(
     if abs(x) < MAX_DISTANCE and abs(y) < MAX_DISTANCE:  # no for NaN
         left, top = math.floor(x), math.floor(y)
         fx, fy = x - np.float32(left), y - np.float32(top)
-        x0, x1 = clamp(left, 0, width - 1), clamp(left + 1, 0, width - 1)
-        y0, y1 = clamp(top, 0, height - 1), clamp(top + 1, 0, height - 1)
+        x0, x1 = min(max(left, 0), width - 1), min(max(left + 1, 0), width - 1)
+        y0, y1 = min(max(top, 0), height - 1), min(max(top + 1, 0), height - 1)
         x1 = x0 if fx == 0 else x1
         y1 = y0 if fy == 0 else y1
         first, right = U64((y0 * width + x0) * channels), U64((x1 - x0) * channels)

@@ -48,14 +48,38 @@ def _squared_distance(position: F32, i: int, j: int, other: F32, y: int, x: int)
 
 
 @inline
-def _beyond_footprint(
-    position: F32, i: int, j: int, squared: np.float32, rounded: np.float32
+def _other_surface(
+    i: int,
+    j: int,
+    y: int,
+    x: int,
+    positions: tuple[F32, F32],
+    normals: tuple[F32, F32],
+    least_cosine: np.float32,
+    rounded: np.float32,
 ) -> bool:
-    """Return whether a squared distance exceeds FOOTPRINTS of the pixel at (i, j).
+    """Return whether positions (static) or normals (dynamic) at two instants disagree.
 
-    A pixel's footprint in world space is the sum of its spacing on both axes. `rounded` is the step
-    of the positions as a share of each.
+    `least_cosine` is that of the normals of one dynamic surface, -2 for a static one. Positions
+    disagree beyond FOOTPRINTS of the pixel at (i, j), whose footprint in world space is the sum of
+    its spacing on both axes. `rounded` is the step of the positions as a share of each.
     """
+    # Unsigned indices need no test for counting from the end.
+    p, q, r, s = np.uint64(i), np.uint64(j), np.uint64(y), np.uint64(x)
+    if least_cosine > -2:
+        now, then = normals
+        if now.shape[0] == 0:
+            return False
+        dot, a, b = np.float32(0), np.float32(0), np.float32(0)
+        for c in range(3):
+            dot += now[p, q, c] * then[r, s, c]
+            a += now[p, q, c] ** 2
+            b += then[r, s, c] ** 2
+        return bool(dot < least_cosine * math.sqrt(a * b))
+    position, source = positions
+    if position.shape[0] == 0:
+        return False
+    squared = _squared_distance(position, i, j, source, y, x)
     # What is within the footprint of one axis needs no roots.
     total, squared_footprints = np.float32(0.0), FOOTPRINTS * FOOTPRINTS
     height, width, _ = position.shape
@@ -71,44 +95,10 @@ def _beyond_footprint(
             if squared <= squared_footprints * step:
                 return False
             total += np.float32(math.sqrt(step))
-    size, p, q = np.float32(0), np.uint64(i), np.uint64(j)
+    size = np.float32(0)
     for c in range(3):
         size += abs(position[p, q, c])
     return bool(math.sqrt(squared) > FOOTPRINTS * total + rounded * size)
-
-
-@inline
-def _other_surface(
-    i: int,
-    j: int,
-    y: int,
-    x: int,
-    positions: tuple[F32, F32],
-    normals: tuple[F32, F32],
-    least_cosine: np.float32,
-    rounded: np.float32,
-) -> bool:
-    """Return whether positions (static) or normals (dynamic) at two instants disagree.
-
-    `least_cosine` is that of the normals of one dynamic surface, -2 for a static one.
-    """
-    if least_cosine > -2:
-        now, then = normals
-        if now.shape[0] == 0:
-            return False
-        dot, a, b = np.float32(0), np.float32(0), np.float32(0)
-        p, q, r, s = np.uint64(i), np.uint64(j), np.uint64(y), np.uint64(x)
-        for c in range(3):
-            dot += now[p, q, c] * then[r, s, c]
-            a += now[p, q, c] ** 2
-            b += then[r, s, c] ** 2
-        return bool(dot < least_cosine * math.sqrt(a * b))
-    current, source = positions
-    if current.shape[0] == 0:
-        return False
-    return bool(
-        _beyond_footprint(current, i, j, _squared_distance(current, i, j, source, y, x), rounded)
-    )
 
 
 @ParallelKernel

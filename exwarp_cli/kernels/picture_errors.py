@@ -90,15 +90,12 @@ _N2, _N1 = np.float32(0.6**2 * 2.51), np.float32(0.6 * 0.03)
 _D2, _D1, _D0 = np.float32(0.6**2 * 2.43), np.float32(0.6 * 0.59), np.float32(0.14)
 
 
-def _linear_of_tone(tone: np.float32) -> np.float32:
-    """Return the linear value that the tone mapper turns into `tone`."""
-    # With float32 coefficients, as the authors' package: where luminances lie whole stops apart,
-    # the last digit decides on the number of exposures.
-    a, b, c = (float(v) for v in (_N2 - tone * _D2, _N1 - tone * _D1, -tone * _D0))
-    return np.float32((-b + np.sqrt(b * b - 4 * a * c)) / (2 * a))
-
-
-SATURATED = _linear_of_tone(np.float32(0.85))  # the brightest value that HDR-FLIP wants to show
+# The brightest value that HDR-FLIP wants to show, of which the tone mapper makes 0.85. With float32
+# coefficients, as the authors' package: where luminances lie whole stops apart, the last digit
+# decides on the number of exposures.
+_TONE = np.float32(0.85)
+_A, _B, _C = (float(v) for v in (_N2 - _TONE * _D2, _N1 - _TONE * _D1, -_TONE * _D0))
+SATURATED = np.float32((-_B + np.sqrt(_B * _B - 4 * _A * _C)) / (2 * _A))
 
 
 @inline
@@ -296,19 +293,13 @@ def write_perceived(
                 length[i] = np.sqrt(right[i] * right[i] + down[i] * down[i])
 
 
-def _largest_distance() -> float:
-    """Return the distance of green and blue, the colours farthest apart (section 4.1.3)."""
-    x, y, z = np.cbrt(TO_XYZ[:, 1:])
-    lightness = 116 * y - 16
-    chroma = 0.01 * lightness
-    green, blue = np.transpose([lightness, chroma * 500 * (x - y), chroma * 200 * (y - z)])
-    difference = green - blue
-    return float((abs(difference[0]) + np.hypot(difference[1], difference[2])) ** 0.7)
-
-
-# Distances to the power of 0.7; those below 0.4 of the largest take 0.95 of the range.
+# Distances to the power of 0.7; those below 0.4 of the largest take 0.95 of the range. Green and
+# blue are farthest apart (section 4.1.3).
 _DISTANCE_EXPONENT = np.float32(0.7)
-_LARGEST = _largest_distance()
+_X, _Y, _Z = np.cbrt(TO_XYZ[:, 1:])
+_LIGHTNESS, _CHROMA = 116 * _Y - 16, 0.01 * (116 * _Y - 16)
+_GREEN_TO_BLUE = np.diff([_LIGHTNESS, _CHROMA * 500 * (_X - _Y), _CHROMA * 200 * (_Y - _Z)])[:, 0]
+_LARGEST = float((abs(_GREEN_TO_BLUE[0]) + np.hypot(*_GREEN_TO_BLUE[1:])) ** 0.7)
 _BEND, _AT_BEND = np.float32(0.4 * _LARGEST), np.float32(0.95)
 _BELOW, _ABOVE = np.float32(0.95 / (0.4 * _LARGEST)), np.float32((1 - 0.95) / (0.6 * _LARGEST))
 

@@ -63,13 +63,6 @@ def decode_id(bits: np.uint32, rounded: bool) -> np.int32:
 
 
 @inline
-def _clamp_share(share: np.float32, ident: np.int32) -> np.float32:
-    if ident == 0 or not share > np.float32(0):
-        return np.float32(0)
-    return min(share, np.float32(1))
-
-
-@inline
 def _dominant_id(
     first: np.int32, second: np.int32, share: np.float32, second_share: np.float32, lead: np.float32
 ) -> np.int32:
@@ -90,7 +83,7 @@ def _dominant_id(
 
 @inline
 def _is_listed(ident: np.int32, ids: I32) -> bool:
-    low, high = 0, ids.size
+    low, high = 0, ids.size  # np.searchsorted takes 4 s more to compile
     while low < high:
         middle = (low + high) // 2
         if ids[middle] < ident:
@@ -116,20 +109,21 @@ def write_dominant_ids(
     height, width, _ = bits.shape
     # Neighbours mostly have the same ids: looking each up again took ten times as long.
     ids, counts = np.zeros(2, np.int32), np.zeros(2, np.bool_)
+    clamped, zero, one = np.zeros(2, np.float32), np.float32(0), np.float32(1)
     for i in range(height):
         for j in range(width):
             for rank in range(2):
                 ident = decode_id(bits[i, j, 2 * rank], rounded)
                 if ident != ids[rank]:
                     ids[rank], counts[rank] = ident, every or _is_listed(ident, moving)
+                share = shares[i, j, 2 * rank + 1]
+                clamped[rank] = min(share, one) if ident != 0 and share > zero else zero
             first, second = ids[0], ids[1]
-            share = _clamp_share(shares[i, j, 1], first)
-            second_share = _clamp_share(shares[i, j, 3], second)
-            first_counts = counts[0] and share > np.float32(0)
-            second_counts = counts[1] and second_share > np.float32(0)
+            first_counts = counts[0] and clamped[0] > zero
+            second_counts = counts[1] and clamped[1] > zero
             out[i, j] = np.int32(0)
             if first_counts or second_counts:
-                dominant = _dominant_id(first, second, share, second_share, lead)
+                dominant = _dominant_id(first, second, clamped[0], clamped[1], lead)
                 is_counted = (first_counts and dominant == first) or (
                     second_counts and dominant == second
                 )

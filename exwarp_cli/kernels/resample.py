@@ -14,7 +14,7 @@ import numpy as np
 from exwarp_cli.kernels._compile import ParallelKernel, inline
 from exwarp_cli.kernels._row_bands import Band, band_range
 from exwarp_cli.kernels.array_types import B8, F32
-from exwarp_cli.kernels.gather import clamp, sample_pixel
+from exwarp_cli.kernels.gather import sample_pixel
 
 U64 = np.uint64
 
@@ -89,9 +89,9 @@ def _find_taps(
         first = (top * width + left) * channels
         return pixels, width * channels, first, corner, (across, down)
     for p in range(TAPS):
-        i = clamp(top + p, 0, height - 1)
+        i = min(max(top + p, 0), height - 1)
         for q in range(TAPS):
-            j = clamp(left + q, 0, width - 1)
+            j = min(max(left + q, 0), width - 1)
             for c in range(channels):
                 patch[(p * TAPS + q) * channels + c] = pixels[(i * width + j) * channels + c]
     return patch, TAPS * channels, 0, corner, (across, down)

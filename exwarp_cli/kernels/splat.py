@@ -64,10 +64,7 @@ def _jacobian(across: F32, down: F32, j: int) -> Matrix:
 
 @inline
 def _patch_bounds(
-    x: np.float32,
-    y: np.float32,
-    matrix: Matrix,
-    size: tuple[int, int, int],
+    x: np.float32, y: np.float32, matrix: Matrix, size: tuple[int, int, int]
 ) -> Matrix:
     """Return first and last row, first and last column that may lie on a patch around (x, y).
 

@@ -380,8 +380,11 @@ def _require_usable(
             "colour alone; use --method softsplat or s6"
         )
     timeline = source.timeline
-    if not (method.any_factor or source.allows_decisions):
-        names = ", ".join(each.name for each in methods.METHODS.values() if each.any_factor)
+    # The paper's decisions are for slots of 4x alone.
+    every = methods.METHODS
+    limited = [m.name for m in every.values() if m.judge is not None or m.extrapolates]
+    if method.name in limited and not source.allows_decisions:
+        names = ", ".join(name for name in every if name not in limited)
         raise UsageError(
             f"--method {method.name} decides between slots of {FACTOR} times the rate, and "
             f"{float(timeline.factor):g} times are asked for; use one of {names}"

@@ -12,7 +12,14 @@ from exwarp_cli.domain.frame import GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import Cut, CutOption, Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.synthesis.cut_detection import Thumbnail, compare_thumbnails, make_thumbnail
-from exwarp_cli.synthesis.holds import RECENT_PAIRS, PictureChange, change_between, is_same_picture
+from exwarp_cli.synthesis.holds import (
+    NOISE,
+    NOISE_AFTER_MOTION,
+    RECENT_PAIRS,
+    PictureChange,
+    change_between,
+    is_same_picture,
+)
 
 # Share of the frame's longer side from which a change of speed may come of a cut: 19 pixels of
 # 1920. Cameras that change so much within a key interval are rare, and what leads across a cut
@@ -149,12 +156,13 @@ class Shots:
             before, after = (self.read(index).image for index in (key - 1, key))
             return is_same_picture(before, after)
         change = self._change(key)
-        if change.is_noise() or not change.is_calm():
-            return change.is_noise()
+        # A codec explains little noise whatever was before, and more only after motion.
+        if change.local <= NOISE or change.local > NOISE_AFTER_MOTION:
+            return change.local <= NOISE
         for earlier in range(key - 1, max(key - 1 - RECENT_PAIRS, 0), -1):
             if self.starts_at(earlier):
                 return False
-            if not self._change(earlier).is_calm():
+            if self._change(earlier).local > NOISE_AFTER_MOTION:
                 return change.is_calm_after(self._change(earlier))
         return False
 

@@ -19,15 +19,11 @@ from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import MotionError
 from exwarp_cli.kernels._row_bands import threads
 from exwarp_cli.synthesis.calibration_evidence import (
-    AROUND,
-    CLEAR_FLOOR,
-    CLEARLY_BETTER,
     CLEARLY_WORSE,
     TIE_FLOOR,
     Evidence,
     Key,
     Ranked,
-    channel_pairs,
     fit_scales,
     gather_evidence,
     is_alike,
@@ -38,6 +34,9 @@ from exwarp_cli.synthesis.calibration_samples import FrameSamples, KeyPair
 
 # An error up to this much above the least does not speak against a convention known by name.
 TIE_RATIO = 1.1
+
+# A usual scale stands unless another near it has an error that is smaller by this ratio, and more.
+CLEARLY_BETTER, CLEAR_FLOOR = 1.25, 0.01
 
 # Mean error without any motion below which a pair has too little motion to measure.
 STILL_ERROR = 0.08
@@ -73,11 +72,8 @@ def calibrate(
 ) -> MotionFinding:
     """Find the convention of motion channels.
 
-    Raises
-    ------
-    MotionError
-        When there is motion and no candidate explains it, when nothing separates the candidates
-        and no name is known, or when the channels hold no values.
+    Raises MotionError if there is motion and no candidate explains it, if nothing separates the
+    candidates and no name is known, or if the channels hold no values.
     """
     if not pairs:
         return _untested(guess, "one frame alone shows no motion")
@@ -106,7 +102,8 @@ def calibrate(
         short = guess.scaled(step)
         if _convention_error(short, measured) + SPAN_FLOOR < _convention_error(guess, measured):
             spanning = short
-    finding = _measure(measured, spanning, names, frames, presets or {})
+    channels = sorted({pair for pair, _ in evidence})
+    finding = _measure(measured, channels, spanning, names, frames, presets or {})
     if spanning == guess or finding.convention != spanning:
         return finding
     span = f"{finding.evidence}; vectors span one frame of the {step} from key frame to key frame"
@@ -165,6 +162,7 @@ def _convention_error(convention: MotionConvention, measured: dict[Key, Evidence
 
 def _measure(
     measured: dict[Key, Evidence],
+    channels: Sequence[tuple[int, int]],  # all pairs of them
     guess: MotionConvention | None,
     names: tuple[str, ...],
     frames: str,
@@ -172,7 +170,7 @@ def _measure(
 ) -> MotionFinding:
     """Find the convention of those channels that hold vectors; see `calibrate`."""
     written = {key[0] for key, evidence in measured.items() if not evidence.empty}
-    lost = [pair for pair in channel_pairs(names) if written and pair not in written]
+    lost = [pair for pair in channels if written and pair not in written]
     if lost:
         measured = {key: evidence for key, evidence in measured.items() if key[0] in written}
         maps = {key[1]: axes for key, axes in _maps(guess).items() if key[0] in written}
@@ -308,19 +306,16 @@ class _Verdict:
         errors = {key: self.measured[key].error(axes) for key, axes in self.maps.items()}
         if len(self.maps) == 2 and is_alike(*self.maps.values()):
             own = {key: (errors[key], axes) for key, axes in self.maps.items()}
-            fits = [(mean_error(fit_scales(own, self.measured, AROUND)), mean_error(own))]
+            fits = [(mean_error(fit_scales(own, self.measured)), mean_error(own))]
         else:
             fits = [
-                (self.measured[key].fit_scale(axes, AROUND)[0], errors[key])
+                (self.measured[key].fit_scale(axes)[0], errors[key])
                 for key, axes in self.maps.items()
             ]
         return not any(better * CLEARLY_BETTER + CLEAR_FLOOR < error for better, error in fits)
 
     def finding(
-        self,
-        names: tuple[str, ...],
-        frames: str,
-        presets: Mapping[str, MotionConvention],
+        self, names: tuple[str, ...], frames: str, presets: Mapping[str, MotionConvention]
     ) -> MotionFinding:
         """Accept the convention, or say why not; see :func:`calibrate`."""
         guess = self.guess
@@ -332,7 +327,22 @@ class _Verdict:
             strongest = max(evidence.moved() for evidence in self.measured.values())
             if guess is not None and strongest < DECISIVE:
                 return _untested(guess, f"frames {frames} tell too little to contradict them")
-            raise MotionError(self._unexplained(frames, presets))
+            direction = (
+                " in one of the two directions" if self.error <= BEATS_STILL * self.still else ""
+            )
+            hint, cause = "", "check the pass"
+            if all(evidence.empty for evidence in self.measured.values()):
+                cause = (
+                    "they hold one value everywhere, so the pass is empty, or motion blur was on: "
+                    "switch it off and render the pass again"
+                )
+            else:
+                hint = preset_hint(_fitting_preset(presets, self.measured, guess))
+            raise MotionError(
+                "no reading of the motion channels explains the motion between frames "
+                f"{frames}{direction} (error {self.error:.3f}, {self.still:.3f} without motion); "
+                f"{cause}, or give --motion{hint}"
+            )
         fitting = _fitting_preset(presets, self.measured, self.convention)
         if self.convention != guess and not self.alone:
             if guess is not None:
@@ -361,25 +371,6 @@ class _Verdict:
         as_named = self.convention == guess and not self.untried
         clear = as_named and min(self.rival, self.turned) > CLEARLY_WORSE * self.error
         return MotionFinding(self.convention, source, evidence, *errors, clear, preset=fitting)
-
-    def _unexplained(self, frames: str, presets: Mapping[str, MotionConvention]) -> str:
-        """Say that nothing explains the motion, what may be the cause, and what to do."""
-        direction = (
-            " in one of the two directions" if self.error <= BEATS_STILL * self.still else ""
-        )
-        empty = all(evidence.empty for evidence in self.measured.values())
-        hint = "" if empty else preset_hint(_fitting_preset(presets, self.measured, self.guess))
-        cause = (
-            "they hold one value everywhere, so the pass is empty, or motion blur was on: switch "
-            "it off and render the pass again"
-            if empty
-            else "check the pass"
-        )
-        return (
-            "no reading of the motion channels explains the motion between frames "
-            f"{frames}{direction} (error {self.error:.3f}, {self.still:.3f} without motion); "
-            f"{cause}, or give --motion{hint}"
-        )
 
 
 def preset_hint(preset: str) -> str:

@@ -15,13 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from exwarp_cli.domain.motion import STILL_MIDDLE, STILL_TOLERANCE, AxisMap
-from exwarp_cli.synthesis.calibration_samples import (
-    FrameSamples,
-    KeyPair,
-    Probe,
-    make_probes,
-    make_trail,
-)
+from exwarp_cli.synthesis import calibration_samples
 from exwarp_cli.synthesis.camera import F64
 
 # A fast sequence thinned out carries the short vectors of its full rate.
@@ -42,12 +36,9 @@ ROUGH, COARSE = 400, 1500
 # Candidates whose vectors differ by less than this on average, in pixels, count as one.
 SAME_PIXELS = 0.3
 
-# Ratio of neighbouring scales that are tried where the scale is free; at which fitting one begins
-# around a usual one; and at which it ends.
-FREE_STEP, AROUND, FITTED = 1.15, 1.15, 1.002
-
-# A usual scale stands unless another near it has an error that is smaller by this ratio, and more.
-CLEARLY_BETTER, CLEAR_FLOOR = 1.25, 0.01
+# Ratio of neighbouring scales that are tried where the scale is free, at which fitting one begins;
+# and at which that ends.
+FREE_STEP, FITTED = 1.15, 1.002
 
 # Errors that differ by less than this, of 6000 samples, are equal.
 TIE_FLOOR = 0.01
@@ -82,23 +73,6 @@ class Form:
         return AxisMap(*axes, *scales, self.still, self.length, self.alpha)
 
 
-def free_readings(
-    form: Form, channels: tuple[int, int], raw: F64, width: int, height: int
-) -> Iterator[AxisMap]:
-    """Yield a form's readings at any scale that makes most vectors half a pixel to half a frame."""
-    unscaled = form.map(channels, 1.0, 1.0).apply(raw.astype(np.float32))
-    typical = float(np.percentile(np.abs(unscaled).max(axis=1), 90))
-    if not typical > 0:
-        return
-    least, most = 0.5 / typical, 0.5 * width / typical
-    count = int(np.log(most / least) / np.log(FREE_STEP)) + 1
-    for step, aspect in itertools.product(range(count), (1.0, height / width)):
-        scale = least * FREE_STEP**step
-        for axes in (channels, channels[::-1]):
-            for gx, gy in itertools.product((1.0, -1.0), repeat=2):
-                yield form.map(axes, gx * scale, gy * scale * aspect)
-
-
 @dataclass
 class Evidence:
     """Errors of candidates for one pair of channels in one direction, over all frame pairs."""
@@ -107,7 +81,7 @@ class Evidence:
     later: bool
     size: tuple[int, int]
     more: tuple[int | None, int | None] = (None, None)  # a channel of lengths, and alpha
-    probes: list[Probe] = field(default_factory=list)
+    probes: list[calibration_samples.Probe] = field(default_factory=list)
 
     def errors(self, readings: Iterable[AxisMap], count: int | None = None) -> list[float]:
         """Return the mean errors of candidates, on about `count` samples a probe."""
@@ -196,11 +170,27 @@ class Evidence:
         return [(error, every[index]) for error, index in exact]
 
     def ranked_freely(self) -> list[tuple[float, AxisMap]]:
-        """Return candidates of any scale by error, the best ones' scales fitted."""
-        raw, forms = self.raw, self.forms
+        """Return candidates of any scale by error, the best ones' scales fitted.
+
+        Scales are those that make most vectors half a pixel to half a frame.
+        """
+        raw, forms, (width, height) = self.raw.astype(np.float32), self.forms, self.size
+        every: list[AxisMap] = []
         # Where values may be offsets, they are all of one sign: as displacements, unlikely.
-        likely = [form for form in forms if form.still] or list(forms)
-        every = [c for form in likely for c in free_readings(form, self.channels, raw, *self.size)]
+        for form in [form for form in forms if form.still] or list(forms):
+            unscaled = form.map(self.channels, 1.0, 1.0).apply(raw)
+            typical = float(np.percentile(np.abs(unscaled).max(axis=1), 90))
+            if not typical > 0:
+                continue
+            least, most = 0.5 / typical, 0.5 * width / typical
+            count = int(np.log(most / least) / np.log(FREE_STEP)) + 1
+            kinds = itertools.product(range(count), (1.0, height / width))
+            for (step, aspect), axes in itertools.product(
+                kinds, (self.channels, self.channels[::-1])
+            ):
+                scale = least * FREE_STEP**step
+                for gx, gy in itertools.product((1.0, -1.0), repeat=2):
+                    every.append(form.map(axes, gx * scale, gy * scale * aspect))
         most_moved = replace(self, probes=[max(self.probes, key=_still_error)])
         rough = sorted(zip(most_moved.errors(every, ROUGH), range(len(every)), strict=True))
         # Readings of one sign and aspect stand side by side; the best of each is fitted.
@@ -210,19 +200,19 @@ class Evidence:
             square = abs(each.x_scale) == abs(each.y_scale)
             signs = each.x_channel, each.x_scale > 0, each.y_scale > 0
             best_of_kind[*signs, square, each.still, each.alpha] = each
-        kinds = list(best_of_kind.values())
-        by_error = sorted(zip(self.errors(kinds, COARSE), range(len(kinds)), strict=True))
-        best = [kinds[index] for _, index in by_error[:4]]
-        fitted = [self.fit_scale(candidate, FREE_STEP) for candidate in best]
-        others = [candidate for candidate in kinds if candidate not in best]
+        unlike = list(best_of_kind.values())
+        by_error = sorted(zip(self.errors(unlike, COARSE), range(len(unlike)), strict=True))
+        best = [unlike[index] for _, index in by_error[:4]]
+        fitted = [self.fit_scale(candidate) for candidate in best]
+        others = [candidate for candidate in unlike if candidate not in best]
         unfitted = list(zip(self.errors(others), others, strict=True))
         return sorted(fitted + unfitted, key=lambda entry: entry[0])
 
-    def fit_scale(self, reading: AxisMap, ratio: float) -> tuple[float, AxisMap]:
-        """Fit a candidate's scale within a ratio, by ever smaller steps; return its error too."""
+    def fit_scale(self, reading: AxisMap) -> tuple[float, AxisMap]:
+        """Fit a candidate's scale as `fit_scales` does; return its error too."""
         key = self.channels, self.later
         start = {key: (self.errors([reading], COARSE)[0], reading)}
-        return fit_scales(start, {key: self}, ratio)[key]
+        return fit_scales(start, {key: self})[key]
 
     def differ(self, a: AxisMap, b: AxisMap) -> bool:
         """Return True if two candidates move the samples differently enough to be distinguished."""
@@ -236,19 +226,14 @@ class Evidence:
         return float(np.mean(gaps)) > SAME_PIXELS
 
 
-def _still_error(probe: Probe) -> float:
+def _still_error(probe: calibration_samples.Probe) -> float:
     return float(probe.errors(np.zeros((1, len(probe.xy), 2), np.float32))[0])
 
 
-def channel_pairs(names: tuple[str, ...]) -> list[tuple[int, int]]:
-    """Return the pairs of channels that may be one direction's."""
-    return [(first, first + 1) for first in range(0, len(names) - 1, 2)]
-
-
 def gather_evidence(
-    pairs: Sequence[tuple[FrameSamples, FrameSamples]],
+    pairs: Sequence[tuple[calibration_samples.FrameSamples, calibration_samples.FrameSamples]],
     names: tuple[str, ...],
-    intervals: Sequence[KeyPair] = (),
+    intervals: Sequence[calibration_samples.KeyPair] = (),
 ) -> dict[Key, Evidence]:
     """Gather evidence, maybe without probes, for every pair of channels and both directions."""
     more: tuple[int | None, int | None] = (None, None)
@@ -256,20 +241,25 @@ def gather_evidence(
         odd = len(names) - 1
         is_alpha = names[odd].rsplit(".")[-1].lower() in ALPHA
         more = (None, odd) if is_alpha else (odd, None)
-    channels = channel_pairs(names)
-    used = [(*each, *(index for index in more if index is not None)) for each in channels]
+    channels = [(first, first + 1) for first in range(0, len(names) - 1, 2)]
+    beside = [index for index in more if index is not None]
     evidence = {
         (each, later): Evidence(each, later, pairs[0][0].size, more)
         for each in channels
         for later in (False, True)
     }
     for before, after in pairs:
-        for later, ends in ((False, (after, before)), (True, (before, after))):
-            for each, probe in zip(channels, make_probes(*ends, used), strict=True):
-                if probe is not None:
+        for later, frame, neighbour in ((False, after, before), (True, before, after)):
+            probes: dict[bytes, calibration_samples.Probe | None] = {}
+            for each in channels:
+                usable = frame.usable & np.isfinite(frame.motion[:, [*each, *beside]]).all(axis=-1)
+                mask = usable.tobytes()
+                if mask not in probes:  # mostly all channels hold values at the same pixels
+                    probes[mask] = calibration_samples.make_probe(frame, neighbour, usable)
+                if (probe := probes[mask]) is not None:
                     evidence[each, later].probes.append(probe)
     for pair, later in itertools.product(intervals, (False, True)):
-        trail = make_trail(pair, later)
+        trail = calibration_samples.make_trail(pair, later)
         if trail is not None:
             for each in channels:
                 evidence[each, later].probes.append(trail)
@@ -309,7 +299,7 @@ def rank_jointly(
     joint.sort(key=mean_error)
     best = joint[0]
     if any(axes not in measured[key].usual() for key, (_, axes) in best.items()):
-        best = fit_scales(best, measured, FREE_STEP)
+        best = fit_scales(best, measured)
     if mean_error(best) > CLEARLY_WORSE * mean_error(chosen) + TIE_FLOOR:
         return None
     rivals = (
@@ -320,9 +310,9 @@ def rank_jointly(
     return best, next(rivals, 1.0)
 
 
-def fit_scales(chosen: Chosen, measured: dict[Key, Evidence], ratio: float) -> Chosen:
-    """Fit one scale of readings, to four digits, within a ratio, by ever smaller steps."""
-    best = chosen
+def fit_scales(chosen: Chosen, measured: dict[Key, Evidence]) -> Chosen:
+    """Fit one scale of readings, to four digits, within FREE_STEP, by ever smaller steps."""
+    best, ratio = chosen, FREE_STEP
     while ratio > FITTED:
         factors = (1 / ratio, ratio ** (-0.5), ratio**0.5, ratio)
         near = {

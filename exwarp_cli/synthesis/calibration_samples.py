@@ -173,15 +173,28 @@ def sample_key_pair(
 
 
 def _perceived(colour: Float32) -> tuple[Float32, float]:
-    """Compress scene-linear RGB roughly as the eye does, and smooth it; return remaining noise."""
+    """Compress scene-linear RGB roughly as the eye does, and smooth it; return remaining noise.
+
+    Noise is the standard deviation of two images' difference by noise, over all channels. By the
+    median of what a mask leaves that ignores edges and slopes (Immerkær, "Fast Noise Variance
+    Estimation", 1996); its coefficients' squares sum to 36.
+    """
     codes = np.sqrt(np.maximum(np.nan_to_num(colour[..., :3], posinf=0, neginf=0), 0))
-    noise = _noise(codes)
+    (height, width, channels), noise = codes.shape, 0.0
+    if min(height, width) >= 3:
+        step = max(1, height * width // (GRID * SAMPLES))
+        y, x = np.divmod(np.arange(0, (height - 2) * (width - 2), step), width - 2)
+        mask = ((1, -2, 1), (-2, 4, -2), (1, -2, 1))
+        remainder = np.zeros((len(y), channels), np.float32)
+        for i, j in np.ndindex(3, 3):
+            remainder += mask[i][j] * codes[y + i, x + j]
+        per_channel = float(np.median(np.abs(remainder))) / 0.6745 / 6
+        noise = per_channel * math.sqrt(2 * channels)
     # Noise that is as large as the tolerance makes every reading as bad as no motion.
     reach = min(math.ceil((noise / MAX_NOISE - 1) / 2), MAX_SMOOTHING)
     if reach <= 0:
         return codes, noise
     # The mean over squares; the rim is repeated outward.
-    height, width, _ = codes.shape
     padded = np.pad(codes, ((reach, reach), (reach, reach), (0, 0)), "edge")
     size = 2 * reach + 1
     rows = np.zeros_like(padded[:height])
@@ -192,25 +205,6 @@ def _perceived(colour: Float32) -> tuple[Float32, float]:
         smooth += rows[:, j : j + width]
     smooth /= np.float32(size * size)
     return smooth, noise / size
-
-
-def _noise(image: Float32) -> float:
-    """Return the standard deviation of two images' difference by noise, over all channels.
-
-    By the median of what a mask leaves that ignores edges and slopes (Immerkær, "Fast Noise
-    Variance Estimation", 1996); its coefficients' squares sum to 36.
-    """
-    height, width, channels = image.shape
-    if min(height, width) < 3:
-        return 0.0
-    step = max(1, height * width // (GRID * SAMPLES))
-    y, x = np.divmod(np.arange(0, (height - 2) * (width - 2), step), width - 2)
-    mask = ((1, -2, 1), (-2, 4, -2), (1, -2, 1))
-    remainder = np.zeros((len(y), channels), np.float32)
-    for i, j in np.ndindex(3, 3):
-        remainder += mask[i][j] * image[y + i, x + j]
-    per_channel = float(np.median(np.abs(remainder))) / 0.6745 / 6
-    return per_channel * math.sqrt(2 * channels)
 
 
 @dataclass(frozen=True)
@@ -242,13 +236,10 @@ class Probe:
         return sum(each.weight for each in self.observables)
 
     @property
-    def _weights(self) -> list[float] | None:
-        return [each.weight for each in self.observables] if self.weight > 0 else None
-
-    @property
     def floor(self) -> float:
         """The mean error by noise alone."""
-        return float(np.average([each.floor for each in self.observables], weights=self._weights))
+        weights = [each.weight for each in self.observables] if self.weight > 0 else None
+        return float(np.average([each.floor for each in self.observables], weights=weights))
 
     def part(self, count: int | None) -> slice:
         """Return which samples stand for all where only about `count` are looked up."""
@@ -280,7 +271,8 @@ class Probe:
                 samples -= wanted
                 gaps = np.sqrt(np.square(samples, out=samples).sum(axis=2)) / tolerance
             losses[:, index] = np.where(gaps < 1, gaps, 1.0)
-        return np.asarray(np.average(losses.mean(axis=2), axis=1, weights=self._weights))
+        weights = [each.weight for each in self.observables] if self.weight > 0 else None
+        return np.asarray(np.average(losses.mean(axis=2), axis=1, weights=weights))
 
 
 @dataclass(frozen=True)
@@ -336,26 +328,15 @@ def make_trail(pair: KeyPair, later: bool) -> Trail | None:
     return Trail(xy, first[chosen], (colour,), fields=fields, stride=pair.stride)
 
 
-def make_probes(
-    frame: FrameSamples, neighbour: FrameSamples, pairs: Sequence[Sequence[int]]
-) -> list[Probe | None]:
-    """Sample pixels of `frame` where motion channels hold values, to look them up in `neighbour`.
+def make_probe(
+    frame: FrameSamples,
+    neighbour: FrameSamples,
+    usable: Bool,  # [G], of `frame`: where the motion channels hold values
+) -> Probe | None:
+    """Sample pixels of a frame, to look them up in its neighbour.
 
-    Returns a probe for each of `pairs` of channels that have to hold values; None where there are
-    too few pixels, or nothing distinguishes them.
+    None where there are too few pixels, or nothing distinguishes them.
     """
-    probes: dict[bytes, Probe | None] = {}
-    for_each = []
-    for channels in pairs:
-        usable = frame.usable & np.isfinite(frame.motion[:, list(channels)]).all(axis=-1)
-        mask = usable.tobytes()
-        if mask not in probes:  # mostly all channels hold values at the same pixels
-            probes[mask] = _make_probe(frame, neighbour, usable)
-        for_each.append(probes[mask])
-    return for_each
-
-
-def _make_probe(frame: FrameSamples, neighbour: FrameSamples, usable: Bool) -> Probe | None:
     if frame.still is not None:
         still = usable & frame.still
         usable = still if np.count_nonzero(still) >= MIN_SAMPLES else usable
@@ -368,11 +349,25 @@ def _make_probe(frame: FrameSamples, neighbour: FrameSamples, usable: Bool) -> P
     if len(chosen) < MIN_SAMPLES:
         return None
     y, x = frame.y[chosen], frame.x[chosen]
-    observables = _observe(frame, neighbour, y, x)
+    observables = []  # what identifies surface points: their positions, else all the rest
+    if frame.position is not None and neighbour.position is not None:
+        values = frame.position[y, x].astype(np.float64)
+        image, size = np.ascontiguousarray(neighbour.position), _pixel_size(frame.position, y, x)
+        observables.append(Observable(values, image, size, 1.0))
+    elif frame.depth is not None and neighbour.depth is not None:
+        depth = frame.depth[y, x].astype(np.float64)
+        every = frame.depth[frame.y, frame.x].astype(np.float64)
+        tolerance = DEPTH_TOLERANCE * depth + _level_gaps(every, depth)
+        weight = _distinction(frame.depth[..., None], y, x, tolerance)
+        image = np.ascontiguousarray(neighbour.depth[..., None])
+        observables.append(Observable(depth[:, None], image, tolerance, weight))
+    if frame.perceived is not None and neighbour.perceived is not None:
+        colours = frame.perceived, neighbour.perceived
+        observables.append(_colour_observable(*colours, y, x, frame.noise))
     if not observables:
         return None
     xy = np.stack([x, y], axis=1).astype(np.float64)
-    return Probe(xy, frame.motion[chosen], observables, resting)
+    return Probe(xy, frame.motion[chosen], tuple(observables), resting)
 
 
 def _spread(usable: Bool) -> Index:
@@ -419,27 +414,6 @@ def _changes(frame: FrameSamples, neighbour: FrameSamples) -> F64:
     with np.errstate(invalid="ignore"):
         apart = np.abs(depth - neighbour.depth[y, x]) / tolerance
     return np.asarray(np.where(np.isfinite(apart), np.minimum(apart, 1), 1), np.float64)
-
-
-def _observe(
-    frame: FrameSamples, neighbour: FrameSamples, y: Index, x: Index
-) -> tuple[Observable, ...]:
-    """Return what identifies surface points."""
-    if frame.position is not None and neighbour.position is not None:
-        values = frame.position[y, x].astype(np.float64)
-        image = np.ascontiguousarray(neighbour.position)
-        return (Observable(values, image, _pixel_size(frame.position, y, x), 1.0),)
-    out = []
-    if frame.depth is not None and neighbour.depth is not None:
-        depth = frame.depth[y, x].astype(np.float64)
-        every = frame.depth[frame.y, frame.x].astype(np.float64)
-        tolerance = DEPTH_TOLERANCE * depth + _level_gaps(every, depth)
-        weight = _distinction(frame.depth[..., None], y, x, tolerance)
-        image = np.ascontiguousarray(neighbour.depth[..., None])
-        out.append(Observable(depth[:, None], image, tolerance, weight))
-    if frame.perceived is not None and neighbour.perceived is not None:
-        out.append(_colour_observable(frame.perceived, neighbour.perceived, y, x, frame.noise))
-    return tuple(out)
 
 
 def _colour_observable(

@@ -231,14 +231,11 @@ def _least_median_weights(points: F64, pixels: F64) -> F64:
     _, directions = np.linalg.eigh(rows.transpose(0, 2, 1) @ rows)
     matrices = directions[..., 0].reshape(SUBSETS, 3, 4)
     judges = slice(None, None, max(1, len(points) // JUDGES))
-
-    def errors(matrix: F64, samples: slice) -> F64:
-        return _distances(points[samples] @ matrix.swapaxes(-1, -2), pixels[samples])
-
-    medians = np.median(errors(matrices, judges), axis=-1)
+    images = points[judges] @ matrices.swapaxes(-1, -2)
+    medians = np.median(_distances(images, pixels[judges]), axis=-1)
     best = int(np.argmin(medians))
     limit = max(4.0 * float(medians[best]), MIN_OUTLIER)
-    return (errors(matrices[best], slice(None)) <= limit).astype(np.float64)
+    return (_distances(points @ matrices[best].T, pixels) <= limit).astype(np.float64)
 
 
 def _equations(points: F64, pixels: F64) -> F64:

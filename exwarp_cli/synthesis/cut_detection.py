@@ -256,8 +256,10 @@ class Alignment:
 
     frame: Thumbnail
     neighbour: Thumbnail
-    target: Float32  # [h, w, 2]: place of each cell in the other frame, in cells; inside it, or 0
-    nearest: tuple[Index, Index]  # [h, w]: row and column of the cell nearest to it
+    # [h, w, 2], cells: to the place of each cell in the other frame; to the first one where it has
+    # none inside.
+    field: Float32
+    nearest: tuple[Index, Index]  # [h, w]: row and column of the cell nearest to that place
     # [h, w]: cells whose vectors are known and lead to a place inside. Where there are surfaces,
     # background does not count: its vectors are often missing, or 0 whatever the camera does.
     landed: Bool
@@ -278,7 +280,9 @@ class Alignment:
         if np.count_nonzero(counting) < MIN_LANDED * counting.size:
             counting = np.ones(counting.shape, np.bool_)
         finite = np.asarray(np.isfinite(vectors).all(axis=-1))
-        target = np.where(finite[..., None], vectors, 0) + _cell_places(height, width)
+        grid = np.meshgrid(np.arange(width), np.arange(height))
+        places = np.stack(grid, axis=-1).astype(np.float32)
+        target = np.where(finite[..., None], vectors, 0) + places
         inside = ((target >= 0) & (target <= (width - 1, height - 1))).all(axis=-1)
         landed = np.asarray(counting & finite & inside)
         target = np.where(landed[..., None], target, 0).astype(np.float32)
@@ -292,13 +296,12 @@ class Alignment:
             staying = int((counting & (inside | ~finite)).sum())
             trusted = int(returned.sum()) / max(staying, 1)
         leads_away = int(landed.sum()) < MIN_LANDED * int((counting & finite).sum())
-        nearest = row, column
-        return cls(frame, neighbour, target, nearest, landed, both, trusted, leads_away)
+        field, nearest = target - places, (row, column)
+        return cls(frame, neighbour, field, nearest, landed, both, trusted, leads_away)
 
     def colour(self) -> float | None:
         """Return how well patterns of light agree; None without any."""
-        light, field = self.neighbour.light, self.target - _cell_places(*self.landed.shape)
-        sampled, _ = sample_bilinear(light[..., None], field)
+        sampled, _ = sample_bilinear(self.neighbour.light[..., None], self.field)
         agreement = correlation(self.frame.light[..., None], sampled, self.landed, CONTRAST)
         return None if agreement is None else agreement * self.trusted
 
@@ -336,8 +339,7 @@ class Alignment:
         allowed = 2 * size + np.abs(frame.position).max(axis=-1) * 2.0**-9
         still = self.landed
         if frame.stencil is None:  # a point may move as far in the world as it does on the screen
-            moved = np.linalg.norm(self.target - _cell_places(*still.shape), axis=-1)
-            allowed = allowed + size * np.minimum(moved, 8)
+            allowed = allowed + size * np.minimum(np.linalg.norm(self.field, axis=-1), 8)
         else:
             still = still & (frame.stencil == 0)
         chosen = np.zeros_like(still)
@@ -412,11 +414,6 @@ def _blocks(values: np.ndarray) -> np.ndarray:
     complete = values[: rows * BLOCK, : columns * BLOCK]
     split = complete.reshape(rows, BLOCK, columns, BLOCK, values.shape[2]).swapaxes(1, 2)
     return split.reshape(rows * columns, BLOCK * BLOCK, values.shape[2])
-
-
-def _cell_places(height: int, width: int) -> Float32:
-    """Return each cell's own place (x, y), [h, w, 2]."""
-    return np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(np.float32)
 
 
 def _gain_of_shifts(before: Float32, after: Float32) -> float | None:

@@ -7,16 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from exwarp_cli.domain import network_api
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
-from exwarp_cli.domain.network_api import (
-    EXTRAPOLATOR_INTERFACE,
-    HISTORY_FRAMES,
-    LazyInputs,
-    NetworkPictures,
-)
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.kernels._row_bands import Band, band_slice
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.history import SMOOTH, HistorySamples, OlderKeyFrame, is_lit_alike
 from exwarp_cli.synthesis.motion_fields import SlotField
@@ -68,27 +62,29 @@ class SlotInputs:
         """Height and width."""
         return self.surface.window.shape
 
-    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkPictures:
+    def part(
+        self, rows: slice, columns: slice, room: Float32 | None = None
+    ) -> network_api.NetworkPictures:
         """Return the inputs of some rows and columns; beyond the frame its edge is repeated."""
         (top, bottom), (left, right) = (
             (span.start or 0, size if span.stop is None else span.stop)
             for span, size in zip((rows, columns), self.shape, strict=True)
         )
-        shape = EXTRAPOLATOR_INTERFACE.channels, bottom - top, right - left
+        shape = network_api.EXTRAPOLATOR_INTERFACE.channels, bottom - top, right - left
         out = np.empty(shape, np.float32) if room is None else room
         _row_bands.run_bands(self._write_rows, (out, (top, left)), _row_bands.threads())
         self.scratch.page_out()  # before the network takes its memory
-        return NetworkPictures(EXTRAPOLATOR_INTERFACE.split(out), self.time)
+        return network_api.NetworkPictures(network_api.EXTRAPOLATOR_INTERFACE.split(out), self.time)
 
-    def _write_rows(self, planes: Float32, corner: tuple[int, int], band: Band) -> None:
+    def _write_rows(self, planes: Float32, corner: tuple[int, int], band: _row_bands.Band) -> None:
         """Write a band of rows of a part [25, h, w], which begins at a row and column."""
         (height, width), (top, left), surface = self.shape, corner, self.surface
-        lines = band_slice(planes.shape[1], band)
-        part = planes[:, lines]
+        lines = _row_bands.band_range(planes.shape[1], band)
+        part = planes[:, lines.start : lines.stop]
         begin, end = max(-left, 0), min(width - left, part.shape[2])
         rows = np.clip(np.arange(top + lines.start, top + lines.stop), 0, height - 1)
         place = np.s_[rows, left + begin : left + end]
-        inside = EXTRAPOLATOR_INTERFACE.split(part[..., begin:end])
+        inside = network_api.EXTRAPOLATOR_INTERFACE.split(part[..., begin:end])
         warped, features, history = inside["warped"], inside["features"], inside["history"]
         colours = [(self.filled, warped[3:])]
         for k, frame in enumerate(self.frames):
@@ -131,7 +127,7 @@ class SlotInputs:
 class Prepared:
     """What the network needs for a slot, and what turns its answer into a frame."""
 
-    inputs: LazyInputs
+    inputs: network_api.LazyInputs
     modulation: Float32 | None  # [H, W, 3], factor of the answer; None if the answer is colour
     warped: Float32  # [H, W, C]: W's frame, whose alpha is taken over
     sources: SlotSources  # the key frames, in whose range the frame is held
@@ -168,13 +164,17 @@ def prepare(
     surface = samples.surface.without(*SMOOTH)  # whose colours are in the modulation
 
     def move(frame: KeyFrame, source: SlotField) -> MovedFrame:
-        mover, shading = Mover(source), None if modulation is None else demodulated(frame)
-        pixels, unseen = mover.move(mover.codes(frame.image.pixels if shading is None else shading))
+        mover, pixels, own = Mover(source), frame.image.pixels, None
+        if modulation is not None and frame.gbuffer is not None:
+            own = modulation_of(frame.gbuffer)
+        pixels, unseen = mover.move(
+            mover.codes(pixels if own is None else demodulated(pixels, own))
+        )
         return scratch.store(MovedFrame(mover.light(pixels), ~unseen))
 
     newest = move(key, back)
     warped = scratch.store(warped)
-    filled = warped if modulation is None else scratch.store(_divide(warped, modulation))
+    filled = warped if modulation is None else scratch.store(demodulated(warped, modulation))
     history, older = [newest], []
     for step, field, hidden in zip(past, samples.fields, samples.hidden, strict=False):
         moved = move(step.frame, SlotField(field, back.depth, hidden))
@@ -183,7 +183,7 @@ def prepare(
             older.append(ColourSource(step.frame.image.pixels, field, moved.visible))
         del moved
         scratch.page_out()
-    history += [history[-1]] * (HISTORY_FRAMES - len(history))
+    history += [history[-1]] * (network_api.HISTORY_FRAMES - len(history))
     depth = np.ones(1) if surface.depth is None else np.maximum(surface.depth, 0)
     depth = depth[np.isfinite(depth)]
     median = float(np.median(depth)) if depth.size else 1.0
@@ -205,13 +205,8 @@ def modulation_of(gbuffer: GBuffer) -> Float32 | None:
     return np.clip(total, np.float32(DARKEST), np.float32(BRIGHTEST), out=total)
 
 
-def demodulated(frame: KeyFrame) -> Float32 | None:
-    """Return a frame's pixels, float32 [H, W, C], divided by its :func:`modulation_of`, if any."""
-    modulation = None if frame.gbuffer is None else modulation_of(frame.gbuffer)
-    return None if modulation is None else _divide(frame.image.pixels, modulation)
-
-
-def _divide(pixels: Float32, modulation: Float32) -> Float32:
+def demodulated(pixels: Float32, modulation: Float32) -> Float32:
+    """Return pixels, float32 [H, W, C], divided by a :func:`modulation_of`."""
     out = np.array(pixels, order="C")
     with np.errstate(over="ignore"):  # of the largest floats
         out[..., :3] /= modulation

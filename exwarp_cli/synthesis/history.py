@@ -13,17 +13,10 @@ import numpy as np
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels import point_motion
-from exwarp_cli.kernels.point_motion import follow_points, follow_visible
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
+from exwarp_cli.synthesis import motion_fields
 from exwarp_cli.synthesis.camera import Scene, camera_after, place_still, scene_of
 from exwarp_cli.synthesis.gbuffer_values import EXACT
-from exwarp_cli.synthesis.motion_fields import (
-    SlotField,
-    depth_of,
-    find_holes,
-    find_still,
-    splat_motion,
-)
 from exwarp_cli.synthesis.trajectory import displacement, stencil_of
 from exwarp_cli.synthesis.warp import sample_bilinear
 
@@ -72,7 +65,7 @@ class OlderKeyFrame:
         gbuffer, scene = self.frame.gbuffer, self.scene
         if gbuffer is None or scene is None or scene.camera is None:
             return None
-        return find_still(gbuffer, scene)
+        return motion_fields.find_still(gbuffer, scene)
 
 
 def older_key_frames(
@@ -116,7 +109,7 @@ class HistorySamples:
 
 def look_back_reprojected(
     time: float,  # of the slot, in key intervals after the key frame
-    back: SlotField,  # motion field from the slot to the key frame
+    back: motion_fields.SlotField,  # motion field from the slot to the key frame
     key: GBuffer,  # of F_k, with settled motion
     past: Sequence[OlderKeyFrame],  # F_k-1 and F_k-2, as far as they exist
     scene: Scene | None,  # the key frame's points; only used where there are older key frames
@@ -142,10 +135,10 @@ def look_back_reprojected(
         if gbuffer is None:
             break
         # What the key frame after it shows, and this one does not.
-        gone = find_holes(newer, gbuffer, older.motion, FACTOR)
+        gone = motion_fields.find_holes(newer, gbuffer, older.motion, FACTOR)
         scratch.page_out()
         led, missed = pool.empty(moved.shape, np.float32), pool.empty(lost.shape, np.bool_)
-        follow_visible(older.motion, stencil_of(newer), gone, moved, lost, led, missed)
+        point_motion.follow_visible(older.motion, stencil_of(newer), gone, moved, lost, led, missed)
         moved, lost = led, missed
         if gbuffer.has_motion:
             # What stands still is placed by the camera of the slot. What moves by itself is moved
@@ -157,7 +150,7 @@ def look_back_reprojected(
             if camera is not None and older.scene is not None and older.stands is not None:
                 place_still(older.scene, camera, older.stands, motion)
             scratch.page_out()
-            predicted = splat_motion(gbuffer, motion).field
+            predicted = motion_fields.splat_motion(gbuffer, motion).field
             # Points of unknown origin get the predicted place.
             fills = np.isnan(moved[..., 0]) & ~np.isnan(predicted[..., 0])
             moved[fills], lost[fills] = predicted[fills], False
@@ -173,7 +166,7 @@ def look_back_reprojected(
 def look_back_rendered(
     slot: int,  # 1 to 3
     gbuffer: GBuffer,  # of the slot, with settled motion
-    back: SlotField,  # motion field from the slot to the key frame
+    back: motion_fields.SlotField,  # motion field from the slot to the key frame
     # As of `look_back_reprojected`, but for the scene: the slot's points.
     key: GBuffer,
     past: Sequence[OlderKeyFrame],
@@ -194,14 +187,16 @@ def look_back_rendered(
         # 1.4 dB further from the truth where things move. Depth shows a hidden point only where
         # something else predicts its motion.
         ids = stencil_of(newer), stencil_of(gbuffer)
-        follow_points(older.motion, ids, _UNCOMPARED, EXACT, np.float32(0), _UNFORESEEN, moved)
+        point_motion.follow_points(
+            older.motion, ids, _UNCOMPARED, EXACT, np.float32(0), _UNFORESEEN, moved
+        )
         placed, there = moved.copy(), older.scene
         camera = None if there is None else there.camera
         if scene is not None and camera is not None and gbuffer.stencil is not None:
             place_still(scene, camera, gbuffer.stencil == 0, placed)
         fields.append(placed)
-        hidden.append(find_holes(gbuffer, older.frame.gbuffer, placed, slot + FACTOR * count))
         newer = older.frame.gbuffer
+        hidden.append(motion_fields.find_holes(gbuffer, newer, placed, slot + FACTOR * count))
     nothing = np.zeros(gbuffer.window.shape, np.bool_)
     return HistorySamples(gbuffer, tuple(fields), tuple(hidden), unknown=nothing)
 
@@ -211,18 +206,13 @@ def _reproject_surfaces(
     # where it shows nothing of the slot. Each pixel comes from the first that shows it.
     sources: Sequence[tuple[GBuffer, Float32]],
 ) -> tuple[GBuffer, Bool]:
-    """Return a slot's G-buffer, taken from other frames'.
+    """Return a slot's G-buffer, taken from other frames', and where nothing shows what is there.
 
-    Returns
-    -------
-    GBuffer
-        Those parts out of NEAREST and SMOOTH that the first source has, and a depth in any case:
-        NaN where nothing shows what is there, as all else is 0.
-    bool [H, W]
-        Where that is so.
+    It has those parts out of NEAREST and SMOOTH that the first source has, and a depth in any case.
+    Where nothing shows what is there, bool [H, W], depth is NaN, and all else is 0.
     """
     first, motion = sources[0]
-    first = replace(first, depth=depth_of(first))
+    first = replace(first, depth=motion_fields.depth_of(first))
     parts: dict[str, Any] = {}
     for name in NEAREST:
         if (array := getattr(first, name)) is not None:
@@ -241,7 +231,7 @@ def _reproject_surfaces(
 
     for count, (gbuffer, motion) in enumerate(sources):
         own = {name: getattr(gbuffer, name) for name in (*NEAREST, *SMOOTH)}
-        own["depth"] = depth_of(gbuffer)
+        own["depth"] = motion_fields.depth_of(gbuffer)
         if count == 0:  # SMOOTH is there already
             own |= dict.fromkeys(SMOOTH)
         point_motion.copy_surface(
@@ -258,10 +248,10 @@ def _reproject_surfaces(
 
 def step_back(
     # Motion fields to the key frame, from the slot and from the slot before.
-    back: SlotField,
+    back: motion_fields.SlotField,
     there: Float32,  # [H, W, 2]: motion from the key frame to the slot before
-    before: SlotField,
-) -> SlotField:
+    before: motion_fields.SlotField,
+) -> motion_fields.SlotField:
     """Return the motion field from a slot to the one before it, from key G-buffers alone.
 
     A hole is what the slot before shows another point of the key frame at, over SAME_POINT pixels
@@ -270,7 +260,7 @@ def step_back(
     field = back.field + _nearest_at_end(there, back.field)
     to_key = field + _nearest_at_end(before.field, field)
     miss = np.abs(to_key - back.field).max(axis=-1)
-    return SlotField(field, back.depth, ~(miss <= SAME_POINT))
+    return motion_fields.SlotField(field, back.depth, ~(miss <= SAME_POINT))
 
 
 def _nearest_at_end(array: Float32, field: Float32) -> Float32:

@@ -119,18 +119,10 @@ class PictureChange:
     mean: float  # over the examined rows
     local: float  # the greatest mean over 3x3 pixels; infinite where the examined rows suffice
 
-    def is_noise(self) -> bool:
-        """Return True if a codec explains the change, whatever was before."""
-        return self.local <= NOISE
-
-    def is_calm(self) -> bool:
-        """Return True if a codec may explain the change, if there was motion before."""
-        return self.local <= NOISE_AFTER_MOTION
-
     def is_calm_after(self, earlier: PictureChange) -> bool:
         """Return True if a codec explains the change, as the earlier one was motion."""
         moved = math.isinf(earlier.local) and earlier.mean >= CALMER * self.mean
-        return moved and self.is_calm()
+        return moved and self.local <= NOISE_AFTER_MOTION
 
 
 def change_between(before: Image, after: Image) -> PictureChange:
@@ -278,16 +270,6 @@ def _footprint(values: Float32) -> Float32:
     return footprint
 
 
-def has_colour_moved(
-    # float32 [H, W, 3], as the eye sees them. Exposure does not matter, as blocks are compared by
-    # their correlation.
-    before: Float32,
-    after: Float32,
-) -> bool:
-    """Return True if shifts explain the change of colour in a large part of the picture."""
-    return any(_is_shifted(_texture(before, width), _texture(after, width)) for width in WIDTHS)
-
-
 def _texture(colour: Float32, width: int) -> Float32:
     """Return the light of cells, about `width` a row, without slow changes, as a lamp makes them.
 
@@ -306,37 +288,46 @@ def _texture(colour: Float32, width: int) -> Float32:
     return texture
 
 
-def _is_shifted(before: Float32, after: Float32) -> bool:
-    """Return True if shifts explain a large part of the blocks, and standing still does not."""
-    side = BLOCK if min(before.shape) >= 4 * BLOCK else BLOCK // 2
-    reach = min(REACH, side)
-    rows, columns = ((length - 2 * reach) // side for length in before.shape)
-    if rows <= 0 or columns <= 0:
-        return False
+def has_colour_moved(
+    # float32 [H, W, 3], as the eye sees them. Exposure does not matter, as blocks are compared by
+    # their correlation.
+    before: Float32,
+    after: Float32,
+) -> bool:
+    """Return True if shifts explain a large part of the picture, and standing still does not."""
+    for width in WIDTHS:
+        first, second = _texture(before, width), _texture(after, width)
+        side = BLOCK if min(first.shape) >= 4 * BLOCK else BLOCK // 2
+        reach = min(REACH, side)
+        rows, columns = ((length - 2 * reach) // side for length in first.shape)
+        if rows <= 0 or columns <= 0:
+            continue
+        fixed = _blocks(first[reach:, reach:][: rows * side, : columns * side], side)
+        textured = fixed.std(axis=1) >= TEXTURE
+        still, best = np.zeros(rows * columns), np.zeros(rows * columns)
+        for dy, dx in itertools.product(range(-reach, reach + 1), repeat=2):
+            inside = second[reach + dy :, reach + dx :][: rows * side, : columns * side]
+            shifted = _blocks(inside, side)
+            norms = np.sqrt((fixed**2).sum(axis=1) * (shifted**2).sum(axis=1))
+            products = (fixed * shifted).sum(axis=1)
+            # 0 where one of them is even.
+            fits = np.divide(products, norms, out=np.zeros_like(norms), where=norms > 0)
+            if dy == dx == 0:
+                still = fits
+            else:
+                best = np.maximum(best, fits)
+        moved = textured & (still < FITS) & (best >= FITS) & (2 * (1 - best) < 1 - still)
+        judged = np.count_nonzero(textured)
+        stood = np.count_nonzero(textured & (still >= FITS))
+        enough = judged >= TEXTURED_SHARE * len(textured)
+        if enough and np.count_nonzero(moved) >= max(MOVED_SHARE * judged, stood):
+            return True
+    return False
 
-    def blocks(dy: int, dx: int, light: Float32) -> Float32:
-        """Return blocks of a shifted picture about their mean, [N, side²]."""
-        cut = light[reach + dy :, reach + dx :][: rows * side, : columns * side]
-        values = cut.reshape(rows, side, columns, side).swapaxes(1, 2).reshape(rows * columns, -1)
-        centred: Float32 = values - values.mean(axis=1, keepdims=True)
-        return centred
 
-    fixed = blocks(0, 0, before)
-    textured = fixed.std(axis=1) >= TEXTURE
-    still, best = np.zeros(rows * columns), np.zeros(rows * columns)
-    for dy, dx in itertools.product(range(-reach, reach + 1), repeat=2):
-        shifted = blocks(dy, dx, after)
-        norms = np.sqrt((fixed**2).sum(axis=1) * (shifted**2).sum(axis=1))
-        products = (fixed * shifted).sum(axis=1)
-        # 0 where one of them is even.
-        fits = np.divide(products, norms, out=np.zeros_like(norms), where=norms > 0)
-        if dy == dx == 0:
-            still = fits
-        else:
-            best = np.maximum(best, fits)
-    moved = textured & (still < FITS) & (best >= FITS) & (2 * (1 - best) < 1 - still)
-    judged = np.count_nonzero(textured)
-    if judged < TEXTURED_SHARE * len(textured):
-        return False
-    stood = np.count_nonzero(textured & (still >= FITS))
-    return bool(np.count_nonzero(moved) >= max(MOVED_SHARE * judged, stood))
+def _blocks(light: Float32, side: int) -> Float32:
+    """Return blocks of a picture about their mean, [N, side²]."""
+    rows, columns = light.shape[0] // side, light.shape[1] // side
+    values = light.reshape(rows, side, columns, side).swapaxes(1, 2).reshape(rows * columns, -1)
+    centred: Float32 = values - values.mean(axis=1, keepdims=True)
+    return centred

@@ -14,33 +14,14 @@ from exwarp_cli.domain.tiles import TILE_FEATURES, TILE_ROWS
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
+from exwarp_cli.synthesis import history, motion_fields, predicted_error
 from exwarp_cli.synthesis.camera import F64, Scene, scene_of
 from exwarp_cli.synthesis.extrapolation import Prepared, prepare
-from exwarp_cli.synthesis.history import (
-    HistorySamples,
-    OlderKeyFrame,
-    look_back_rendered,
-    look_back_reprojected,
-    step_back,
-)
 from exwarp_cli.synthesis.look_ahead import LookAhead
-from exwarp_cli.synthesis.mosaic import Mosaic, Tiles, run_in_tiles
-from exwarp_cli.synthesis.motion_fields import (
-    SlotField,
-    compose,
-    field_between,
-    fill_unknown,
-    reproject,
-)
-from exwarp_cli.synthesis.predicted_error import (
-    KeyResidual,
-    TileEvidence,
-    key_residual,
-    look_ahead_features,
-)
+from exwarp_cli.synthesis.mosaic import Mosaic, Tiles, lay_tiles
 from exwarp_cli.synthesis.residual_flow import CarriedLight, LightFlow, find_light_flow
 from exwarp_cli.synthesis.trajectory import displacement, span_motion
-from exwarp_cli.synthesis.warp import Coverage, CoverageSide
+from exwarp_cli.synthesis.warp import Coverage, CoverageSide, Mover
 
 # Times of slots 1 to 3 at the usual factor.
 QUARTERS = tuple(index / FACTOR for index in range(1, FACTOR))
@@ -62,7 +43,7 @@ class Interval:
     # slot beside them, times the slots of an interval.
     slots: tuple[GBuffer, ...] = ()
     # F_k-1 and F_k-2, the newer first, as far as they exist; the second only for extrapolation.
-    past: tuple[OlderKeyFrame, ...] = ()
+    past: tuple[history.OlderKeyFrame, ...] = ()
     # The network that extrapolates; None for methods that only warp.
     extrapolator: Extrapolator | None = None
     # The network that interpolates, or that weighs both key frames.
@@ -90,12 +71,12 @@ class Interval:
     composed: dict[int, Float32] = field(default_factory=dict, init=False)
     _warps: dict[int, CarriedLight] = field(default_factory=dict, init=False)
     _mixers: dict[int, LookAhead] = field(default_factory=dict, init=False)
-    _back: dict[int, SlotField] = field(default_factory=dict, init=False)
-    _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
+    _back: dict[int, motion_fields.SlotField] = field(default_factory=dict, init=False)
+    _forward: dict[int, motion_fields.SlotField] = field(default_factory=dict, init=False)
     _scenes: dict[int, Scene | None] = field(default_factory=dict, init=False)
     # Empty until the first of several threads has found them for all, under the lock.
     _light: list[LightFlow | None] = field(default_factory=list, init=False)
-    _residual: list[KeyResidual] = field(default_factory=list, init=False)
+    _residual: list[predicted_error.KeyResidual] = field(default_factory=list, init=False)
     _lock: Lock = field(default_factory=Lock, init=False)
     _extrapolated: dict[int, Float32] = field(default_factory=dict, init=False)
     _warped: dict[int, Float32] = field(default_factory=dict, init=False)
@@ -118,13 +99,11 @@ class Interval:
         """Return when a slot is, 1 for the first: fraction of the key interval."""
         return self.times[slot - 1]
 
-    def back(self, slot: int) -> SlotField:
+    def back(self, slot: int) -> motion_fields.SlotField:
         """Return the motion field from a slot, 1 or more, to the key frame before it.
 
-        Raises
-        ------
-        LayoutError
-            Without motion vectors, or where slots have G-buffers without those to the previous one.
+        Raises LayoutError without motion vectors, or where slots have G-buffers without those to
+        the previous one.
         """
         if slot not in self._back:
             if self.slots and self.key.gbuffer is not None:
@@ -134,12 +113,15 @@ class Interval:
                         "to the previous slot; render them, or leave those G-buffers out"
                     )
                 scenes = self._scene(slot), self._scene(slot - 1), self._scene(0)
-                self._back[slot] = compose(self.slots[:slot], self.key.gbuffer, -1, scenes)
+                self._back[slot] = motion_fields.compose(
+                    self.slots[:slot], self.key.gbuffer, -1, scenes
+                )
             else:
-                self._back[slot] = reproject(_require_motion(self.key), self.time(slot))
+                gbuffer = _require_motion(self.key)
+                self._back[slot] = motion_fields.reproject(gbuffer, self.time(slot))
         return self._back[slot]
 
-    def forward(self, slot: int) -> SlotField:
+    def forward(self, slot: int) -> motion_fields.SlotField:
         """Return the motion field from a slot, 1 or more, to the key frame after it.
 
         With slot G-buffers their to-next vectors are followed; where a renderer writes none, the
@@ -151,10 +133,10 @@ class Interval:
             if steps and after is not None and all(s.to_next is not None for s in self.slots):
                 last = len(self.slots) + 1
                 scenes = self._scene(slot), self._scene(slot + 1), self._scene(last)
-                self._forward[slot] = compose(steps[::-1], after, 1, scenes)
+                self._forward[slot] = motion_fields.compose(steps[::-1], after, 1, scenes)
             else:
                 time = self.time(slot) - 1
-                self._forward[slot] = reproject(_require_motion(self.following), time)
+                self._forward[slot] = motion_fields.reproject(_require_motion(self.following), time)
         return self._forward[slot]
 
     @property
@@ -169,7 +151,7 @@ class Interval:
         return Mosaic.of(self.tiles)
 
     @property
-    def residual(self) -> KeyResidual:
+    def residual(self) -> predicted_error.KeyResidual:
         """How well the next key frame predicts this one, or this one is by the one before.
 
         0 where no motion leads from one to the other.
@@ -178,25 +160,24 @@ class Interval:
         with self._lock:
             if not self._residual:
                 none = np.zeros((TILE_ROWS, tiles.columns))
-                residual = KeyResidual(none, none)
+                residual = predicted_error.KeyResidual(none, none)
                 if after is None and self.past:
-                    residual = key_residual(tiles, key, self.past[0].frame, self.past[0].motion)
+                    older = self.past[0]
+                    residual = predicted_error.key_residual(tiles, key, older.frame, older.motion)
                 elif after is not None and after.gbuffer is not None and after.gbuffer.has_motion:
                     motion = displacement(after.gbuffer, -1)
-                    residual = key_residual(tiles, after, key, motion)
+                    residual = predicted_error.key_residual(tiles, after, key, motion)
                 self._residual.append(residual)
         return self._residual[0]
 
-    def warp(self, slot: int) -> CarriedLight:
-        """Return what moves the key frame before a slot to it; one for all layers of the slot."""
-        if slot in self._warps:
-            return self._warps[slot]
-        warp = self._make_warp(slot, self.linear)
-        if self.linear:  # else no layers follow
-            self._warps[slot] = warp
-        return warp
+    def warp(self, slot: int, as_shown: bool = False) -> CarriedLight:
+        """Return what moves the key frame before a slot to it; one for all layers of the slot.
 
-    def _make_warp(self, slot: int, linear: bool) -> CarriedLight:
+        With `as_shown`, it moves the beauty alone, and not in linear light.
+        """
+        linear = self.linear and not as_shown
+        if linear and slot in self._warps:
+            return self._warps[slot]
         light = None
         if self.past and not self.estimated and not self.after_hold:
             with self._lock:
@@ -204,17 +185,23 @@ class Interval:
                     self._light.append(self.scratch.store(find_light_flow(self.key, self.past[0])))
             light = self._light[0]
         time, side = self.time(slot), self._side(slot, ahead=False)
-        source, coverage = self.back(slot), None
+        source, coverage, moving = self.back(slot), None, None
         if side is not None:
             # The slot's own surface where none of the key frame's arrives.
-            source = fill_unknown(side.moved(), source) if self.slots else source
+            source = motion_fields.fill_unknown(side.moved(), source) if self.slots else source
             coverage = Coverage((side,), (source,), time, linear)
-        return CarriedLight(source, time, light, linear, coverage)
+        if light is not None:
+            shifted, weight = light.shifted(source, time)
+            moving = (Mover(shifted, linear), weight) if weight.any() else None
+        warp = CarriedLight(Mover(source, linear), moving, coverage)
+        if linear:  # else no layers follow
+            self._warps[slot] = warp
+        return warp
 
     def warped(self, slot: int) -> Float32:
         """Return W's frame of a slot, float32 [H, W, C], colour moved as shown; made once."""
         if slot not in self._warped:
-            frame = self._make_warp(slot, linear=False).make(self.key.image.pixels)
+            frame = self.warp(slot, as_shown=True).make(self.key.image.pixels)
             self._warped[slot] = self.scratch.store(frame)
         return self._warped[slot]
 
@@ -238,10 +225,12 @@ class Interval:
             network, chooser = self.interpolator, self.chooser
             if chooser is not None:
 
-                def choose(evidence: TileEvidence) -> Bool:
-                    return chooser(look_ahead_features(evidence, self.residual), time)
+                def choose(evidence: predicted_error.TileEvidence) -> Bool:
+                    features = predicted_error.look_ahead_features(evidence, self.residual)
+                    return chooser(features, time)
 
-        mixer = LookAhead(*fields, time, self.linear, coverage, network, self.tiles, choose)
+        movers = Mover(fields[0], self.linear), Mover(fields[1], self.linear)
+        mixer = LookAhead(movers, time, coverage, network, self.tiles, choose)
         if self.linear:  # else no layers follow
             self._mixers[slot] = mixer
         return mixer
@@ -276,26 +265,26 @@ class Interval:
             return None
         return CoverageSide(gbuffer, span_motion(steps, -1 if ahead else 1))
 
-    def step_back(self, slot: int) -> SlotField:
+    def step_back(self, slot: int) -> motion_fields.SlotField:
         """Return the motion field from a slot, 2 or more, to the slot before it."""
         if slot not in range(2, len(self.times) + 1):
             raise ValueError(f"before slot {slot} there is no slot of this interval")
         if self.slots:
             gbuffer, before = self.slots[slot - 1], self.slots[slot - 2]
             assert gbuffer.to_previous is not None
-            return field_between(gbuffer, before, gbuffer.to_previous, 1)
+            return motion_fields.field_between(gbuffer, before, gbuffer.to_previous, 1)
         there = displacement(_require_motion(self.key), self.time(slot - 1))
-        return step_back(self.back(slot), there, self.back(slot - 1))
+        return history.step_back(self.back(slot), there, self.back(slot - 1))
 
-    def look_back(self, slot: int) -> HistorySamples:
+    def look_back(self, slot: int) -> history.HistorySamples:
         """Return the surfaces of a slot, 1 to 3, in this and the older key frames."""
         back, key = self.back(slot), self.key.gbuffer
         assert key is not None  # the motion came from it
         scene = self._scene(slot if self.slots else 0) if self.past else None
-        history = key, self.past, scene, self.scratch
+        sources = key, self.past, scene, self.scratch
         if self.slots:
-            return look_back_rendered(slot, self.slots[slot - 1], back, *history)
-        return look_back_reprojected(slot / FACTOR, back, *history)
+            return history.look_back_rendered(slot, self.slots[slot - 1], back, *sources)
+        return history.look_back_reprojected(slot / FACTOR, back, *sources)
 
     def _scene(self, index: int) -> Scene | None:
         """Return the points of a slot's G-buffer, of the key frame (0) or of the following one."""
@@ -330,7 +319,9 @@ class Interval:
         else:
             inputs, mosaic = prepared.inputs, self.mosaic
             answer = np.zeros((3, *mosaic.shape), np.float32)
-            run_in_tiles(mosaic, chosen, lambda *part: network(inputs.part(*part)), answer)
+            parts = mosaic.parts(chosen)
+            answers = ((*part, network(inputs.part(part[1], part[2]))) for part in parts)
+            lay_tiles(mosaic, answers, answer)
         frame = prepared.finish(answer)
         if chosen is None:
             frame = self._extrapolated[slot] = self.scratch.store(frame)

@@ -49,9 +49,10 @@ class PixelSources:
         `before` and `after` are [H, W, ...] of the key frames on both sides; `after` only where one
         is used.
         """
-        out = np.take(_flat(before), self.pixel, axis=0)
+        out = np.take(before.reshape(-1, *before.shape[2:]), self.pixel, axis=0)
         if after is not None and self.later.any():
-            out[self.later] = np.take(_flat(after), self.pixel[self.later], axis=0)
+            flat = after.reshape(-1, *after.shape[2:])
+            out[self.later] = np.take(flat, self.pixel[self.later], axis=0)
         return out
 
     def mend(
@@ -86,7 +87,7 @@ class PixelSources:
         empty = broken & (np.isinf(depth) | (source == alone))
         taken = broken & ~empty
         for plane in planes:
-            plane[taken] = _flat(plane)[source[taken]]
+            plane[taken] = plane.reshape(-1)[source[taken]]
             plane[empty] = nothing if plane.dtype.kind == "f" else 0
 
 
@@ -110,26 +111,20 @@ def moved_sources(
     time: float = 0.0,
 ) -> PixelSources:
     """Return the sources of a slot that shows one moved key frame, or those on both sides."""
-
-    def side(source: SlotField, gbuffer: GBuffer) -> blend.SourceSide:
-        return source.field, source.depth, depth_of(gbuffer), source.hole, source.fringe
-
+    before = back.field, back.depth, depth_of(key), back.hole, back.fringe
     empty, mask = np.zeros((0, 0), np.float32), np.zeros((0, 0), np.bool_)
     after: blend.SourceSide = np.zeros((0, 0, 2), np.float32), empty, empty, mask, mask
     if forward is not None and following is not None:
-        after = side(forward, following)
+        depths = forward.depth, depth_of(following)
+        after = forward.field, *depths, forward.hole, forward.fringe
     shape = back.depth.shape
     pixel, depth = np.empty(shape, np.int32), np.empty(shape, np.float32)
     later, hole = np.empty(shape, np.bool_), np.empty(shape, np.bool_)
-    blend.choose_sources(side(back, key), after, np.float32(time), pixel, later, depth, hole)
+    blend.choose_sources(before, after, np.float32(time), pixel, later, depth, hole)
     around = find_hole_neighbours(depth, hole)
     if around is not None:
         blend.adopt_sources(pixel, later, depth, *around)
     return PixelSources(pixel, later, hole, depth)
-
-
-def _flat(array: np.ndarray) -> np.ndarray:
-    return array.reshape(-1, *array.shape[2:])
 
 
 @dataclass(frozen=True)
@@ -186,14 +181,11 @@ class LayerMotion:
     older: GBuffer | None = None
 
     @cached_property
-    def ahead(self) -> PointMotion | None:
-        """From the key frame to the one after."""
-        return None if self.following is None else lead_points(self.key, self.following, 1)
-
-    @cached_property
-    def behind(self) -> PointMotion | None:
-        """From the key frame after to the one before."""
-        return None if self.following is None else lead_points(self.following, self.key, -1)
+    def across(self) -> tuple[PointMotion, PointMotion]:
+        """From the key frame to the one after, and from that back; only with `following`."""
+        assert self.following is not None
+        ahead = lead_points(self.key, self.following, 1)
+        return ahead, lead_points(self.following, self.key, -1)
 
     @cached_property
     def past(self) -> PointMotion | None:
@@ -227,16 +219,12 @@ class LayerRetimer:
         """Make a layer of values that may be mixed, exactly as the beauty is made."""
         # If a network made the beauty, light is not followed yet.
         if self.warp is not None:
-            if not self.warp.has_beauty:
-                self.warp.make(self.frames[0])
-            return self.warp.make(before)
+            return self.warp.make(before, self.frames[0])
         if self.time == 0:
             return fill_nonfinite(before)
         assert after is not None
         if self.mixer is not None:
-            if not self.mixer.has_beauty:
-                self.mixer.make(*self.frames)
-            return self.mixer.make(before, after)
+            return self.mixer.make(before, after, self.frames)
         return cross_fade(before, after, self.time)
 
     def moved(
@@ -262,10 +250,11 @@ class LayerRetimer:
             if older is None or course.past is None:
                 return self.sources.take(before)
             return self.sources.take(before - time * course.past.change(before, older, fixed))
-        assert after is not None and course.ahead is not None and course.behind is not None
+        assert after is not None
+        ahead, behind = course.across
         return self.sources.take(
-            before + time * course.ahead.change(before, after, fixed),
-            after + (np.float32(1) - time) * course.behind.change(after, before, fixed),
+            before + time * ahead.change(before, after, fixed),
+            after + (np.float32(1) - time) * behind.change(after, before, fixed),
         )
 
     def vectors(

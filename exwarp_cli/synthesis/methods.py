@@ -2,41 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 
 import numpy as np
 
-from exwarp_cli.domain.decision import (
-    BLEND,
-    EXTRAPOLATE,
-    HELD,
-    HOLD,
-    INTERPOLATE,
-    LOOKAHEAD,
-    PATHS,
-    SOFTSPLAT,
-    WARP,
-)
+from exwarp_cli.domain import decision
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.network_api import HISTORY_FRAMES, LookAheadNetwork
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.tiles import REWARP, Risk, TileMakers, TilePlan
 from exwarp_cli.runtime.frame_pool import pool
+from exwarp_cli.synthesis import predicted_error
 from exwarp_cli.synthesis.camera import F64
+from exwarp_cli.synthesis.history import OlderKeyFrame
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.mosaic import lay_over
-from exwarp_cli.synthesis.predicted_error import (
-    FIRST_WARPED,
-    MIXED,
-    WARPED,
-    TileEvidence,
-    predict_risk,
-    terms_of,
-)
-from exwarp_cli.synthesis.source_bounds import hold_in_range, hold_within, sources_between
+from exwarp_cli.synthesis.source_bounds import hold_between
 from exwarp_cli.synthesis.warp import Mover, cross_fade, fill_nonfinite
 
 # The default, which looks ahead, and the paper's way, which uses past key frames alone.
@@ -84,11 +68,6 @@ class Method:
     tail: Method | None = None  # makes what has no next key frame; None: warping makes it
 
     @property
-    def any_factor(self) -> bool:
-        """Whether it makes slots at any time; the paper's decisions are for those of 4x alone."""
-        return self.judge is None and not self.extrapolates
-
-    @property
     def runs_network(self) -> bool:
         """Whether it may run any network."""
         return self.extrapolates or self.interpolates or self.weighs
@@ -132,17 +111,17 @@ class Method:
         """Whether it may need a network, and the key frames before the last one."""
         if self.path is None:
             return self.judge is not None
-        return PATHS[self.path].extrapolates
+        return decision.PATHS[self.path].extrapolates
 
 
 def _hold(interval: Interval, slot: int) -> Predicted:
     pixels = fill_nonfinite(interval.key.image.pixels)
-    return Predicted(pixels, FrameKind.DROPPED, "hold", (interval.key.number,), HOLD)
+    return Predicted(pixels, FrameKind.DROPPED, "hold", (interval.key.number,), decision.HOLD)
 
 
 def repeat_held(interval: Interval) -> Predicted:
     """Repeat the key frame of a held interval, whatever the method: its picture does not change."""
-    return replace(_hold(interval, 1), method=HELD)
+    return replace(_hold(interval, 1), method=decision.HELD)
 
 
 def predict_path(path: str, interval: Interval, slot: int) -> Predicted:
@@ -151,18 +130,18 @@ def predict_path(path: str, interval: Interval, slot: int) -> Predicted:
     What is warped is sampled once, through the whole motion from the last frame that was rendered
     or extrapolated.
     """
-    made_by, name = PATHS[path].made_by, path.lower()
+    made_by, name = decision.PATHS[path].made_by, path.lower()
     maker = made_by[slot - 1]
-    if maker == HOLD:
+    if maker == decision.HOLD:
         shown = _hold(interval, slot) if slot == 1 else predict_path(path, interval, slot - 1)
-        return replace(shown, kind=FrameKind.DROPPED, method=name, made_by=HOLD)
-    if maker == EXTRAPOLATE:
+        return replace(shown, kind=FrameKind.DROPPED, method=name, made_by=decision.HOLD)
+    if maker == decision.EXTRAPOLATE:
         pixels = interval.extrapolated(slot)
-    elif slot == 3 and made_by[1] == EXTRAPOLATE:
+    elif slot == 3 and made_by[1] == decision.EXTRAPOLATE:
         pixels = Mover(interval.step_back(3), interval.linear).warp_alone(interval.extrapolated(2))
     else:
         return replace(_warp(interval, slot), method=name)
-    return _by_network(interval, slot, pixels, name, maker)
+    return _without_next(interval, slot, pixels, name, maker, interval.past)
 
 
 def predict_tiles(plan: TilePlan, interval: Interval, slot: int) -> Predicted:
@@ -171,11 +150,11 @@ def predict_tiles(plan: TilePlan, interval: Interval, slot: int) -> Predicted:
     Where all tiles take one path, the frame is that of `predict_path`.
     """
     makers = plan.makers(slot)
-    if not (makers.made_by(EXTRAPOLATE) | makers.made_by(REWARP)).any():
+    if not (makers.made_by(decision.EXTRAPOLATE) | makers.made_by(REWARP)).any():
         return replace(_warp(interval, slot), method=CAUSAL)
     pixels = _compose_tiles(plan, interval, slot)
-    made_by = EXTRAPOLATE if makers.share(EXTRAPOLATE) else WARP
-    return _by_network(interval, slot, pixels, CAUSAL, made_by)
+    made_by = decision.EXTRAPOLATE if makers.share(decision.EXTRAPOLATE) else decision.WARP
+    return _without_next(interval, slot, pixels, CAUSAL, made_by, interval.past)
 
 
 def _compose_tiles(plan: TilePlan, interval: Interval, slot: int) -> Float32:
@@ -187,7 +166,7 @@ def _compose_tiles(plan: TilePlan, interval: Interval, slot: int) -> Float32:
         pixels = interval.warp(slot).make(interval.key.image.pixels)
     else:  # what the network sees of it as well
         pixels = interval.warped(slot)
-    rewarped, extrapolated = makers.made_by(REWARP), makers.made_by(EXTRAPOLATE)
+    rewarped, extrapolated = makers.made_by(REWARP), makers.made_by(decision.EXTRAPOLATE)
     if rewarped.any():
         before = _compose_tiles(plan, interval, slot - 1)
         moved = Mover(interval.step_back(slot), interval.linear).warp_alone(before)
@@ -204,14 +183,7 @@ def _warp(interval: Interval, slot: int) -> Predicted:
     if interval.estimated and not interval.has_motion:
         return _hold(interval, slot)  # no key frame before it, so no motion could be estimated
     pixels = interval.warp(slot).make(interval.key.image.pixels)
-    risk = _risk_of_warp(interval, slot, pixels)
-    return Predicted(pixels, FrameKind.GENERATED, "s6", (interval.key.number,), WARP, risk)
-
-
-def _risk_of_warp(interval: Interval, slot: int, pixels: Float32) -> Risk:
-    terms = terms_of_warp(interval, slot, pixels)
-    formula = WARPED if interval.past else FIRST_WARPED
-    return predict_risk(terms, formula, interval.time(slot))
+    return _without_next(interval, slot, pixels, "s6", decision.WARP)
 
 
 def terms_of_warp(interval: Interval, slot: int, pixels: Float32) -> F64:
@@ -219,15 +191,24 @@ def terms_of_warp(interval: Interval, slot: int, pixels: Float32) -> F64:
     tiles, back = interval.tiles, interval.back(slot)
     (unseen,) = tiles.means([tiles.sample(back.hole | back.ghosts)])
     none = np.zeros_like(unseen)
-    return terms_of(tiles, TileEvidence(none, none, unseen), interval.residual, pixels)
+    evidence = predicted_error.TileEvidence(none, none, unseen)
+    return predicted_error.terms_of(tiles, evidence, interval.residual, pixels)
 
 
-def _by_network(
-    interval: Interval, slot: int, pixels: Float32, method: str, made_by: str
+def _without_next(
+    interval: Interval,
+    slot: int,
+    pixels: Float32,
+    method: str,
+    made_by: str,
+    past: Sequence[OlderKeyFrame] = (),  # that colour comes from, too: those a network has seen
 ) -> Predicted:
-    """Return a frame whose colour comes from all key frames that the extrapolator sees."""
-    numbers = interval.key.number, *(past.frame.number for past in interval.past)
-    risk, sources = _risk_of_warp(interval, slot, pixels), tuple(sorted(numbers))
+    """Return a frame that is made of what came before its slot."""
+    numbers = interval.key.number, *(older.frame.number for older in past)
+    terms = terms_of_warp(interval, slot, pixels)
+    formula = predicted_error.WARPED if interval.past else predicted_error.FIRST_WARPED
+    risk = predicted_error.predict_risk(terms, formula, interval.time(slot))
+    sources = tuple(sorted(numbers))
     return Predicted(pixels, FrameKind.GENERATED, method, sources, made_by, risk)
 
 
@@ -242,7 +223,7 @@ def _blend(interval: Interval, slot: int) -> Predicted:
         return _causal(interval, slot)
     pixels = cross_fade(key.image.pixels, following.image.pixels, interval.time(slot))
     sources = key.number, following.number
-    return Predicted(pixels, FrameKind.GENERATED, BLEND, sources, BLEND)
+    return Predicted(pixels, FrameKind.GENERATED, decision.BLEND, sources, decision.BLEND)
 
 
 def _look_ahead(name: str, weighs: bool, interval: Interval, slot: int) -> Predicted:
@@ -252,13 +233,14 @@ def _look_ahead(name: str, weighs: bool, interval: Interval, slot: int) -> Predi
         return _causal(interval, slot)
     mixer = interval.look_ahead(slot, weighs)
     pixels = mixer.make(key.image.pixels, following.image.pixels)
-    made_by, risk, tiles = SOFTSPLAT if mixer.network is None else LOOKAHEAD, None, None
+    made_by = decision.SOFTSPLAT if mixer.network is None else decision.LOOKAHEAD
+    risk, tiles = None, None
     if mixer.chosen is not None:
         tiles = TileMakers.chosen(mixer.chosen)
-        made_by = LOOKAHEAD if mixer.chosen.any() else SOFTSPLAT
+        made_by = decision.LOOKAHEAD if mixer.chosen.any() else decision.SOFTSPLAT
     if mixer.evidence is not None:
-        terms = terms_of(interval.tiles, mixer.evidence, interval.residual, pixels)
-        risk = predict_risk(terms, MIXED, interval.time(slot))
+        terms = predicted_error.terms_of(interval.tiles, mixer.evidence, interval.residual, pixels)
+        risk = predicted_error.predict_risk(terms, predicted_error.MIXED, interval.time(slot))
     sources = key.number, following.number
     return Predicted(pixels, FrameKind.GENERATED, name, sources, made_by, risk, tiles)
 
@@ -272,13 +254,10 @@ def _onnx(interval: Interval, slot: int) -> Predicted:
     assert not isinstance(interval.interpolator, LookAheadNetwork)
     frames = fill_nonfinite(key.image.pixels), fill_nonfinite(following.image.pixels)
     pixels = pool.copy(interval.interpolator(*frames, interval.time(slot)))
-    if interval.leads_both_ways:
-        fields = interval.back(slot), interval.forward(slot)
-        hold_within(pixels, sources_between(frames, fields))
-    else:
-        hold_in_range(pixels, frames)
+    leads = interval.leads_both_ways
+    hold_between(pixels, frames, (interval.back(slot), interval.forward(slot)) if leads else None)
     sources = key.number, following.number
-    return Predicted(pixels, FrameKind.GENERATED, "onnx", sources, INTERPOLATE)
+    return Predicted(pixels, FrameKind.GENERATED, "onnx", sources, decision.INTERPOLATE)
 
 
 def predict_both_ways(interval: Interval, slot: int, lookahead: bool) -> tuple[Float32, Float32]:
@@ -288,8 +267,8 @@ def predict_both_ways(interval: Interval, slot: int, lookahead: bool) -> tuple[F
     """
     if not lookahead:
         return _warp(interval, slot).pixels, interval.extrapolated(slot)
-    splatted = _look_ahead(LOOKAHEAD, False, interval, slot).pixels
-    return splatted, _look_ahead(LOOKAHEAD, True, interval, slot).pixels
+    splatted = _look_ahead(decision.LOOKAHEAD, False, interval, slot).pixels
+    return splatted, _look_ahead(decision.LOOKAHEAD, True, interval, slot).pixels
 
 
 # `causal` as the paper has it: a policy chooses one path for whole frames.
@@ -305,14 +284,19 @@ METHODS: Mapping[str, Method] = {
         Method(CAUSAL, None, judge=DecisionSource.TILES, gated=True),
         *(
             Method(path.lower(), _warp if path == "S6" else partial(predict_path, path), path=path)
-            for path in PATHS
+            for path in decision.PATHS
         ),
         Method("oracle", None, judge=DecisionSource.PSNR),
         Method("oracle-return", None, judge=DecisionSource.RETURN),
-        Method(SOFTSPLAT, partial(_look_ahead, SOFTSPLAT, False), lookahead=True),
-        Method(LOOKAHEAD, partial(_look_ahead, LOOKAHEAD, True), lookahead=True, weighs=True),
+        Method(decision.SOFTSPLAT, partial(_look_ahead, decision.SOFTSPLAT, False), lookahead=True),
+        Method(
+            decision.LOOKAHEAD,
+            partial(_look_ahead, decision.LOOKAHEAD, True),
+            lookahead=True,
+            weighs=True,
+        ),
         Method("onnx", _onnx, lookahead=True, needs_motion=False, interpolates=True),
-        Method(BLEND, _blend, lookahead=True, needs_motion=False),
+        Method(decision.BLEND, _blend, lookahead=True, needs_motion=False),
         Method("hold", _hold, needs_motion=False),
     )
 }

@@ -6,7 +6,7 @@ makers are mixed beside them, so that no seam shows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -124,18 +124,18 @@ class Mosaic:
         """
         out = np.zeros(self.shape, np.float32)
         for row, column in np.argwhere(chosen):
-            rows, down = self._ramp_weights(self.down[row], self.shape[0])
-            columns, across = self._ramp_weights(self.across[column], self.shape[1])
-            part = out[rows, columns]
-            np.maximum(part, down[:, None] * across, out=part)
+            places, weights = [], []  # along each axis, of the tile and its ramps
+            for (begin, end), size in zip(
+                (self.down[row], self.across[column]), self.shape, strict=True
+            ):
+                first, last = max(begin - self.ramp, 0), min(end + self.ramp, size)
+                place = np.arange(first, last)
+                distance = np.maximum(np.maximum(begin - place, place - (end - 1)), 0)
+                places.append(slice(first, last))
+                weights.append((1 - distance / (self.ramp + 1)).astype(np.float32))
+            part = out[places[0], places[1]]
+            np.maximum(part, weights[0][:, None] * weights[1], out=part)
         return out
-
-    def _ramp_weights(self, span: Span, size: int) -> tuple[slice, Float32]:
-        """Return the pixels at which a tile counts along one axis, and its weights."""
-        first, last = max(span[0] - self.ramp, 0), min(span[1] + self.ramp, size)
-        places = np.arange(first, last)
-        distance = np.maximum(np.maximum(span[0] - places, places - (span[1] - 1)), 0)
-        return slice(first, last), (1 - distance / (self.ramp + 1)).astype(np.float32)
 
     def parts(self, chosen: Bool) -> list[tuple[Box, slice, slice]]:
         """Return the boxes that chosen tiles are computed in, and the pixels the network sees.
@@ -189,17 +189,15 @@ class Mosaic:
         return int((rows.stop - rows.start) * (columns.stop - columns.start))
 
 
-def run_in_tiles(
+def lay_tiles(
     mosaic: Mosaic,
-    chosen: Bool,
-    # Returns planes float32 [C, h, w] of rows and columns of the frame.
-    answer: Callable[[slice, slice], Float32],
-    out: Float,  # [C, H, W]
+    # Of `Mosaic.parts`, and what a network makes of their pixels, float32 [C, h, w].
+    parts: Iterable[tuple[Box, slice, slice, Float32]],
+    out: Float,  # [C, H, W], written in the chosen tiles and in the ramps
 ) -> None:
-    """Run a network in chosen tiles, bool [rows, columns], and write there and in the ramps."""
+    """Lay what a network makes in chosen tiles into a frame."""
     cores: list[tuple[slice, slice, Float32]] = []
-    for box, rows, columns in mosaic.parts(chosen):
-        planes = answer(rows, columns)
+    for box, rows, columns, planes in parts:
         out[:, rows, columns] = planes
         down, across = mosaic.inside(box)
         core = planes[

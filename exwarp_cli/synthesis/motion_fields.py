@@ -12,6 +12,7 @@ import numpy as np
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32, combine_3x3
 from exwarp_cli.kernels import holes, silhouettes, splat
 from exwarp_cli.runtime.frame_pool import pool
+from exwarp_cli.synthesis import trajectory
 from exwarp_cli.synthesis.camera import (
     Index,
     Scene,
@@ -22,12 +23,6 @@ from exwarp_cli.synthesis.camera import (
     standing,
 )
 from exwarp_cli.synthesis.gbuffer_values import coarser, depth_step, normal_step, relative_step
-from exwarp_cli.synthesis.trajectory import (
-    displacement,
-    move_rigidly,
-    stencil_of,
-    trace_points,
-)
 
 # Radians by which the normal of one dynamic surface may turn from slot to slot: ExtraNet's
 # constant, which it applies over one step; over three slots it took spinning objects for holes.
@@ -108,7 +103,7 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
         return gbuffer
     scene, vectors = scene_of(gbuffer), (gbuffer.to_previous, gbuffer.to_next)
     position = _NO_VECTORS if scene is None else np.ascontiguousarray(scene.position)
-    surfaces = position, depth_of(gbuffer), stencil_of(gbuffer), edges_of(gbuffer)
+    surfaces = position, depth_of(gbuffer), trajectory.stencil_of(gbuffer), edges_of(gbuffer)
     rendered = tuple(
         _NO_PLANE if each is None else np.ascontiguousarray(each).reshape(len(each), -1)
         for each in vectors
@@ -124,7 +119,7 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
             near[:] = camera
             far[:, :3], far[:, 3] = camera[:, :3] @ scene.to_ray, 1.0
     silhouettes.clean_vectors(rendered, surfaces, cameras, np.float32(STATIC_TOLERANCE), settled)
-    bend = move_rigidly(gbuffer, scene, cameras, settled)
+    bend = trajectory.move_rigidly(gbuffer, scene, cameras, settled)
     before, after = (
         None if old is None else new.reshape(old.shape)
         for old, new in zip(vectors, settled, strict=True)
@@ -135,7 +130,7 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
 def edges_of(gbuffer: GBuffer) -> Bool:
     """Mark pixels with another surface among their eight neighbours, bool [H, W]."""
     out: Bool = pool.empty(gbuffer.window.shape, np.bool_)
-    silhouettes.find_edges(depth_of(gbuffer), stencil_of(gbuffer), out)
+    silhouettes.find_edges(depth_of(gbuffer), trajectory.stencil_of(gbuffer), out)
     return out
 
 
@@ -153,7 +148,7 @@ def reproject(
     time: float,  # of the slot, in key intervals from this key frame; negative is earlier
 ) -> SlotField:
     """Return the motion field of a slot from a key frame's G-buffer alone."""
-    return splat_motion(gbuffer, displacement(gbuffer, time))
+    return splat_motion(gbuffer, trajectory.displacement(gbuffer, time))
 
 
 def splat_motion(
@@ -197,7 +192,7 @@ def compose(
         scenes = scene_of(slot), scene_of(others[-1] if others else key), scene_of(key)
     step = slot.to_next if way > 0 else slot.to_previous
     assert step is not None
-    field = trace_points(slot, others[::-1], way)
+    field = trajectory.trace_points(slot, others[::-1], way)
     scene, adjacent, last = (
         None if each is None or each.camera is None else each for each in scenes
     )

@@ -89,7 +89,9 @@ def estimate_flow(
 ) -> tuple[Flow, Flow]:
     """Estimate the motion between two pictures, from `before` to `after` and the other way."""
     linear = [fill_nonfinite(pixels[..., :3]) for pixels in (before, after)]
-    exposure = _exposure(linear)
+    # After which nearly all of both frames can be shown.
+    brightest = max(float(np.quantile(pixels[::4, ::4], BRIGHT)) for pixels in linear)
+    exposure = np.float32(1 / max(brightest, 1.0))
     first, second = (shown_colour(pixels * exposure) for pixels in linear)
     start, end = _padded(first), _padded(second)
     grey = grey_of(start), grey_of(end)
@@ -162,9 +164,14 @@ def with_estimated_motion(
     flows = [flow for flow in (to_previous, to_next) if flow is not None]
     if not flows:
         return replace(frame, gbuffer=None)
+    # The depth is 1 where colour fits along every flow, and more where it does not. So where two
+    # surfaces fall on one pixel of a slot the better followed one is shown, and where two key
+    # frames disagree the better one weighs more: a mismatch of a tenth of the range counts as 3 %
+    # further away and weighs 0.74 times as much.
+    mismatch = sum((flow.mismatch for flow in flows[1:]), start=flows[0].mismatch)
     gbuffer = GBuffer(
         frame.image.data_window,
-        depth=pseudo_depth(*flows),
+        depth=np.exp(np.float32(FAITH / len(flows)) * mismatch),
         to_previous=_drop_lost(to_previous, to_next),
         to_next=_drop_lost(to_next, to_previous),
     )
@@ -180,25 +187,6 @@ def _drop_lost(flow: Flow | None, other: Flow | None) -> Float32 | None:
     fits, fits_other = (box_mean(each.mismatch, LOST_SIDE) for each in (flow, other))
     lost = fits > np.float32(LOST_FLOOR) + np.float32(LOST_RATIO) * fits_other
     return np.where(lost[..., None], np.float32(np.nan), flow.motion)
-
-
-def pseudo_depth(*flows: Flow) -> Float32:
-    """Return an order of the surfaces of a frame without depth, float32 [H, W], 1 and more.
-
-    It is 1 where colour fits along every flow, and more where it does not. So where two surfaces
-    fall on one pixel of a slot the better followed one is shown, and where two key frames disagree
-    the better one weighs more: a mismatch of a tenth of the range counts as 3 % further away and
-    weighs 0.74 times as much.
-    """
-    mismatch = sum((flow.mismatch for flow in flows[1:]), start=flows[0].mismatch)
-    depth: Float32 = np.exp(np.float32(FAITH / len(flows)) * mismatch)
-    return depth
-
-
-def _exposure(linear: list[Float32]) -> np.float32:
-    """Return a factor for two frames, at most 1, after which nearly all of them can be shown."""
-    brightest = max(float(np.quantile(pixels[::4, ::4], BRIGHT)) for pixels in linear)
-    return np.float32(1 / max(brightest, 1.0))
 
 
 def shown_colour(linear: Float32) -> Float32:

@@ -84,19 +84,10 @@ def key_residual(
     motion: Float32,  # [H, W, 2], pixels: from `frame` to `other`; NaN where unknown
 ) -> KeyResidual:
     """Compare a key frame with another one, moved to it by plain bilinear sampling."""
-    moved, inside = _sample_bilinear(other.image.pixels, tiles, motion)
-    apart = _mean_square(_levels(tiles.sample(frame.image.pixels), linear=True) - moved)
-    apart[~inside] = 0
-    at_edges = beside_edges(tiles.sample(motion))
-    light, moving = tiles.means([np.where(at_edges, 0, apart), np.where(at_edges, apart, 0)])
-    return KeyResidual(light, moving)
-
-
-def _sample_bilinear(pixels: Float32, tiles: Tiles, motion: Float32) -> tuple[Float32, Bool]:
-    """Return display levels at the ends of motion, of the samples alone, and which are inside."""
+    # Of the other frame, display levels at the ends of motion are sampled, of the samples alone.
+    pixels, vectors = other.image.pixels, tiles.sample(motion)
     height, width = pixels.shape[:2]
     x, y = (np.arange(0, size, tiles.stride).astype(np.float32) for size in (width, height))
-    vectors = tiles.sample(motion)
     right, down = x + vectors[..., 0], y[:, None] + vectors[..., 1]
     with np.errstate(invalid="ignore"):
         inside: Bool = (right >= 0) & (down >= 0) & (right <= width - 1) & (down <= height - 1)
@@ -109,7 +100,12 @@ def _sample_bilinear(pixels: Float32, tiles: Tiles, motion: Float32) -> tuple[Fl
     )
     above = upper[0] + across * (upper[1] - upper[0])
     below = lower[0] + across * (lower[1] - lower[0])
-    return above + along * (below - above), inside
+    moved = above + along * (below - above)
+    apart = _mean_square(_levels(tiles.sample(frame.image.pixels), linear=True) - moved)
+    apart[~inside] = 0
+    at_edges = beside_edges(vectors)
+    light, moving = tiles.means([np.where(at_edges, 0, apart), np.where(at_edges, apart, 0)])
+    return KeyResidual(light, moving)
 
 
 @dataclass(frozen=True)

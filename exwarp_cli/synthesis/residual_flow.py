@@ -16,25 +16,9 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, nonfinite_pixels
 from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.synthesis import motion_fields, warp
 from exwarp_cli.synthesis.history import OlderKeyFrame, is_lit_alike
-from exwarp_cli.synthesis.motion_fields import (
-    SlotField,
-    depth_of,
-    edges_of,
-    find_holes,
-    reproject,
-    splat_motion,
-)
 from exwarp_cli.synthesis.optical_flow import box_mean, flow_between, grey_of, mean_difference
-from exwarp_cli.synthesis.warp import (
-    Coverage,
-    Mover,
-    Warped,
-    fill_holes,
-    linear_to_srgb,
-    sample_bilinear,
-    srgb_to_linear,
-)
 
 # Side of the square, pixels, over which two pictures are compared; 9 gained nothing.
 SIDE = 5
@@ -50,7 +34,7 @@ MIN_DISAGREEMENT = np.float32(4 / 255)
 MIN_MOTION = np.float32(0.25)
 
 
-def disagreement(before: Warped, after: Warped) -> Float32:
+def disagreement(before: warp.Warped, after: warp.Warped) -> Float32:
     """Return the mean difference of two warped key frames around each pixel, float32 [H, W]."""
     mean = mean_difference(before.pixels, after.pixels)
     mean[before.hole | after.hole] = 0
@@ -59,8 +43,8 @@ def disagreement(before: Warped, after: Warped) -> Float32:
 
 def search_flow(
     # The key frames, warped to the slot; scene-linear if `linear`, else as shown.
-    before: Warped,
-    after: Warped,
+    before: warp.Warped,
+    after: warp.Warped,
     linear: bool,
 ) -> Float32:
     """Search the motion of light against the surfaces at a slot.
@@ -68,32 +52,33 @@ def search_flow(
     Returns float32 [H, W, 2] in pixels, from the picture of `before` to that of `after`.
     """
     first, second = (
-        grey_of(linear_to_srgb(side.pixels) if linear else side.pixels) for side in (before, after)
+        grey_of(warp.linear_to_srgb(side.pixels) if linear else side.pixels)
+        for side in (before, after)
     )
     # Where one side sees nothing, it has the colour of the other.
     return flow_between(np.where(before.hole, second, first), np.where(after.hole, first, second))
 
 
 def add_flow(
-    plain: Warped,  # a key frame warped without the flow
-    source: SlotField,  # from the slot to the key frame
+    plain: warp.Warped,  # a key frame warped without the flow
+    source: motion_fields.SlotField,  # from the slot to the key frame
     flow: Float32,  # [H, W, 2], pixels: from the slot's picture to that of `plain`
     apart: Float32,  # from `disagreement`; where it is small, nothing is followed
-) -> SlotField:
+) -> motion_fields.SlotField:
     """Return the motion field of a slot whose light moves along a flow as well."""
-    motion, _ = sample_bilinear(source.field, flow)
+    motion, _ = warp.sample_bilinear(source.field, flow)
     motion += flow
     motion[apart < MIN_DISAGREEMENT] = np.nan
-    hidden, _ = sample_bilinear(plain.hole.astype(np.float32)[..., None], flow)
+    hidden, _ = warp.sample_bilinear(plain.hole.astype(np.float32)[..., None], flow)
     hole: Bool = plain.hole | (hidden[..., 0] > 0)
-    return SlotField(motion, source.depth, hole)
+    return motion_fields.SlotField(motion, source.depth, hole)
 
 
 def flow_weight(
     apart: Float32,  # from `disagreement`, of the key frames warped without the flow
     # The key frames warped along it.
-    before: Warped,
-    after: Warped,
+    before: warp.Warped,
+    after: warp.Warped,
 ) -> Float32:
     """Return how much a flow makes two pictures agree, float32 [H, W], 0 to 1."""
     gain = (apart - disagreement(before, after)) / np.maximum(apart, MIN_DISAGREEMENT)
@@ -112,36 +97,32 @@ class LightFlow:
 
     def shifted(
         self,
-        back: SlotField,  # from the slot to the key frame
+        back: motion_fields.SlotField,  # from the slot to the key frame
         time: float,  # of the slot, in key intervals after the key frame
-    ) -> tuple[SlotField, Float32]:
+    ) -> tuple[motion_fields.SlotField, Float32]:
         """Return where a slot's light comes from, and how far that is to be followed.
 
-        Returns
-        -------
-        SlotField
-            From the slot to the place in the key frame that had its light.
-        float32 [H, W]
-            0 to 1; 0 where no moving light arrives, or only that of another surface.
+        A field from the slot to the place in the key frame that had its light, and float32 [H, W],
+        0 to 1; 0 where no moving light arrives, or only that of another surface.
         """
         motion = np.float32(time) * self.flow
         motion[self.weight == 0] = np.nan
         # Of light that meets, the better explained counts. To use the flow at the place alone left
         # the front of a shadow where it was, with twice the error.
         order = GBuffer(self.surface.window, depth=np.float32(2) - self.weight)
-        arrived = splat_motion(order, motion)
-        share, _ = sample_bilinear(self.weight[..., None], arrived.field)
+        arrived = motion_fields.splat_motion(order, motion)
+        share, _ = warp.sample_bilinear(self.weight[..., None], arrived.field)
         # Where light has left and none arrives, what lies behind it shows: of shadows that move by
         # more than their width, too. It is worth 0.03 dB on the scene lab.
         gap = arrived.hole[..., None]
         motion = np.where(gap, np.float32(-time) * self.flow, arrived.field)
         share = np.where(gap, self.weight[..., None], share)
-        share[find_holes(self.surface, self.surface, motion, FACTOR)] = 0
-        sampled, lost = sample_bilinear(np.concatenate([motion, share], axis=-1), back.field)
+        share[motion_fields.find_holes(self.surface, self.surface, motion, FACTOR)] = 0
+        sampled, lost = warp.sample_bilinear(np.concatenate([motion, share], axis=-1), back.field)
         weight = np.ascontiguousarray(sampled[..., 2])
         weight[lost | back.hole] = 0
         field = np.where(weight[..., None] > 0, back.field + sampled[..., :2], np.float32(np.nan))
-        return SlotField(field, back.depth, back.hole), weight
+        return motion_fields.SlotField(field, back.depth, back.hole), weight
 
 
 def find_light_flow(key: KeyFrame, older: OlderKeyFrame) -> LightFlow | None:
@@ -155,73 +136,63 @@ def find_light_flow(key: KeyFrame, older: OlderKeyFrame) -> LightFlow | None:
     surface = surface.bare().without("normal")
     before = before.bare().without("normal")
     if not older.guessed:
-        hole = find_holes(surface, before, older.motion, FACTOR)
-        source = SlotField(older.motion, depth_of(surface), hole)
+        hole = motion_fields.find_holes(surface, before, older.motion, FACTOR)
+        source = motion_fields.SlotField(older.motion, motion_fields.depth_of(surface), hole)
     elif before.to_next is not None:
-        source = reproject(before, 1)
+        source = motion_fields.reproject(before, 1)
     else:
         return None
     pixels = key.image.pixels
     broken = nonfinite_pixels(pixels)
-    codes = linear_to_srgb(np.where(broken[..., None], np.float32(0), pixels))
-    now = Warped(codes, np.zeros(broken.shape, np.float32), broken, np.zeros_like(broken))
-    codes = linear_to_srgb(older.frame.image.pixels)
-    then = Mover(source).warp(codes)
+    codes = warp.linear_to_srgb(np.where(broken[..., None], np.float32(0), pixels))
+    now = warp.Warped(codes, np.zeros(broken.shape, np.float32), broken, np.zeros_like(broken))
+    codes = warp.linear_to_srgb(older.frame.image.pixels)
+    then = warp.Mover(source).warp(codes)
     apart = disagreement(then, now)
     if not (apart >= MIN_DISAGREEMENT).any():
         return None
     both = ~(then.hole | now.hole)
-    if not is_lit_alike(pixels, srgb_to_linear(then.pixels.copy()), both):
+    if not is_lit_alike(pixels, warp.srgb_to_linear(then.pixels.copy()), both):
         return None
     flow = search_flow(then, now, linear=False)
-    moved = Mover(add_flow(then, source, -flow, apart)).warp(codes)
+    moved = warp.Mover(add_flow(then, source, -flow, apart)).warp(codes)
     weight = flow_weight(apart, moved, now)
     weight[np.abs(flow).max(axis=-1) < MIN_MOTION] = 0
     # At silhouettes colour is mixed: what was found at a lamp post's edge went into its hole.
-    weight[edges_of(surface)] = 0
+    weight[motion_fields.edges_of(surface)] = 0
     return LightFlow(flow, weight, surface) if weight.any() else None
 
 
+@dataclass(frozen=True, eq=False)
 class CarriedLight:
     """Makes the colour of a slot from the key frame before it: its beauty, then its layers."""
 
-    def __init__(
-        self,
-        back: SlotField,  # motion field from the slot to the key frame
-        time: float,  # of the slot, in key intervals after the key frame
-        light: LightFlow | None,  # how light moves; None where it stays on its surfaces
-        linear: bool = False,  # as for `Mover`
-        # Of the pixels beside edges; None where each has the surface of its centre.
-        coverage: Coverage | None = None,
-    ) -> None:
-        self._mover = Mover(back, linear)
-        self._coverage = coverage
-        self._shifted: Mover | None = None
-        if light is not None:
-            source, self._weight = light.shifted(back, time)
-            self._shifted = Mover(source, linear) if self._weight.any() else None
+    mover: warp.Mover  # along the motion field from the slot to the key frame
+    # What moves the light, and how far that is followed, [H, W]; None where light stays on its
+    # surfaces.
+    light: tuple[warp.Mover, Float32] | None = None
+    # Of the pixels beside edges; None where each has the surface of its centre.
+    coverage: warp.Coverage | None = None
 
-    @property
-    def has_beauty(self) -> bool:
-        """Whether the beauty was made, if layers need that first."""
-        return self._mover.has_beauty
-
-    def make(self, pixels: Float32) -> Float32:
+    def make(self, pixels: Float32, beauty: Float32 | None = None) -> Float32:
         """Make a layer of the slot, scene-linear float32 [H, W, C]; the first is the beauty.
 
-        `pixels` are the key frame's. Holes are filled as by `fill_holes`.
+        `pixels` are the key frame's. Holes are filled as by `fill_holes`. A layer that may be the
+        first names the key frame's `beauty`, which is made before it where layers need that.
         """
-        codes = self._mover.codes(pixels)
-        warped = self._mover.warp(codes)
-        out = fill_holes(warped.pixels, warped.depth, warped.hole)
-        if self._coverage is not None:
-            self._coverage.cover((codes,), out)
-        if self._shifted is not None:
-            moving, unseen = self._shifted.move(codes)
-            weight = np.where(warped.hole | unseen, np.float32(0), self._weight)[..., None]
+        if beauty is not None and self.mover.linear and self.mover.limit is None:
+            self.make(beauty)
+        codes = self.mover.codes(pixels)
+        warped = self.mover.warp(codes)
+        out = warp.fill_holes(warped.pixels, warped.depth, warped.hole)
+        if self.coverage is not None:
+            self.coverage.cover((codes,), out)
+        if self.light is not None:
+            moving, unseen = self.light[0].move(codes)
+            weight = np.where(warped.hole | unseen, np.float32(0), self.light[1])[..., None]
             # Only there: of the largest floats the difference may be infinite.
             moving = np.where(weight > 0, moving, out)
             moving -= out
             moving *= weight
             out += moving
-        return self._mover.light(out)
+        return self.mover.light(out)

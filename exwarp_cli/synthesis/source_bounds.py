@@ -48,20 +48,6 @@ class SlotSources:
     warp: Float32 | None = None
 
 
-def sources_between(
-    frames: tuple[Float32, Float32], fields: tuple[SlotField, SlotField]
-) -> SlotSources:
-    """Return the key frames before and after a slot, [H, W, C], as its sources.
-
-    `fields` lead from the slot to them.
-    """
-    sides = tuple(
-        ColourSource(pixels, field.field, ~(sample_bilinear(pixels, field.field)[1] | field.hole))
-        for pixels, field in zip(frames, fields, strict=True)
-    )
-    return SlotSources(sides, (), np.fmin(fields[0].depth, fields[1].depth))
-
-
 def hold_within(frame: Float32, sources: SlotSources) -> None:
     """Clamp each channel of a slot's frame to the range of the 5x5 source pixels at its places.
 
@@ -77,13 +63,23 @@ def hold_within(frame: Float32, sources: SlotSources) -> None:
     _clamp(frame, lambda sign, clear: _bounds(sources, hole, around, sign, clear))
 
 
-def hold_in_range(frame: Float32, frames: Sequence[Float32]) -> None:
-    """Clamp each channel of a slot's frame to its range in whole key frames.
+def hold_between(
+    frame: Float32,  # as in `hold_within`; changed
+    frames: tuple[Float32, Float32],  # [H, W, C]: the key frames before and after the slot
+    fields: tuple[SlotField, SlotField] | None,  # from the slot to them; None without motion
+) -> None:
+    """Clamp each channel of a slot's frame as `hold_within` does, to its key frames on both sides.
 
-    For a network whose places are unknown, because there are no motion vectors. Alpha and `frame`
-    as in `hold_within`.
+    Without motion, places are unknown: then to its range in the whole key frames.
     """
-    _clamp(frame, lambda *kind: np.broadcast_to(_range(frames, *kind), frame.shape))
+    if fields is None:
+        _clamp(frame, lambda *kind: np.broadcast_to(_range(frames, *kind), frame.shape))
+        return
+    sides = tuple(
+        ColourSource(pixels, field.field, ~(sample_bilinear(pixels, field.field)[1] | field.hole))
+        for pixels, field in zip(frames, fields, strict=True)
+    )
+    hold_within(frame, SlotSources(sides, (), np.fmin(fields[0].depth, fields[1].depth)))
 
 
 def _clamp(frame: Float32, bounds: Callable[[np.float32, bool], Float32]) -> None:
@@ -110,16 +106,12 @@ def _bounds(
 
     With `clear`, only source pixels count whose alpha is 0.
     """
-
-    def raise_to(source: ColourSource, wanted: Bool) -> None:
-        pixels = np.ascontiguousarray(source.pixels)
-        gather.raise_bounds(pixels, source.field, wanted, clear, sign, bound)
-
     shape = (*hole.shape, sources.sides[0].pixels.shape[2])
     bound: Float32 = pool.empty(shape, np.float32)
     bound.fill(-np.inf)
     for side in sources.sides:
-        raise_to(side, side.seen)
+        pixels = np.ascontiguousarray(side.pixels)
+        gather.raise_bounds(pixels, side.field, side.seen, clear, sign, bound)
     if around is not None:
         bound[np.isneginf(bound)] = 0  # alpha is 0 in no source pixel: what is mixed in holes
         holes.fill_holes(bound, sources.depth, *around)
@@ -129,7 +121,8 @@ def _bounds(
             ends = _range([side.pixels for side in sources.sides], sign, clear)
             bound[rows[lone], around.column[lone]] = ends
         for side in sources.older:
-            raise_to(side, side.seen & hole)
+            pixels = np.ascontiguousarray(side.pixels)
+            gather.raise_bounds(pixels, side.field, side.seen & hole, clear, sign, bound)
     if sources.warp is not None:
         warp = sign * sources.warp
         if clear:

@@ -87,27 +87,21 @@ def displacement(
     else:
         assert before is not None
         out = -t * before
-    if len(gbuffer.turning) and 0 < abs(time) < 1:
-        out.reshape(-1, 2)[gbuffer.turning] = _on_arc(gbuffer, gbuffer.turning, time)
-    return out
-
-
-def _on_arc(gbuffer: GBuffer, index: Index, time: float) -> Float32:
-    """Return the displacement of points that turn, float32 [N, 2] in pixels, -1 < time < 1.
-
-    At the neighbouring frames, and halfway to them, points are where the rigid motion has them.
-    Between, they are on the polynomials of time through these places: quartic with vectors both
-    ways, else quadratic.
-    """
-    assert gbuffer.bend is not None
-    earlier, later = (half.reshape(-1, 2)[index] for half in gbuffer.bend)
-    straight, t = _by_vectors(gbuffer, index, time), np.float32(time)
-    if gbuffer.to_next is None or gbuffer.to_previous is None:
-        bend = later if time > 0 else earlier
-        out: Float32 = straight + 4 * abs(t) * (1 - abs(t)) * bend
-        return out
-    odd, even = t * (1 - t * t) / np.float32(0.75), t * t * (1 - t * t) / np.float32(0.375)
-    out = straight + (even + odd) * later + (even - odd) * earlier
+    index = gbuffer.turning
+    if len(index) and 0 < abs(time) < 1:
+        # At the neighbouring frames, and halfway to them, points are where the rigid motion has
+        # them. Between, they are on the polynomials of time through these places: quartic with
+        # vectors both ways, else quadratic.
+        assert gbuffer.bend is not None
+        earlier, later = (half.reshape(-1, 2)[index] for half in gbuffer.bend)
+        arc = _by_vectors(gbuffer, index, time)
+        if after is None or before is None:
+            arc = arc + 4 * abs(t) * (1 - abs(t)) * (later if time > 0 else earlier)
+        else:
+            odd = t * (1 - t * t) / np.float32(0.75)
+            even = t * t * (1 - t * t) / np.float32(0.375)
+            arc = arc + (even + odd) * later + (even - odd) * earlier
+        out.reshape(-1, 2)[index] = arc
     return out
 
 
@@ -142,22 +136,20 @@ def trace_points(
     assert step is not None
     moved = step.copy()
     before = displacement(start, way) if others else moved
-    depth = _depth_or_empty(start)
+    nothing = np.zeros((0, 0), np.float32)
+    depth = nothing if start.depth is None else start.depth
     rounding = depth_step(depth) if others else EXACT
     for count, other in enumerate(others, start=2):
         after = displacement(start, way * count)
         step = other.to_next if way > 0 else other.to_previous
         assert step is not None
-        ids, depths = (stencil_of(other), stencil_of(start)), (_depth_or_empty(other), depth)
+        ids = stencil_of(other), stencil_of(start)
+        depths = nothing if other.depth is None else other.depth, depth
         steps = coarser(rounding, depth_step(depths[0]))
         close = np.float32(CLOSE_DEPTH * (count - 1))
         follow_points(step, ids, depths, steps, close, after - before, moved)
         before = after
     return moved
-
-
-def _depth_or_empty(gbuffer: GBuffer) -> Float32:
-    return gbuffer.depth if gbuffer.depth is not None else np.zeros((0, 0), np.float32)
 
 
 def span_motion(
@@ -219,43 +211,32 @@ def move_rigidly(
     for index in np.split(order, np.flatnonzero(ids[1:] != ids[:-1]) + 1):
         if len(index) < MIN_OBJECT_PIXELS:
             continue
-        rigid, poses = _settle_object(gbuffer, scene, cameras, index, settled)
+        points, pixels = scene.points(index)[:, :3], pixels_at(index, gbuffer.window.width)
+        poses: list[Pose | None] = [None, None]
+        rigid = np.ones(len(index), np.bool_)  # pixels that move rigidly both ways
+        for way, vectors in enumerate((gbuffer.to_previous, gbuffer.to_next)):
+            camera = cameras[way, 0]
+            if vectors is None or not np.isfinite(camera).all():
+                continue
+            pose = fit_pose(points, pixels + vectors.reshape(-1, 2)[index], camera)
+            if pose is None:
+                continue
+            motion = np.asarray(_project(camera, pose.place(points))[0] - pixels, np.float32)
+            moved = settled[way].reshape(vectors.shape)
+            along = _moves_along(motion, index, vectors, moved) & np.isfinite(motion).all(axis=1)
+            if along.any():
+                # A fit is no better than a vector that it agrees with.
+                gap = np.linalg.norm(motion - moved.reshape(-1, 2)[index], axis=1)
+                off = along & ~(gap <= MIN_ERROR)
+                moved.reshape(-1, 2)[index[off]] = motion[off]
+                poses[way], rigid = pose, rigid & along
         if any(pose is not None and np.linalg.norm(pose.turn) > MIN_TURN for pose in poses):
-            turning.append((rigid, poses))
+            turning.append((index[rigid], (poses[0], poses[1])))
     if not turning:
         return None
     shape = *gbuffer.window.shape, 2
     before, after = (each.reshape(shape) if each.size else None for each in settled)
     return _bend(replace(gbuffer, to_previous=before, to_next=after), scene, turning)
-
-
-def _settle_object(
-    gbuffer: GBuffer, scene: Scene, cameras: F64, index: Index, settled: tuple[Float32, ...]
-) -> tuple[Index, Poses]:
-    """Settle the motion of an object's pixels.
-
-    Returns those that move rigidly both ways, and the object's poses.
-    """
-    points, pixels = scene.points(index)[:, :3], pixels_at(index, gbuffer.window.width)
-    poses: list[Pose | None] = [None, None]
-    rigid = np.ones(len(index), np.bool_)
-    for way, vectors in enumerate((gbuffer.to_previous, gbuffer.to_next)):
-        camera = cameras[way, 0]
-        if vectors is None or not np.isfinite(camera).all():
-            continue
-        pose = fit_pose(points, pixels + vectors.reshape(-1, 2)[index], camera)
-        if pose is None:
-            continue
-        motion = np.asarray(_project(camera, pose.place(points))[0] - pixels, np.float32)
-        moved = settled[way].reshape(vectors.shape)
-        along = _moves_along(motion, index, vectors, moved) & np.isfinite(motion).all(axis=1)
-        if along.any():
-            # A fit is no better than a vector that it agrees with.
-            gap = np.linalg.norm(motion - moved.reshape(-1, 2)[index], axis=1)
-            off = along & ~(gap <= MIN_ERROR)
-            moved.reshape(-1, 2)[index[off]] = motion[off]
-            poses[way], rigid = pose, rigid & along
-    return index[rigid], (poses[0], poses[1])
 
 
 def _bend(gbuffer: GBuffer, scene: Scene, turning: list[tuple[Index, Poses]]) -> Float32 | None:

@@ -65,12 +65,8 @@ class Mover:
     # Whether colour stays scene-linear, so that layers which add up to the beauty still do. It is
     # 0.2 dB worse than colour as shown.
     linear: bool = False
-    _limit: Float32 | None = field(default=None, init=False)
-
-    @property
-    def has_beauty(self) -> bool:
-        """Whether the beauty was moved, if layers need that first."""
-        return not self.linear or self._limit is not None
+    # [h, w], with `linear`: how sharp the beauty is, 0 bilinear to 1 Lanczos-3, and its layers are.
+    limit: Float32 | None = field(default=None, init=False)
 
     def codes(self, pixels: Float32) -> Float32:
         """Return scene-linear colour as it is moved."""
@@ -86,22 +82,19 @@ class Mover:
     ) -> tuple[Float32, Bool]:
         """Return moved colour by Lanczos-3, and where it is unseen.
 
-        Returns
-        -------
-        float32 [h, w, C], of the motion field's size
-            Each channel of the beauty is within the range of the 3x3 pixels around; 0 where nothing
-            finite lies there, the edge's colour outside the frame.
-        bool [H, W]
-            Both of these, and where the source shows another surface.
+        Colour, float32 [h, w, C], has the motion field's size. Each channel of the beauty is within
+        the range of the 3x3 pixels around; 0 where nothing finite lies there, the edge's colour
+        outside the frame. Unseen, bool [h, w], are both of these, and where the source shows
+        another surface.
         """
         field = self.source.field
         out: Float32 = pool.empty((*field.shape[:2], codes.shape[2]), np.float32)
         unseen: Bool = pool.empty(field.shape[:2], np.bool_)
         if self.linear:
-            leads = self._limit is None
-            if self._limit is None:
-                self._limit = pool.empty(field.shape[:2], np.float32)
-            resample.resample_alike(codes, field, LANCZOS, self._limit, leads, out, unseen)
+            leads = self.limit is None
+            if self.limit is None:
+                self.limit = pool.empty(field.shape[:2], np.float32)
+            resample.resample_alike(codes, field, LANCZOS, self.limit, leads, out, unseen)
         else:
             resample.resample(codes, field, LANCZOS, out, unseen)
         np.logical_or(unseen, self.source.hole, out=unseen)
@@ -125,12 +118,8 @@ def sample_bilinear(
 ) -> tuple[Float32, Bool]:
     """Sample data, not colour, at the end of a motion field.
 
-    Returns
-    -------
-    out
-        float32 [H, W, C]; 0 where nothing finite lies there, the edge's colour outside the frame.
-    unseen
-        bool [H, W]: both of these.
+    Returns float32 [H, W, C]: 0 where nothing finite lies there, the edge's colour outside the
+    frame; and where both of these are, bool [H, W].
     """
     out: Float32 = pool.empty(pixels.shape, np.float32)
     unseen: Bool = pool.empty(pixels.shape[:2], np.bool_)
@@ -208,11 +197,6 @@ def find_hole_neighbours(depth: Float32, hole: Bool) -> HoleNeighbourhood | None
     return HoleNeighbourhood(first, column, np.float32(cap), steps)
 
 
-def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
-    """Blend two warped key frames by `mix_by_depth`, and fill what neither side sees."""
-    return fill_holes(*mix_by_depth(before, after, time))
-
-
 def mix_by_depth(
     # The key frames on both sides, warped to the slot. The pixels of `before` are overwritten.
     before: Warped,
@@ -221,15 +205,11 @@ def mix_by_depth(
 ) -> tuple[Float32, Float32, Bool]:
     """Blend two warped key frames as softmax splatting does, with the renderer's exact motion.
 
-    Returns
-    -------
-    float32 [H, W, C]
-        Each side weighs by its nearness in time, times a softmax over its depth; a side that does
-        not see the surface weighs nothing, so disocclusions come from the side that sees them.
-    float32 [H, W]
-        Depth of the nearer side.
-    bool [H, W]
-        What neither side sees.
+    Each side weighs by its nearness in time, times a softmax over its depth; a side that does not
+    see the surface weighs nothing, so disocclusions come from the side that sees them.
+
+    Returns what `fill_holes` takes: colour, float32 [H, W, C]; the depth of the nearer side,
+    float32 [H, W]; and what neither side sees, bool [H, W].
     """
     depth: Float32 = pool.empty(before.depth.shape, np.float32)
     hole: Bool = pool.empty(before.hole.shape, np.bool_)

@@ -15,7 +15,7 @@ from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.motion_fields import reproject
 from exwarp_cli.synthesis.residual_flow import CarriedLight
 from exwarp_cli.synthesis.trajectory import displacement
-from exwarp_cli.synthesis.warp import Coverage, CoverageSide
+from exwarp_cli.synthesis.warp import Coverage, CoverageSide, Mover
 from tests.matrix import combinations, spread
 from tests.unit.opaque_shapes import (
     FINE,
@@ -74,9 +74,10 @@ def make(
     sides = [CoverageSide(view.gbuffer, displacement(view.gbuffer, at)) for view, at in moved]
     coverage = Coverage(sides, fields, time, linear) if covered else None
     if len(views) == 1:
-        how = CarriedLight(fields[0], time, None, linear, coverage)
+        how = CarriedLight(Mover(fields[0], linear), None, coverage)
     else:
-        how = LookAhead(fields[0], fields[1], time, linear, coverage)
+        movers = Mover(fields[0], linear), Mover(fields[1], linear)
+        how = LookAhead(movers, time, coverage)
     made = how.make(*(view.pixels for view in views))
     if not shares:
         return made

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window
+from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.synthesis.extrapolation import (
     BRIGHTEST,
     DARKEST,
     MovedFrame,
     SlotInputs,
     demodulated,
+    modulation_of,
 )
 from tests.reference import slot_planes as naive
 from tests.unit import slot_kernel_calls as calls
@@ -69,8 +70,9 @@ def test_shading_is_colour_without_the_surface_s():
     specular[9:12] = 0
     window = Window(0, 0, SHAPE[1], SHAPE[0])
     gbuffer = GBuffer(window, albedo=albedo, specular=specular)
-    found = demodulated(KeyFrame(1, Image(pixels, window, window), gbuffer))
-    assert found is not None
+    modulation = modulation_of(gbuffer)
+    assert modulation is not None
+    found = demodulated(pixels, modulation)
     surface = np.clip(albedo + specular, np.float32(DARKEST), np.float32(BRIGHTEST))
     np.testing.assert_array_equal(found[..., :3], pixels[..., :3] / surface)
     np.testing.assert_array_equal(found[..., 3], pixels[..., 3])

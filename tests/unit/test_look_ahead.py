@@ -10,7 +10,7 @@ import pytest
 from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.synthesis.look_ahead import LookAhead
 from exwarp_cli.synthesis.motion_fields import reproject, settle_motion
-from exwarp_cli.synthesis.warp import Mover, blend_by_depth, srgb_to_linear
+from exwarp_cli.synthesis.warp import Mover, fill_holes, mix_by_depth, srgb_to_linear
 from tests.matrix import combinations, spread
 from tests.unit.opaque_shapes import FINE, HEIGHT, WIDTH, View, bar, cut_out, disc, grid, mean
 
@@ -20,7 +20,9 @@ TIMES = (0.25, 0.5, 0.75)
 def mixed(pair: tuple[View, View], time: float) -> np.ndarray:
     """Make the frame at a time between two views."""
     fields = reproject(pair[0].gbuffer, time), reproject(pair[1].gbuffer, time - 1)
-    return LookAhead(*fields, time).make(pair[0].pixels, pair[1].pixels)
+    return LookAhead((Mover(fields[0]), Mover(fields[1])), time).make(
+        pair[0].pixels, pair[1].pixels
+    )
 
 
 @pytest.mark.parametrize(
@@ -120,10 +122,24 @@ def test_a_shadow_on_still_ground_moves_as_one(time, linear):
         lit_ground((40 + 10 * time, 30 + 3 * time)),
     )
     fields = reproject(pair[0].gbuffer, time), reproject(pair[1].gbuffer, time - 1)
-    made = LookAhead(*fields, time, linear).make(pair[0].pixels, pair[1].pixels)
+    sides = Mover(fields[0], linear), Mover(fields[1], linear)
+    made = LookAhead(sides, time).make(pair[0].pixels, pair[1].pixels)
     movers = [Mover(field) for field in fields]
     sides = [mover.warp(mover.codes(view.pixels)) for mover, view in zip(movers, pair, strict=True)]
-    faded = srgb_to_linear(blend_by_depth(*sides, time))
+    faded = srgb_to_linear(fill_holes(*mix_by_depth(*sides, time)))
     error, plain = (np.abs(frame - truth.pixels).mean() for frame in (made, faded))
     assert error < 0.55 * plain
     assert made[28:34, 40 + round(10 * time)].mean() < 0.15, "the shadow's middle is dark"
+
+
+def test_a_layer_that_is_made_first_follows_the_light_of_the_beauty():
+    pair = lit_ground((40, 30)), lit_ground((50, 33))
+    fields = reproject(pair[0].gbuffer, 0.5), reproject(pair[1].gbuffer, -0.5)
+    beauty = [view.pixels for view in pair]
+    layer = [np.ascontiguousarray(pixels[::-1]) for pixels in beauty]  # shadows elsewhere
+    first, second = (
+        LookAhead((Mover(fields[0], True), Mover(fields[1], True)), 0.5) for _ in range(2)
+    )
+    second.make(*beauty)
+    expected = second.make(*layer)
+    np.testing.assert_array_equal(first.make(*layer, beauty), expected)

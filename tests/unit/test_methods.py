@@ -15,7 +15,7 @@ from exwarp_cli.pipeline.key_frames import over_interval
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import EXWARP, METHODS, DecisionSource, Predicted
 from exwarp_cli.synthesis.motion_fields import settle_motion
-from exwarp_cli.synthesis.warp import Warped, blend_by_depth, fill_holes, fill_nonfinite
+from exwarp_cli.synthesis.warp import Warped, fill_holes, fill_nonfinite, mix_by_depth
 from tests.matrix import combinations
 from tests.unit.scenes import View, town
 
@@ -304,13 +304,13 @@ class TestBlendByDepth:
     @pytest.mark.parametrize("time", [0.25, 0.5, 0.75])
     def test_equal_depths_weigh_by_time(self, time):
         for depth in (3.0, np.inf):
-            found = blend_by_depth(self.side(1, depth), self.side(5, depth), time)
+            found = fill_holes(*mix_by_depth(self.side(1, depth), self.side(5, depth), time))
             np.testing.assert_allclose(found, 1 + 4 * time, rtol=1e-6)
 
     def test_the_nearer_surface_wins(self):
-        found = blend_by_depth(self.side(1, 2.0), self.side(5, 4.0), 0.75)
+        found = fill_holes(*mix_by_depth(self.side(1, 2.0), self.side(5, 4.0), 0.75))
         assert np.abs(found - 1).max() < 0.02
-        found = blend_by_depth(self.side(1, np.inf), self.side(5, 1e8), 0.25)
+        found = fill_holes(*mix_by_depth(self.side(1, np.inf), self.side(5, 1e8), 0.25))
         np.testing.assert_allclose(found, 5, rtol=1e-6)
 
     @pytest.mark.parametrize("junk", [0.0, 6e4, -6e4])
@@ -321,21 +321,21 @@ class TestBlendByDepth:
             (self.side(value, 9.0), self.side(junk, np.nan, hole=True)),
         ):
             for time in (0.25, 0.75):
-                found = blend_by_depth(*sides, time)
+                found = fill_holes(*mix_by_depth(*sides, time))
                 np.testing.assert_array_equal(found, np.float32(value))
 
     def test_a_ghost_counts_where_the_other_side_sees_nothing(self):
         ghost = self.side(1, 3.0, fringe=True)
-        alone = blend_by_depth(ghost, self.side(9, 3.0, hole=True), 0.5)
+        alone = fill_holes(*mix_by_depth(ghost, self.side(9, 3.0, hole=True), 0.5))
         np.testing.assert_array_equal(alone, 1)
-        beaten = blend_by_depth(ghost, self.side(9, 3.0), 0.5)
+        beaten = fill_holes(*mix_by_depth(ghost, self.side(9, 3.0), 0.5))
         assert (beaten > 8.5).all()
 
     def test_what_neither_sees_is_filled_from_around(self):
         before, after = self.side(2, 3.0), self.side(2, 3.0)
         before.hole[1, 2] = after.hole[1, 2] = True
         before.pixels[1, 2] = after.pixels[1, 2] = 77
-        np.testing.assert_allclose(blend_by_depth(before, after, 0.5), 2, rtol=1e-6)
+        np.testing.assert_allclose(fill_holes(*mix_by_depth(before, after, 0.5)), 2, rtol=1e-6)
 
 
 class TestRepair:

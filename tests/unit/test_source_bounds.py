@@ -15,8 +15,8 @@ from exwarp_cli.domain.network_api import LazyInputs
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.motion_fields import SlotField
-from exwarp_cli.synthesis.source_bounds import hold_within, sources_between
-from exwarp_cli.synthesis.warp import Mover, blend_by_depth
+from exwarp_cli.synthesis.source_bounds import hold_between
+from exwarp_cli.synthesis.warp import Mover, fill_holes, mix_by_depth
 from tests.matrix import combinations, spread
 from tests.reference import extremes as naive
 from tests.unit.filled import without
@@ -311,12 +311,12 @@ def test_what_is_warped_and_blended_lies_within_the_bounds_by_itself(seed, sprea
         mover.warp(mover.codes(pixels))
         for mover, pixels in zip(movers, (first, second), strict=True)
     ]
-    blended = movers[0].light(blend_by_depth(*sides, time))
+    blended = movers[0].light(fill_holes(*mix_by_depth(*sides, time)))
     seen = ~movers[0].move(first)[1]
     least, greatest = naive.bounds(first, back.field, seen)
     room = 1e-5 * np.abs(first).max()
     assert (warped >= least - room)[seen].all() and (warped <= greatest + room)[seen].all()
     held = blended.copy()
-    hold_within(held, sources_between((first, second), (back, forward)))
+    hold_between(held, (first, second), (back, forward))
     room = 1e-5 * max(np.abs(first).max(), np.abs(second).max())
     np.testing.assert_allclose(held, blended, rtol=0, atol=room)

@@ -12,7 +12,7 @@ from exwarp_cli.domain.frame import Float32, Window
 from exwarp_cli.domain.network_api import LazyInputs
 from exwarp_cli.domain.tiles import REWARP, TILE_PATHS, TileMakers, TilePlan, paths_from_makers
 from exwarp_cli.synthesis.methods import predict_path, predict_tiles
-from exwarp_cli.synthesis.mosaic import HALO, Mosaic, Tiles, lay_over, run_in_tiles
+from exwarp_cli.synthesis.mosaic import HALO, Mosaic, Tiles, lay_over, lay_tiles
 from tests.unit.test_paths import SLOTS, Painter, interval, painted
 
 
@@ -103,16 +103,12 @@ class TestMosaic:
         shown = mosaic()
         below = ((row, 13) for row in range(1, 5))  # beside the row, and computed after it
         chosen = marks(shown, *((0, column) for column in range(14)), *below)
-        asked = []
-
-        def answer(rows: slice, columns: slice) -> Float32:
-            asked.append(rows)
-            shape = 3, rows.stop - rows.start, columns.stop - columns.start
-            return np.full(shape, len(asked), np.float32)
-
+        boxes, parts = shown.parts(chosen), []
+        for number, (box, rows, columns) in enumerate(boxes, start=1):
+            size = 3, rows.stop - rows.start, columns.stop - columns.start
+            parts.append((box, rows, columns, np.full(size, number, np.float32)))
         made = np.zeros((3, *shown.shape), np.float32)
-        run_in_tiles(shown, chosen, answer, made)
-        boxes = shown.parts(chosen)
+        lay_tiles(shown, parts, made)
         assert len(boxes) > 1
         for number, (box, _, _) in enumerate(boxes, start=1):
             assert (made[(slice(None), *shown.inside(box))] == number).all()
