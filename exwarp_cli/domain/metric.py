@@ -111,17 +111,6 @@ class Threshold:
         """The option that sets it."""
         return "--fail-below" if self.metric.more_is_better else "--fail-above"
 
-    def passes(self, value: float) -> bool:
-        """Return whether a value is good enough; the limit itself is."""
-        return self.metric.badness(value) <= self.metric.badness(self.limit)
-
-    def failure(self, value: float) -> str:
-        """Return by which value it is broken."""
-        if self.metric.signed:
-            return f"{self.name} {value:+.6g} is farther from 0 than {self.limit:g}"
-        side = self.option.removeprefix("--fail-")
-        return f"{self.name} {value:.6g} is {side} {self.limit:g}"
-
 
 def parse_threshold(text: str, option: str) -> Threshold:
     """Read a limit such as ``psnr=35``, ``generated.psnr=30`` or ``holes.ssim=0.8``.

@@ -90,13 +90,18 @@ class AxisMap:
         axes = ((self.x_scale, self.x_channel), (self.y_scale, self.y_channel))
         terms = []
         for (scale, channel), unit in zip(axes, units, strict=True):
-            factor = "" if abs(scale) == 1 else f"{_format_number(abs(scale))}*"
+            size, still = (
+                # So that it reads back as itself.
+                f"{value:g}" if float(f"{value:g}") == value else repr(float(value))
+                for value in (abs(scale), abs(self.still))
+            )
+            factor = "" if abs(scale) == 1 else f"{size}*"
             value = channels[channel]
             if self.alpha is not None:
                 value += f"/{channels[self.alpha]}"
             if self.still:
                 sign = "-" if self.still > 0 else "+"
-                value = f"({value}{sign}{_format_number(abs(self.still))})"
+                value = f"({value}{sign}{still})"
             if self.length is not None:
                 value += f"*{channels[self.length]}"
             terms.append(f"{'-' if scale < 0 else ''}{factor}{unit and unit + '*'}{value}")
@@ -164,17 +169,8 @@ class MotionFinding:
     preset: str = ""  # name for ``--motion`` of what was measured; "" without
 
 
-def _format_number(value: float) -> str:
-    # So that it reads back as itself.
-    short = f"{value:g}"
-    return short if float(short) == value else repr(float(value))
-
-
-def _both_directions(y: float) -> MotionConvention:
-    """Forward vectors in the first two channels, backward ones in the next two, in pixels."""
-    return MotionConvention(AxisMap(2, 3, 1.0, y), AxisMap(0, 1, 1.0, y))
-
-
+# Forward vectors in the first two channels, backward ones in the next two, in pixels, y up.
+_BOTH = MotionConvention(AxisMap(2, 3, 1.0, -1.0), AxisMap(0, 1, 1.0, -1.0))
 _FORWARD = MotionConvention(to_next=AxisMap(0, 1, 1.0, -1.0))
 
 # Conventions by name, for --motion. Indices count the motion channels in the order in which they
@@ -190,14 +186,14 @@ PRESETS: dict[str, MotionConvention] = {
     "arnold": MotionConvention(to_next=AxisMap(0, 1, 1.0, -1.0, length=2)),
     "vray": _FORWARD,
     "redshift": _FORWARD,
-    "renderman": _both_directions(1.0),  # raster space: y down
+    "renderman": MotionConvention(AxisMap(2, 3, 1.0, 1.0), AxisMap(0, 1, 1.0, 1.0)),  # y down
     "karma": _FORWARD,
     # The screen reaches from -1 to 1; premultiplied.
     "moonray": MotionConvention(to_next=AxisMap(0, 1, 0.5, -0.5, alpha=2), of_frame=True),
-    "nuke": _both_directions(-1.0),
+    "nuke": _BOTH,
     "reelsmart": _FORWARD,
     "twixtor": _FORWARD,
     "forward": _FORWARD,
     "backward": MotionConvention(to_previous=AxisMap(0, 1, 1.0, -1.0)),
-    "forward+backward": _both_directions(-1.0),
+    "forward+backward": _BOTH,
 }

@@ -125,11 +125,6 @@ class TileMakers:
         return self.letters[0] in (MAKER_LETTERS[SOFTSPLAT], MAKER_LETTERS[LOOKAHEAD])
 
     @property
-    def dear_share(self) -> float:
-        """Return the share of the tiles that a network made, 0 to 1."""
-        return self.share(EXTRAPOLATE) + self.share(LOOKAHEAD)
-
-    @property
     def text(self) -> str:
         """Return the tiles on one line: ``14x8:wwe…``."""
         return f"{self.columns}x{self.rows}:{self.letters}"
@@ -174,10 +169,3 @@ class TilePlan:
         """Return the makers of the tiles of a slot, 1 to 3."""
         letters = (TILE_PATHS[name][slot - 1] for name in self.paths)
         return TileMakers(self.columns, self.rows, "".join(letters))
-
-
-def paths_from_makers(second: TileMakers, third: TileMakers) -> tuple[str, ...]:
-    """Return the path of each tile by the makers of slots 2 and 3; KeyError for no path."""
-    path_of = {letters[1:]: name for name, letters in TILE_PATHS.items()}
-    pairs = zip(second.letters, third.letters, strict=True)
-    return tuple(path_of[a + b] for a, b in pairs)

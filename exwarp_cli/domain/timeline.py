@@ -227,14 +227,6 @@ def standard_rate(rate: Fraction) -> Fraction:
     return rate.limit_denominator(min(MAX_DENOMINATOR, max(1, int(MAX_NUMERATOR / rate))))
 
 
-def compatible_rate(base: Fraction, target: Fraction) -> Fraction:
-    """Return the rate within 0.1 % of `target` at which most key frames are output instants."""
-    # From 24000/1001 to 60 fps only one key frame in a thousand is an output instant; to 60000/1001
-    # every other one is. The target is kept where nothing is gained.
-    rates = (target, target * NTSC_RATIO, target / NTSC_RATIO)
-    return min(rates, key=lambda rate: (rate / base).denominator)
-
-
 def number_step(numbers: Iterable[int]) -> int:
     """Return the step of a sequence's frame numbers; 1 for a single frame."""
     return min((b - a for a, b in pairwise(sorted(set(numbers)))), default=1)

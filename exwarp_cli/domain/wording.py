@@ -60,7 +60,7 @@ def one_line(text: str) -> str:
     """
     line = _LINE_BREAK.sub(" ", text).strip()
     if not line.isprintable():
-        line = "".join(c if c.isprintable() else _escape(c) for c in line)
+        line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
     if len(line) > MAX_LINE:
         half = MAX_LINE // 2 - 2
         line = f"{line[:half]} … {line[-half:]}"
@@ -78,13 +78,4 @@ def printable(text: str) -> str:
     >>> printable("a\\nb")
     'a\\\\nb'
     """
-    return _CONTROL_CHARS.sub(lambda found: _escape(found[0]), text)
-
-
-def has_control_chars(text: str) -> bool:
-    """Return whether text holds what `printable` spells out: its look differs from its content."""
-    return _CONTROL_CHARS.search(text) is not None
-
-
-def _escape(character: str) -> str:
-    return character.encode("unicode_escape").decode("ascii")
+    return _CONTROL_CHARS.sub(lambda found: found[0].encode("unicode_escape").decode(), text)

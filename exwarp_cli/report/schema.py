@@ -21,7 +21,9 @@ import numpy as np
 
 from exwarp_cli.domain.decision import (
     CHOICES,
+    EXTRAPOLATE,
     FEATURES,
+    HELD,
     LOOKAHEAD,
     NODES,
     PATHS,
@@ -31,7 +33,7 @@ from exwarp_cli.domain.decision import (
 )
 from exwarp_cli.domain.metric import GROUND_TRUTH, KEY_FRAMES, METRICS
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary, Score
-from exwarp_cli.domain.tiles import paths_from_makers
+from exwarp_cli.domain.tiles import TILE_PATHS
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.report.review import PLACE_COLUMNS, Place, summarise_review
 
@@ -124,7 +126,9 @@ def run_document(run: RunSummary) -> dict[str, Any]:
         "cuts": None
         if run.cuts is None
         else [{"frame": cut.number, "source": cut.source} for cut in run.cuts],
-        "held": run.held,
+        # Key frames that the slots after them repeat: the next one shows the same picture; or none
+        # follows in the shot, and the key frame itself repeats the one before.
+        "held": sorted({frame.key for frame in run.frames if frame.method == HELD}),
         "views": run.views,
         "layers": run.layers,
         "left_out": run.left_out,
@@ -263,6 +267,8 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
     # Makers of the frames for each of whose tiles the decision tree was walked.
     tiles = {f.number: f.tiles for f in run.frames if f.tiles and not f.tiles.looks_ahead}
     decides = run.decides or bool(tiles)
+    # A tile's path shows in the makers of slots 2 and 3.
+    path_of = {letters[1:]: name for name, letters in TILE_PATHS.items()}
     paths: list[str] = []
     for interval in _complete_intervals(run) if decides else ():
         taken = [frame.path for frame in interval if frame.path]
@@ -270,7 +276,8 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
         if taken:
             paths.append(taken[-1])
         elif 2 in by_slot and 3 in by_slot:
-            paths += paths_from_makers(by_slot[2], by_slot[3])
+            pairs = zip(by_slot[2].letters, by_slot[3].letters, strict=True)
+            paths += [path_of[second + third] for second, third in pairs]
     block = count_decisions(paths if decides else None)
 
     keys: dict[tuple[Trial, bool], dict[int, None]] = {}
@@ -281,7 +288,7 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
             looks_ahead = run.lookahead and frame.number not in tiles
             keys.setdefault((frame.trial, looks_ahead), {})[frame.key] = None
         if frame.tiles is not None:
-            shares[frame.number] = frame.tiles.dear_share
+            shares[frame.number] = sum(map(frame.tiles.share, (EXTRAPOLATE, LOOKAHEAD)))
         elif run.lookahead and frame.kind is FrameKind.GENERATED:
             shares[frame.number] = float(frame.made_by == LOOKAHEAD)
     trials = []

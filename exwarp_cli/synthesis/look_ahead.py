@@ -17,10 +17,9 @@ from exwarp_cli.domain.network_api import (
     CANDIDATES,
     LOOKAHEAD_INTERFACE,
     InputRegion,
+    KeptPart,
     LookAheadNetwork,
     NetworkPictures,
-    Tile,
-    TileSpan,
 )
 from exwarp_cli.kernels import blend
 from exwarp_cli.runtime.frame_pool import pool
@@ -65,7 +64,7 @@ class LookAhead:
         self._linear = linear
         self._coverage = coverage
         self.network = network
-        self._weights: list[tuple[Tile, np.ndarray]] = []  # of the beauty, for further layers
+        self._weights: list[tuple[KeptPart, np.ndarray]] = []  # of the beauty, for further layers
         self._shifted: tuple[Mover, Mover] | None = None
         self._flow_weight = np.zeros((0, 0), np.float32)
         self._tiles, self._choose = tiles, choose
@@ -130,7 +129,7 @@ class LookAhead:
 
     def _weigh(
         self, network: LookAheadNetwork, beauty: Candidates
-    ) -> Iterable[tuple[Tile, np.ndarray]]:
+    ) -> Iterable[tuple[KeptPart, np.ndarray]]:
         """Have a network weigh the beauty's candidates; return float16 [5, h, w] of each tile."""
         if self._choose is not None and self.evidence is not None:
             self.chosen = self._choose(self.evidence)
@@ -195,7 +194,7 @@ class Candidates:
 
     def weigh_in(
         self, network: LookAheadNetwork, mosaic: Mosaic, chosen: Bool
-    ) -> Iterator[tuple[Tile, np.ndarray]]:
+    ) -> Iterator[tuple[KeptPart, np.ndarray]]:
         """Yield the weights of each row of tiles; what `softsplat` makes counts beside chosen ones.
 
         Weights change smoothly there, so that no seam shows in any layer.
@@ -206,7 +205,7 @@ class Candidates:
             region = InputRegion(self, rows, columns)
             out = np.empty((CANDIDATES, *region.shape), np.float32)
             for (down, across), planes in network.weigh(region):
-                out[:, down.kept, across.kept] = planes
+                out[:, down, across] = planes
             return out
 
         run_in_tiles(mosaic, chosen, answer, weights)
@@ -215,9 +214,9 @@ class Candidates:
             part, share = weights[:, top:bottom], ramp[top:bottom]
             part[1:] *= share
             part[0] = 1 - share * (1 - part[0])
-            yield (TileSpan(top, bottom, top, bottom), TileSpan(0, width, 0, width)), part
+            yield (slice(top, bottom), slice(0, width)), part
 
-    def mix(self, weights: Iterable[tuple[Tile, np.ndarray]]) -> Float32:
+    def mix(self, weights: Iterable[tuple[KeptPart, np.ndarray]]) -> Float32:
         """Mix the candidates by weights, float16 [5, h, w] of each tile.
 
         Returns the slot's colour, float32 [H, W, C], coded as the candidates are.
@@ -225,6 +224,6 @@ class Candidates:
         out: Float32 = pool.empty(self._mixed.shape, np.float32)
         sides = tuple(side.pixels for side in self._sides)
         for (down, across), part in weights:
-            corner = down.first, across.first
+            corner = down.start, across.start
             blend.mix_candidates(self._mixed, sides, part.astype(np.float32), corner, out)
         return out

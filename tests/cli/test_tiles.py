@@ -14,6 +14,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from exwarp_cli.domain.decision import EXTRAPOLATE, LOOKAHEAD
 from exwarp_cli.domain.tiles import TileMakers
 from tests.cli import shots
 from tests.cli.street import Street
@@ -159,11 +160,11 @@ def test_between_key_frames_tiles_of_one_frame_differ(ahead):
     done = ahead("out", "--no-gate")
     tiles = done.tiles[:BETWEEN]
     assert all({"s", "l"} == set(each.letters) for each in tiles)
-    dear = sum(each.dear_share for each in tiles)
+    dear = sum(each.share(LOOKAHEAD) for each in tiles)
     decisions = done.report["decisions"]
     assert decisions["look_ahead"]["dear"] == pytest.approx(dear, abs=1e-3)
     assert sum(decisions["look_ahead"].values()) == pytest.approx(BETWEEN)
-    after = sum(each.dear_share for each in done.tiles[BETWEEN:])
+    after = sum(each.share(EXTRAPOLATE) for each in done.tiles[BETWEEN:])
     assert decisions["cost"] == pytest.approx((dear + after) / (3 * COUNT))
     assert sum(decisions["paths"].values()) == len(done.tiles[-1].letters)
     assert done.report["interpolator"]["effort"] == 0.5
