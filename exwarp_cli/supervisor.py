@@ -10,6 +10,7 @@ The child ends with its parent, and gets the signals that its parent gets.
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import signal
@@ -43,6 +44,10 @@ FORWARDED_SIGNALS = tuple(
 )
 
 
+# Signals by which a user or the system ends a process.
+ENDED_BY_OTHERS = (*FORWARDED_SIGNALS, signal.SIGKILL)
+
+
 @dataclass(frozen=True)
 class ChildExit:
     """How the child ended."""
@@ -50,15 +55,9 @@ class ChildExit:
     code: int  # its exit code; below 0 the signal that ended it, as in `subprocess`
     # Files that libraries were reading then; if some took too long, only these
     reading: tuple[Path, ...] = ()
-    overdue: bool = False  # whether it was ended because a file took too long
+    overdue: float = 0.0  # seconds at a file after which it was ended; 0 if it was not
     stopped: int = 0  # the signal that asked it to end; 0 without one
     skippable: tuple[Path, ...] = ()  # those of the files without which the command can start again
-
-    @property
-    def is_failure(self) -> bool:
-        """Whether a library failed; else a user or the system ended it, or it ended itself."""
-        crashed = self.code < 0 and -self.code not in (*FORWARDED_SIGNALS, signal.SIGKILL)
-        return not self.stopped and (self.overdue or crashed)
 
     @property
     def files(self) -> str:
@@ -69,8 +68,8 @@ class ChildExit:
     def reason(self) -> str:
         """The failure at these files in words."""
         if self.overdue:
-            limit = _read_limit()
-            return f"reading {self.files} took longer than {LIMIT_VARIABLE} allows ({limit:g} s)"
+            allowed = f"{LIMIT_VARIABLE} allows ({self.overdue:g} s)"
+            return f"reading {self.files} took longer than {allowed}"
         return f"a library crashed ({signal.Signals(-self.code).name}) while it read {self.files}"
 
 
@@ -91,7 +90,10 @@ def fork_command(warn: Callable[[str], None]) -> ChildExit | None:
     skipped: dict[Path, str] = {}
     for _ in range(MAX_RESTARTS):
         child_exit = _fork_once(skipped, handlers)
-        if child_exit is None or not (child_exit.is_failure and child_exit.skippable):
+        if child_exit is None or child_exit.stopped or not child_exit.skippable:
+            return child_exit
+        has_crashed = child_exit.code < 0 and -child_exit.code not in ENDED_BY_OTHERS
+        if not (child_exit.overdue or has_crashed):  # no library failed
             return child_exit
         reason = child_exit.reason
         skipped |= dict.fromkeys(child_exit.skippable, f"{reason}; render or copy it again")
@@ -143,17 +145,12 @@ def _fork_once(skipped: Mapping[Path, str], handlers: Mapping[int, Any]) -> Chil
         os.close(lifeline_in)
 
 
-def _read_limit() -> float:
-    try:
-        seconds = float(os.environ.get(LIMIT_VARIABLE, ""))
-    except ValueError:
-        return READ_LIMIT_S
-    return seconds if seconds > 0 else float("inf")
-
-
 def _wait_for_child(child: int, messages: int, signals: list[tuple[int, float]]) -> ChildExit:
     """Wait for the child; kill it if a file takes too long, or if it does not stop."""
-    limit = _read_limit()
+    limit = READ_LIMIT_S
+    with suppress(ValueError):  # not set, or no number
+        limit = float(os.environ.get(LIMIT_VARIABLE, ""))
+        limit = limit if limit > 0 else math.inf
     registry = ReadRegistry()
     seconds: dict[int, float] = {}
     overdue: list[int] = []
@@ -171,7 +168,7 @@ def _wait_for_child(child: int, messages: int, signals: list[tuple[int, float]])
                 return ChildExit(
                     os.waitstatus_to_exitcode(status),
                     tuple(dict.fromkeys(registry.files[number] for number in numbers)),
-                    bool(overdue),
+                    limit if overdue else 0.0,
                     signals[0][0] if signals else 0,
                     tuple({registry.files[number] for number in skippable}),
                 )

@@ -34,7 +34,7 @@ from exwarp_cli.domain.settings import (
 )
 from exwarp_cli.domain.timeline import MAX_FACTOR
 from exwarp_cli.errors import IncompleteError
-from exwarp_cli.runtime.read_registry import enable_restart, is_restarted
+from exwarp_cli.runtime.read_registry import enable_restart
 
 if TYPE_CHECKING:
     from exwarp_cli.api import UpsampleResult
@@ -261,9 +261,7 @@ def command(
     from exwarp_cli.pipeline.progress import reporting
 
     settings = settings_of(options)
-    if settings.source.keep_going:
-        enable_restart()
-    if is_restarted():  # what is there was written before
+    if settings.source.keep_going and enable_restart():  # what is there was written before
         settings = replace(
             settings, skip_existing=True, overwrite=False, replaces_foreign=settings.overwrite
         )

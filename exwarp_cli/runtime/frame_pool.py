@@ -14,7 +14,7 @@ import threading
 import weakref
 from collections import deque
 from contextlib import suppress
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from math import inf, prod
 from typing import Any, NamedTuple, TypeVar
 
@@ -123,6 +123,7 @@ class FramePool:
 pool = FramePool()
 
 
+@dataclass(eq=False)
 class ScratchFrames:
     """Copies of large arrays in files without a name, which leave memory until they are used.
 
@@ -131,10 +132,9 @@ class ScratchFrames:
     the default stores none.
     """
 
-    def __init__(self, min_pixels: float = inf) -> None:
-        self._min_pixels = min_pixels
-        self._mapped: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
-        self._lock = threading.Lock()
+    min_pixels: float = inf
+    _mapped: weakref.WeakSet[mmap.mmap] = field(default_factory=weakref.WeakSet)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def store(self, value: T) -> T:
         """Return an array, or a tuple or dataclass of such, with every large array in a file.
@@ -169,7 +169,7 @@ class ScratchFrames:
             base = base.base
         with self._lock:
             is_stored = isinstance(base, mmap.mmap) and base in self._mapped
-        if prod(array.shape[:2]) <= self._min_pixels or is_stored:
+        if prod(array.shape[:2]) <= self.min_pixels or is_stored:
             return array
         if not (hasattr(mmap, "MADV_DONTNEED") and hasattr(os, "posix_fallocate")):
             return array

@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn
 
 # Seconds in which signals count as one. A terminal sends SIGINT to both processes of a command, and
 # the parent forwards it.
@@ -164,25 +163,21 @@ def _watch(receiver: socket.socket, last_words: Callable[[int], str]) -> None:
                 number = receiver.recv(1)
             except TimeoutError:
                 if time.monotonic() - max(first, _progress) > STALLED_S:
-                    _end_process(last_words)
+                    break
                 continue
             if not number:
                 return
             if number[0] not in (signal.SIGINT, signal.SIGTERM):
                 continue
             if first and time.monotonic() - first > AT_ONCE_S:
-                _end_process(last_words)
+                break
             if not first:
                 first = time.monotonic()
                 receiver.settimeout(_TICK_S)
                 _request_stop(number[0])
-
-
-def _end_process(last_words: Callable[[int], str]) -> NoReturn:
-    """End this process from another thread: the main one may be in a library."""
-    with suppress(OSError, ValueError, AttributeError):  # a lock may be held on the stream
-        os.write(sys.stderr.fileno(), f"{last_words(_number)}\n".encode())
-    for action in reversed(_clean_ups.copy()):  # programs before the files that they write
-        with suppress(Exception):
-            action()
-    os._exit(128 + _number)
+        with suppress(OSError, ValueError, AttributeError):  # a lock may be held on the stream
+            os.write(sys.stderr.fileno(), f"{last_words(_number)}\n".encode())
+        for action in reversed(_clean_ups.copy()):  # programs before the files that they write
+            with suppress(Exception):
+                action()
+        os._exit(128 + _number)  # from this thread: the main one may be in a library
