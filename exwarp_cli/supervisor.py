@@ -31,9 +31,6 @@ TICK_S = 2.0  # between two looks of the parent at the files that are being read
 GRACE_S = 60.0  # for the child to end after a signal: it finishes the files that it writes
 MAX_RESTARTS = 32  # a command that fails more often does not fail at single files
 
-# Seconds for a library at one file; the largest frames take seconds, and slow shares minutes.
-READ_LIMIT_S = 600.0
-
 # Environment variables: another number of seconds, 0 for no limit; and 0 to run the command in one
 # process, for a debugger.
 LIMIT_VARIABLE = "EXWARP_FILE_TIMEOUT"
@@ -42,10 +39,6 @@ SUPERVISE_VARIABLE = "EXWARP_SUPERVISE"
 FORWARDED_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
-
-
-# Signals by which a user or the system ends a process.
-ENDED_BY_OTHERS = (*FORWARDED_SIGNALS, signal.SIGKILL)
 
 
 @dataclass(frozen=True)
@@ -92,7 +85,8 @@ def fork_command(warn: Callable[[str], None]) -> ChildExit | None:
         child_exit = _fork_once(skipped, handlers)
         if child_exit is None or child_exit.stopped or not child_exit.skippable:
             return child_exit
-        has_crashed = child_exit.code < 0 and -child_exit.code not in ENDED_BY_OTHERS
+        others = (*FORWARDED_SIGNALS, signal.SIGKILL)  # by which a user or the system ends it
+        has_crashed = child_exit.code < 0 and -child_exit.code not in others
         if not (child_exit.overdue or has_crashed):  # no library failed
             return child_exit
         reason = child_exit.reason
@@ -147,7 +141,7 @@ def _fork_once(skipped: Mapping[Path, str], handlers: Mapping[int, Any]) -> Chil
 
 def _wait_for_child(child: int, messages: int, signals: list[tuple[int, float]]) -> ChildExit:
     """Wait for the child; kill it if a file takes too long, or if it does not stop."""
-    limit = READ_LIMIT_S
+    limit = 600.0  # seconds at one file: the largest frames take seconds, and slow shares minutes
     with suppress(ValueError):  # not set, or no number
         limit = float(os.environ.get(LIMIT_VARIABLE, ""))
         limit = limit if limit > 0 else math.inf

@@ -30,9 +30,6 @@ LARGE_PIXELS = 4 * 2**20
 
 T = TypeVar("T")
 
-# Pages that other processes do not share, as always on Windows: only these can be huge.
-_PRIVATE = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
-
 
 class _FreeBuffer(NamedTuple):
     """A free buffer, and the count of `trim` calls when it became free."""
@@ -41,19 +38,19 @@ class _FreeBuffer(NamedTuple):
     since: int
 
 
+@dataclass(eq=False)
 class FramePool:
     """A free list of buffers. Every method may be called in any thread.
 
     Above `max_free` bytes of free buffers, those that are free for longest are dropped.
     """
 
-    def __init__(self, max_free: int = MAX_FREE_BYTES) -> None:
-        self._max_free = max_free
-        self._free: list[_FreeBuffer] = []
-        self._trims = 0
-        self._lock = threading.Lock()
-        # A finalizer may run while its thread has the lock, so it only appends; that needs none.
-        self._returned: deque[mmap.mmap] = deque()
+    max_free: int = MAX_FREE_BYTES
+    _free: list[_FreeBuffer] = field(default_factory=list)
+    _trims: int = 0
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    # A finalizer may run while its thread has the lock, so it only appends; that needs none.
+    _returned: deque[mmap.mmap] = field(default_factory=deque)
 
     @property
     def free_bytes(self) -> int:
@@ -81,8 +78,11 @@ class FramePool:
                     buffer = self._free.pop(index).buffer
                     break
         if buffer is None:  # map memory, which returns to the system when the buffer is dropped
+            # Pages that other processes do not share, as always on Windows: only these can be huge.
+            is_unix = hasattr(mmap, "MAP_PRIVATE")
+            private = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if is_unix else {}
             try:
-                buffer = mmap.mmap(-1, size, **_PRIVATE)
+                buffer = mmap.mmap(-1, size, **private)
             except OSError as error:
                 raise MemoryError(f"{size} bytes") from error
             if hasattr(mmap, "MADV_HUGEPAGE"):
@@ -115,7 +115,7 @@ class FramePool:
         """Take over the returned buffers, and drop the oldest above the limit."""
         while self._returned:
             self._free.append(_FreeBuffer(self._returned.popleft(), self._trims))
-        excess = sum(len(free.buffer) for free in self._free) - self._max_free
+        excess = sum(len(free.buffer) for free in self._free) - self.max_free
         while excess > 0 and self._free:
             excess -= len(self._free.pop(0).buffer)
 
