@@ -103,8 +103,7 @@ class Threshold:
     @property
     def name(self) -> str:
         """As it is written on the command line: ``psnr``, ``worst.ssim``."""
-        prefix = next(prefix for prefix, scope in SCOPES.items() if scope == self.scope)
-        return f"{prefix}.{self.metric.option}" if prefix else self.metric.option
+        return self.metric.option if self.scope == "all" else f"{self.scope}.{self.metric.option}"
 
     @property
     def option(self) -> str:

@@ -141,12 +141,10 @@ class MotionConvention:
     def describe(self, channels: tuple[str, ...]) -> str:
         """Return the convention in the notation of ``--motion``."""
         units = ("width", "height") if self.of_frame else ("", "")
-        parts = []
-        if self.to_previous is not None:
-            parts.append(f"previous={self.to_previous.describe(channels, units)}")
-        if self.to_next is not None:
-            parts.append(f"next={self.to_next.describe(channels, units)}")
-        return " ".join(parts)
+        maps = (("previous", self.to_previous), ("next", self.to_next))
+        return " ".join(
+            f"{name}={m.describe(channels, units)}" for name, m in maps if m is not None
+        )
 
 
 @dataclass(frozen=True)

@@ -152,16 +152,13 @@ def parse_frames(text: str) -> list[int]:
     Numbers are sorted, without duplicates. ``:`` means a step, as in Open Job Description.
     UsageError: the text is not a frame range.
     """
+    example = "write for example 1001-1100, 1-10x2 or 1,5,9"
     try:
         frames = list_numbers(text)
     except ValueError as error:
-        raise UsageError(
-            f"--frames {text!r} is not a frame range; write for example 1001-1100, 1-10x2 or 1,5,9"
-        ) from error
+        raise UsageError(f"--frames {text!r} is not a frame range; {example}") from error
     if not frames:
-        raise UsageError(
-            f"--frames {text!r} names no frame; write for example 1001-1100, 1-10x2 or 1,5,9"
-        )
+        raise UsageError(f"--frames {text!r} names no frame; {example}")
     if fractions := [str(number) for number in frames if number != int(number)]:
         raise UsageError(
             f"--frames {text!r} names the subframe {fractions[0]}; "

@@ -33,7 +33,7 @@ from exwarp_cli.domain.decision import (
 )
 from exwarp_cli.domain.metric import GROUND_TRUTH, KEY_FRAMES, METRICS
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary, Score
-from exwarp_cli.domain.tiles import TILE_PATHS
+from exwarp_cli.domain.tiles import MAKER_LETTERS, TILE_PATHS
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.report.review import PLACE_COLUMNS, Place, summarise_review
 
@@ -264,8 +264,11 @@ def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
     softsplat and the network made, in parts where tiles were chosen; ``cost``: the networks' share
     of the new frames' area.
     """
-    # Makers of the frames for each of whose tiles the decision tree was walked.
-    tiles = {f.number: f.tiles for f in run.frames if f.tiles and not f.tiles.looks_ahead}
+    # Makers of the frames for each of whose tiles the decision tree was walked: not those that are
+    # made of the key frames on both sides.
+    two_sided = MAKER_LETTERS[SOFTSPLAT], MAKER_LETTERS[LOOKAHEAD]
+    kinds = ((f.number, f.tiles) for f in run.frames if f.tiles is not None)
+    tiles = {number: made for number, made in kinds if made.letters[0] not in two_sided}
     decides = run.decides or bool(tiles)
     # A tile's path shows in the makers of slots 2 and 3.
     path_of = {letters[1:]: name for name, letters in TILE_PATHS.items()}

@@ -139,8 +139,7 @@ class TestFrames:
     def test_letters_are_read_again(self):
         found = TileMakers.chosen(np.array([[True, False, False]]))
         assert found.text == "3x1:lss" and TileMakers.parsed(found.text) == found
-        assert found.looks_ahead and found.share(LOOKAHEAD) == pytest.approx(1 / 3)
-        assert not TileMakers.parsed("3x1:wer").looks_ahead
+        assert found.share(LOOKAHEAD) == pytest.approx(1 / 3)
 
 
 class TestState:
