@@ -11,8 +11,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from exwarp_cli.domain.wording import pluralise
-
 COMPILING = "compiling kernels for this machine, once; this may take half a minute"
 COMPILED = "compiled "  # begins all later messages
 
@@ -67,7 +65,7 @@ class Compilation:
             self._report(" so far")
 
     def _report(self, ending: str) -> None:
-        kernels = pluralise(self._count, "kernel")
+        kernels = "1 kernel" if self._count == 1 else f"{self._count} kernels"
         self._channels[-1](f"{COMPILED}{kernels} in {self._seconds:.0f} s{ending}")
 
 
