@@ -49,9 +49,6 @@ OTHER_VARIABLES = frozenset(
     f"EXWARP_{name}" for name in ("ARTEFACTS", "BLENDER", "CHROMIUM", "CONFIG", "DEBUG")
 )
 
-# Parameter of the hidden ``--no-NAME`` that resets an option, by the option's name.
-RESET = "take_back_{}"
-
 _MESSAGES = "exwarp.messages"  # in `click.Context.meta`
 
 _SWITCH_WORDS = {
@@ -141,7 +138,7 @@ def configured_command(command: click.Command, path: CommandPath) -> click.Comma
     if options:
         reset_switches = [
             click.Option(
-                [f"--no-{long_name(option)}", RESET.format(option.name)],
+                [f"--no-{long_name(option)}", f"take_back_{option.name}"],
                 is_flag=True,
                 expose_value=False,
                 hidden=True,
@@ -205,7 +202,7 @@ class ConfigOption(click.Option):
         # all of them are processed, which is too late to choose their defaults.
         on_command_line: dict[str, bool] = {}  # False for what it switches off or resets
         for option in configurable(ctx.command):
-            name, is_reset = long_name(option), RESET.format(option.name) in opts
+            name, is_reset = long_name(option), f"take_back_{option.name}" in opts
             if is_reset and option.name in opts:
                 raise click.UsageError(
                     f"--{name} and --no-{name} contradict each other; give one", ctx
