@@ -16,7 +16,7 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from math import inf, prod
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -31,13 +31,6 @@ LARGE_PIXELS = 4 * 2**20
 T = TypeVar("T")
 
 
-class _FreeBuffer(NamedTuple):
-    """A free buffer, and the count of `trim` calls when it became free."""
-
-    buffer: mmap.mmap
-    since: int
-
-
 @dataclass(eq=False)
 class FramePool:
     """A free list of buffers. Every method may be called in any thread.
@@ -45,9 +38,11 @@ class FramePool:
     Above `max_free` bytes of free buffers, those that are free for longest are dropped.
     """
 
+    # To drop also what a whole key interval did not use changed no peak: 1311 MB in place of 1337
+    # with softsplat, 1526 in place of 1471 with s6, at 1920x1080.
+
     max_free: int = MAX_FREE_BYTES
-    _free: list[_FreeBuffer] = field(default_factory=list)
-    _trims: int = 0
+    _free: list[mmap.mmap] = field(default_factory=list)
     _lock: threading.Lock = field(default_factory=threading.Lock)
     # A finalizer may run while its thread has the lock, so it only appends; that needs none.
     _returned: deque[mmap.mmap] = field(default_factory=deque)
@@ -57,7 +52,7 @@ class FramePool:
         """Bytes that no array uses."""
         with self._lock:
             self._collect()
-            return sum(len(free.buffer) for free in self._free)
+            return sum(map(len, self._free))
 
     def empty(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> np.ndarray:
         """Return a C-contiguous array of arbitrary values.
@@ -74,8 +69,8 @@ class FramePool:
             self._collect()
             buffer = None
             for index in range(len(self._free) - 1, -1, -1):  # the one that was used last
-                if len(self._free[index].buffer) == size:
-                    buffer = self._free.pop(index).buffer
+                if len(self._free[index]) == size:
+                    buffer = self._free.pop(index)
                     break
         if buffer is None:  # map memory, which returns to the system when the buffer is dropped
             # Pages that other processes do not share, as always on Windows: only these can be huge.
@@ -98,13 +93,6 @@ class FramePool:
         out[...] = array
         return out
 
-    def trim(self) -> None:
-        """Drop the buffers that are free since before the last call; call once per key interval."""
-        with self._lock:
-            self._collect()
-            self._free = [free for free in self._free if free.since == self._trims]
-            self._trims += 1
-
     def clear(self) -> None:
         """Drop all free buffers; call before something else needs much memory."""
         with self._lock:
@@ -114,10 +102,10 @@ class FramePool:
     def _collect(self) -> None:
         """Take over the returned buffers, and drop the oldest above the limit."""
         while self._returned:
-            self._free.append(_FreeBuffer(self._returned.popleft(), self._trims))
-        excess = sum(len(free.buffer) for free in self._free) - self.max_free
+            self._free.append(self._returned.popleft())
+        excess = sum(map(len, self._free)) - self.max_free
         while excess > 0 and self._free:
-            excess -= len(self._free.pop(0).buffer)
+            excess -= len(self._free.pop(0))
 
 
 pool = FramePool()
