@@ -155,7 +155,9 @@ def to_exwarp_error(error: BaseException) -> ExwarpError | None:
         return error
     if (limit := thread_limit_error(error)) is not None:
         return limit
-    if not isinstance(error, OSError) or not isinstance(error.filename, str) or not error.strerror:
+    if not isinstance(error, OSError) or not isinstance(error.filename, str):
+        return None
+    if error.strerror is None:
         return None
     # Errors that only writing causes.
     is_output = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)

@@ -101,8 +101,10 @@ def silence_libraries() -> Iterator[None]:
             yield
             return
         try:
-            with suppress(OSError), open(os.devnull, "wb") as null:  # noqa: PTH123
-                os.dup2(null.fileno(), STDERR)
+            with suppress(OSError):
+                null = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(null, STDERR)
+                os.close(null)
             yield
         finally:
             os.dup2(saved, STDERR)

@@ -53,6 +53,12 @@ class ChildExit:
     skippable: tuple[Path, ...] = ()  # those of the files without which the command can start again
 
     @property
+    def is_failure(self) -> bool:
+        """Whether a library failed; else a user or the system ended it, or it ended itself."""
+        crashed = self.code < 0 and -self.code not in (*FORWARDED_SIGNALS, signal.SIGKILL)
+        return not self.stopped and (self.overdue > 0 or crashed)
+
+    @property
     def files(self) -> str:
         """The files in words."""
         return " or ".join(str(path) for path in self.reading)
@@ -83,11 +89,7 @@ def fork_command(warn: Callable[[str], None]) -> ChildExit | None:
     skipped: dict[Path, str] = {}
     for _ in range(MAX_RESTARTS):
         child_exit = _fork_once(skipped, handlers)
-        if child_exit is None or child_exit.stopped or not child_exit.skippable:
-            return child_exit
-        others = (*FORWARDED_SIGNALS, signal.SIGKILL)  # by which a user or the system ends it
-        has_crashed = child_exit.code < 0 and -child_exit.code not in others
-        if not (child_exit.overdue or has_crashed):  # no library failed
+        if child_exit is None or not (child_exit.is_failure and child_exit.skippable):
             return child_exit
         reason = child_exit.reason
         skipped |= dict.fromkeys(child_exit.skippable, f"{reason}; render or copy it again")

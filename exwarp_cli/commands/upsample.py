@@ -124,10 +124,7 @@ if TYPE_CHECKING:
     help="Output frames per key frame; else 4. --causal, s1 to s5 and the oracles are for 4 alone.",
 )
 @click.option(
-    "--to-fps",
-    type=FrameRate(),
-    metavar="FPS",
-    help="Rate of the output, such as 60 from 24.",
+    "--to-fps", type=FrameRate(), metavar="FPS", help="Rate of the output, such as 60 from 24."
 )
 @click.option(
     "--cuts",

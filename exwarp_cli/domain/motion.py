@@ -90,18 +90,13 @@ class AxisMap:
         axes = ((self.x_scale, self.x_channel), (self.y_scale, self.y_channel))
         terms = []
         for (scale, channel), unit in zip(axes, units, strict=True):
-            size, still = (
-                # So that it reads back as itself.
-                f"{value:g}" if float(f"{value:g}") == value else repr(float(value))
-                for value in (abs(scale), abs(self.still))
-            )
-            factor = "" if abs(scale) == 1 else f"{size}*"
+            factor = "" if abs(scale) == 1 else f"{_format_number(abs(scale))}*"
             value = channels[channel]
             if self.alpha is not None:
                 value += f"/{channels[self.alpha]}"
             if self.still:
                 sign = "-" if self.still > 0 else "+"
-                value = f"({value}{sign}{still})"
+                value = f"({value}{sign}{_format_number(abs(self.still))})"
             if self.length is not None:
                 value += f"*{channels[self.length]}"
             terms.append(f"{'-' if scale < 0 else ''}{factor}{unit and unit + '*'}{value}")
@@ -165,6 +160,12 @@ class MotionFinding:
     clear: bool = False
     resting: bool = False  # nothing moves in the measured frames
     preset: str = ""  # name for ``--motion`` of what was measured; "" without
+
+
+def _format_number(value: float) -> str:
+    # So that it reads back as itself.
+    short = f"{value:g}"
+    return short if float(short) == value else repr(float(value))
 
 
 # Forward vectors in the first two channels, backward ones in the next two, in pixels, y up.

@@ -87,7 +87,7 @@ class PictureNetwork(OnnxNetwork):
         self._judge()
 
     def answers(self, inputs: LazyInputs) -> Iterator[tuple[KeptPart, Float32]]:
-        """Yield each tile and the planes that are kept of its answer, float32 [C, h, w]."""
+        """Yield the part of the picture that each tile makes, and its planes, float32 [C, h, w]."""
         height, width = inputs.shape
         rows, columns = (-(-pixels // self.stride) * self.stride for pixels in inputs.shape)
         row, column = slice(0, rows), slice(0, columns)

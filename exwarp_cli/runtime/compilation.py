@@ -61,10 +61,10 @@ class Compilation:
             return
         self._count, self._seconds = self._count + 1, self._seconds + now - self._start
         if sys.stderr.isatty() and now - self._newest >= INTERVAL:
-            self._newest = now
             self._report(" so far")
 
     def _report(self, ending: str) -> None:
+        self._newest = self.clock()
         kernels = "1 kernel" if self._count == 1 else f"{self._count} kernels"
         self._channels[-1](f"{COMPILED}{kernels} in {self._seconds:.0f} s{ending}")
 

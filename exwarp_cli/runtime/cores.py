@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from threading import Condition, local
 
 _count: int | None = None
@@ -49,25 +49,33 @@ def count() -> int:
 def hold_cores(count: int = 1) -> Iterator[None]:
     """Wait for so many cores, or all there are, and let this thread work on them in the block.
 
-    A thread that holds some already keeps to these. With 0, other threads may work on its cores.
+    A thread that holds some already keeps to these.
     """
-    before = _thread.held
-    if _limit is None or bool(before) == bool(count):
+    if _limit is None or _thread.held:
         yield
         return
     _keep(count)
     try:
         yield
     finally:
-        _keep(before)
+        _keep(0)
 
 
-def release_cores() -> AbstractContextManager[None]:
+@contextmanager
+def release_cores() -> Iterator[None]:
     """Let other threads work on this thread's cores, if it holds any, while it waits in the block.
 
     The thread must hold no lock that these may want: they could wait for each other.
     """
-    return hold_cores(0)
+    count = _thread.held
+    if not count:
+        yield
+        return
+    _keep(0)
+    try:
+        yield
+    finally:
+        _keep(count)
 
 
 def _keep(count: int) -> None:
