@@ -177,6 +177,11 @@ class KeyFrame:
         gbuffer = None if self.gbuffer is None else self.gbuffer.on(canvas)
         return replace(self, image=self.image.on(canvas), gbuffer=gbuffer)
 
+    def without(self, *parts: str) -> KeyFrame:
+        """Return the frame with some parts of its geometry left out."""
+        gbuffer = None if self.gbuffer is None else self.gbuffer.without(*parts)
+        return replace(self, gbuffer=gbuffer)
+
     def extended(self, canvas: Window) -> KeyFrame:
         """Return the frame on another window, for warping.
 

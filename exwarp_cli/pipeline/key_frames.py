@@ -285,10 +285,8 @@ class KeyFrameStore:
         if source.slots is None:
             raw = read_raw(source.keys, number, self._roles, objects=True)
             frame = raw.key(source.convention)
-            gbuffer = frame.gbuffer and frame.gbuffer.without("normal")
-            without_normals = replace(frame, gbuffer=gbuffer)
-            self.shots.see(key, frame if self._normals_tell else without_normals)
-            return frame if self._needs_normals else without_normals
+            self.shots.see(key, frame if self._normals_tell else frame.without("normal"))
+            return frame if self._needs_normals else frame.without("normal")
         frame = read_raw(source.keys, number, (Role.COLOUR,)).key(None)
         steps = source.timeline.steps
         assert steps is not None  # slots have G-buffers where the factor is an integer
