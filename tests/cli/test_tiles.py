@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -82,6 +83,10 @@ def test_tiles_of_one_frame_differ(take):
     assert decisions["warp_share"] == pytest.approx(1 - cost)
     count = len(done.tiles[0].letters)
     assert sum(decisions["paths"].values()) == COUNT * count
+    second, third = ("".join(t.letters for t in done.tiles[slot::3]) for slot in (1, 2))
+    pairs = Counter(zip(second, third, strict=True))
+    for name, makers in {"S3": "ee", "S4": "er", "S5": "we", "S6": "ww"}.items():
+        assert decisions["paths"][name] == pairs[makers[0], makers[1]]
     assert decisions["nodes"]["d1"] == {"warp": COUNT * count, "extrapolate": 0}
     assert sum(decisions["nodes"]["d2"].values()) == COUNT * count
     with OpenEXR.File(str(done.folder / "shot.0003.exr"), header_only=True) as file:
