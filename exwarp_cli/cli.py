@@ -20,15 +20,9 @@ from typing import NoReturn
 
 import click
 
-from exwarp_cli import __version__
+from exwarp_cli import __version__, errors
 from exwarp_cli.domain.wording import one_line
-from exwarp_cli.errors import (
-    INTERRUPTED,
-    DamagedFileError,
-    OutOfMemoryError,
-    OutputError,
-    to_exwarp_error,
-)
+from exwarp_cli.option_values import CONFIG_ATTRIBUTES
 from exwarp_cli.runtime.compilation import compilation
 from exwarp_cli.runtime.stop import StopRequested, graceful_stop
 from exwarp_cli.standard_streams import is_debugging, prepare_streams
@@ -99,13 +93,7 @@ class LazyGroup(click.Group):
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog=EPILOG,
 )
-@click.option(
-    "--config",
-    type=click.Path(),
-    metavar="FILE",
-    help="TOML file to take options from, or none; else EXWARP_CONFIG, or exwarp.toml in this "
-    "folder or one above.",
-)
+@click.option("--config", **CONFIG_ATTRIBUTES)
 @click.version_option(__version__, prog_name="exwarp", message="%(prog)s %(version)s")
 @click.pass_context
 def exwarp(ctx: click.Context, config: str | None) -> None:
@@ -135,7 +123,7 @@ def main() -> NoReturn:
     child_exit = None
     try:
         # Help and completions read no files, so they need no parent process.
-        if _find_command(args) and not {"-h", "--help"} & set(args):
+        if set(COMMANDS) & set(args) and not {"-h", "--help"} & set(args):
             child_exit = fork_command(_print_message)
     except OSError as error:
         code = _report_error(error, args, {})
@@ -143,7 +131,7 @@ def main() -> NoReturn:
         code = run(args, is_last=True) if child_exit is None else _report_exit(child_exit, args)
     try:
         sys.stdout.flush()
-    except OutputError as error:
+    except errors.OutputError as error:
         code = code or _fail(str(error), error.exit_code)
     codes.append(code)
     sys.exit(code)
@@ -156,7 +144,7 @@ def _exit_now(codes: list[int]) -> None:
     """
     for code in codes:
         for stream in (sys.stdout, sys.stderr):
-            with suppress(OSError, OutputError, ValueError, AttributeError):
+            with suppress(OSError, errors.OutputError, ValueError, AttributeError):
                 stream.flush()
         os._exit(code)
 
@@ -173,19 +161,21 @@ def _report_exit(child_exit: ChildExit, args: list[str]) -> int:
     if child_exit.overdue:
         return _fail(
             f"{child_exit.reason}, so it was ended; {RENDER_AGAIN}, or allow more; {hint}",
-            DamagedFileError.exit_code,
+            errors.DamagedFileError.exit_code,
         )
     if child_exit.stopped:  # libraries crash when they are broken off: that is of no interest
-        return _report_stop(child_exit.stopped, args)
+        return _report_error(StopRequested(child_exit.stopped), args, {})
     if ended_by == signal.SIGKILL:
         while_reading = f" while it read {child_exit.files}" if child_exit.reading else ""
         return _fail(
             f"the process that worked was killed{while_reading}, as systems do that run out of "
             f"memory; close other programs, or use fewer threads; {hint}",
-            OutOfMemoryError.exit_code,
+            errors.OutOfMemoryError.exit_code,
         )
     if child_exit.reading:
-        return _fail(f"{child_exit.reason}; {RENDER_AGAIN}; {hint}", DamagedFileError.exit_code)
+        return _fail(
+            f"{child_exit.reason}; {RENDER_AGAIN}; {hint}", errors.DamagedFileError.exit_code
+        )
     return _fail(
         f"a library crashed ({ended_by.name}); this is a defect of ExWarp or of what it uses, "
         f"please report it; {hint}",
@@ -215,35 +205,34 @@ def run(args: list[str], is_last: bool = False) -> int:
 
 def _report_error(error: BaseException, args: list[str], origins: Mapping[str, str]) -> int:
     """Print the sentence for an error that ended a command; return the exit code."""
-    if isinstance(error, StopRequested):
-        return _report_stop(error.number, args)
-    if isinstance(error, KeyboardInterrupt | click.Abort):
-        return _report_stop(signal.SIGINT, args)
-    if isinstance(error, click.ClickException):
-        sentence = _with_origins(error.format_message().rstrip("."), origins)
-        context = error.ctx if isinstance(error, click.UsageError) else None
-        hint = "" if context is None else f"; see {context.command_path} --help"
-        return _fail(f"{sentence}{hint}", error.exit_code)
+    if isinstance(error, StopRequested | KeyboardInterrupt | click.Abort):
+        number = error.number if isinstance(error, StopRequested) else signal.SIGINT
+        if is_debugging():
+            traceback.print_exc()
+        click.echo(_last_words(args, number), err=True)
+        return errors.INTERRUPTED if number == signal.SIGINT else TERMINATED
     if isinstance(error, MemoryError):
         return _fail(
             "the memory does not suffice; close other programs, or use fewer threads",
-            OutOfMemoryError.exit_code,
+            errors.OutOfMemoryError.exit_code,
         )
-    user_error = to_exwarp_error(error)
-    if user_error is not None:
-        return _fail(_with_origins(str(user_error), origins), user_error.exit_code)
-    return _fail(
-        f"unexpected {type(error).__name__}: {error}; this is a defect of ExWarp, please report it "
-        "with the details that EXWARP_DEBUG=1 in the environment shows",
-        DEFECT,
-    )
-
-
-def _report_stop(number: int, args: list[str]) -> int:
-    if is_debugging():
-        traceback.print_exc()
-    click.echo(_last_words(args, number), err=True)
-    return INTERRUPTED if number == signal.SIGINT else TERMINATED
+    hint = ""
+    if isinstance(error, click.ClickException):
+        sentence, code = error.format_message().rstrip("."), error.exit_code
+        if isinstance(error, click.UsageError) and error.ctx is not None:
+            hint = f"; see {error.ctx.command_path} --help"
+    elif (user_error := errors.to_exwarp_error(error)) is not None:
+        sentence, code = str(user_error), user_error.exit_code
+    else:
+        return _fail(
+            f"unexpected {type(error).__name__}: {error}; this is a defect of ExWarp, please "
+            "report it with the details that EXWARP_DEBUG=1 in the environment shows",
+            DEFECT,
+        )
+    # Where the options in the sentence were set, if not on the command line.
+    names = (name for name in origins if re.search(rf"(?<![\w-]){name}(?![\w-])", sentence))
+    where = [f"{name} is set by {origins[name]}" for name in names if origins[name] not in sentence]
+    return _fail(f"{'; '.join((sentence, *where))}{hint}", code)
 
 
 def _last_words(args: list[str], number: int) -> str:
@@ -259,11 +248,7 @@ def _resume_hint(args: list[str]) -> str:
         "bench": "what was measured so far is kept, and the same command goes on from there",
     }
     default = "what was written so far is whole; run the command again"
-    return hints.get(_find_command(args), default)
-
-
-def _find_command(args: list[str]) -> str:
-    return next((word for word in args if word in COMMANDS), "")
+    return hints.get(next((word for word in args if word in COMMANDS), ""), default)
 
 
 def _fail(sentence: str, code: int) -> int:
@@ -275,12 +260,5 @@ def _fail(sentence: str, code: int) -> int:
 
 
 def _print_message(sentence: str) -> None:
-    with suppress(OSError, OutputError):  # a stream that fails is no reason to end the work
+    with suppress(OSError, errors.OutputError):  # a stream that fails is no reason to end the work
         click.echo(f"exwarp: {one_line(sentence)}", err=True)
-
-
-def _with_origins(sentence: str, origins: Mapping[str, str]) -> str:
-    """Append where the options in a sentence were set, if not on the command line."""
-    names = (name for name in origins if re.search(rf"(?<![\w-]){name}(?![\w-])", sentence))
-    where = [f"{name} is set by {origins[name]}" for name in names if origins[name] not in sentence]
-    return "; ".join((sentence, *where))

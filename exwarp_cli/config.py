@@ -15,30 +15,20 @@ import copy
 import difflib
 import os
 import shlex
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 
+from exwarp_cli import option_values
 from exwarp_cli.errors import UsageError
-from exwarp_cli.option_values import (
-    Value,
-    long_name,
-    refuse_expanded,
-    require_usable_paths,
-    toml_value,
-)
+from exwarp_cli.option_values import Value, long_name
 
 # The file's name in a project's folder and in the user's own.
 FILE_NAME = "exwarp.toml"
-
-# Named instead of a file, these mean no file at all.
-NO_FILE = ("", "none")
-
-# Options that neither files nor the environment set.
-NOT_CONFIGURED = frozenset({"help", "version", "config", "isolated"})
 
 # Options that exclude each other: the stronger of two settings silences the weaker.
 MUTUALLY_EXCLUSIVE = (
@@ -54,19 +44,10 @@ UPSAMPLE = "upsample"
 JOB_COMMANDS = (("farm", "openjd"), ("farm", "commands"))
 NOT_INHERITED = frozenset({"progress", "chunk-size", "json", "dry-run", "as-chunk"})
 
-# Options that change nothing of what a command makes: --isolated lets the environment set them.
-MACHINE_OPTIONS = frozenset({"threads", "progress"})
-
-# Commands that report mistakes in config files instead of being stopped by them.
-TOLERANT = (("doctor",),)
-
 # Variables that set no option of a command.
 OTHER_VARIABLES = frozenset(
     f"EXWARP_{name}" for name in ("ARTEFACTS", "BLENDER", "CHROMIUM", "CONFIG", "DEBUG")
 )
-
-# Between the values of one variable: paths and channels may hold commas, colons and spaces.
-SEPARATOR = ";"
 
 _MESSAGES = "exwarp.messages"  # in `click.Context.meta`
 
@@ -84,7 +65,7 @@ def configurable(command: click.Command) -> list[click.Option]:
         for parameter in command.params
         if isinstance(parameter, click.Option)
         and not parameter.hidden
-        and long_name(parameter) not in NOT_CONFIGURED
+        and long_name(parameter) not in ("help", "version", "config", "isolated")
     ]
 
 
@@ -151,12 +132,13 @@ class Configuration:
 
 def configured_command(command: click.Command, path: CommandPath) -> click.Command:
     """Return a copy of a command, no group, whose options files and the environment set too."""
-    configured = copy.copy(command)
+    configured, callback = copy.copy(command), command.callback
+    assert callback is not None
     options = configurable(command)
     if options:
         reset_switches = [
             click.Option(
-                [f"--no-{long_name(option)}", _reset_name(option)],
+                [f"--no-{long_name(option)}", f"take_back_{option.name}"],
                 is_flag=True,
                 expose_value=False,
                 hidden=True,
@@ -173,12 +155,9 @@ def configured_command(command: click.Command, path: CommandPath) -> click.Comma
         )
         config = ConfigOption(
             ["--config"],
-            type=click.Path(),
-            metavar="FILE",
             expose_value=False,
             is_eager=True,  # before other options ask for their defaults, but after --help
-            help="TOML file to take options from, or none; else EXWARP_CONFIG, or exwarp.toml in "
-            "this folder or one above.",
+            **option_values.CONFIG_ATTRIBUTES,
         )
         configured.params = [*command.params, *reset_switches, isolated, config]
         usual = next((o for o in options if not o.required and not o.is_flag), options[0])
@@ -187,17 +166,9 @@ def configured_command(command: click.Command, path: CommandPath) -> click.Comma
             f"environment, as {variable_name(path, long_name(usual))}; see exwarp --help."
         )
         configured.epilog = f"{command.epilog}\n\n{rule}" if command.epilog else rule
-    if command.callback is not None:
-        configured.callback = _with_startup_messages(command, command.callback)
-    return configured
-
-
-def _with_startup_messages(
-    command: click.Command, callback: Callable[..., Any]
-) -> Callable[..., Any]:
-    """Let a command say first what it takes from files and the environment, and check its paths."""
 
     def run(**values: Any) -> Any:
+        # Says first what the command takes from files and the environment, and checks its paths.
         if messages := click.get_current_context().meta.get(_MESSAGES):
             # Imported here: most calls take nothing from files.
             from exwarp_cli.pipeline.progress import JsonProgress, Progress
@@ -205,10 +176,11 @@ def _with_startup_messages(
             reporter = JsonProgress() if values.get("progress") == "json" else Progress()
             for text in messages:
                 reporter.message(text)
-        require_usable_paths(command.params, values)
+        option_values.require_usable_paths(command.params, values)
         return callback(**values)
 
-    return run
+    configured.callback = run
+    return configured
 
 
 class ConfigOption(click.Option):
@@ -225,19 +197,30 @@ class ConfigOption(click.Option):
         result = super().handle_parse_result(ctx, opts, args)
         if ctx.resilient_parsing:  # a shell asks for completions
             return result
-        refuse_expanded(args)
-        on_command_line = _options_on_command_line(ctx, opts)
+        option_values.refuse_expanded(args)
+        # Click knows the sources of parameters (`click.Context.get_parameter_source`) only after
+        # all of them are processed, which is too late to choose their defaults.
+        on_command_line: dict[str, bool] = {}  # False for what it switches off or resets
+        for option in configurable(ctx.command):
+            name, is_reset = long_name(option), f"take_back_{option.name}" in opts
+            if is_reset and option.name in opts:
+                raise click.UsageError(
+                    f"--{name} and --no-{name} contradict each other; give one", ctx
+                )
+            if is_reset or option.name in opts:
+                on_command_line[name] = not is_reset and opts[option.name or ""] is not False
         path = _path_of(ctx)
         is_isolated = bool(opts.get("isolated"))
         environment: Mapping[str, str] = os.environ
         if is_isolated:
-            allowed = {variable_name(path, name) for name in MACHINE_OPTIONS}
+            # These change nothing of what a command makes.
+            allowed = {variable_name(path, name) for name in ("threads", "progress")}
             environment = {name: text for name, text in os.environ.items() if name in allowed}
         problems: list[str] = []
         files = _find_config_files(ctx, opts.get(self.name or ""), is_isolated, problems)
         layers = _read_layers(ctx, files, environment, problems)
         if problems:
-            if path not in TOLERANT:
+            if path != ("doctor",):  # which reports mistakes in config files
                 raise UsageError(problems[0])
             layers = layers[:1]  # of the environment
         settings = settings_in_force(layers, on_command_line)
@@ -253,26 +236,6 @@ class ConfigOption(click.Option):
         origins = ctx.find_root().ensure_object(dict)
         origins.update({f"--{setting.option}": setting.origin for setting in settings})
         return result
-
-
-def _options_on_command_line(ctx: click.Context, opts: Mapping[str, Any]) -> dict[str, bool]:
-    """Return the options that a command line names, with False for what it switches off or resets.
-
-    Click knows the sources of parameters (`click.Context.get_parameter_source`) only after all of
-    them are processed, which is too late to choose their defaults.
-    """
-    named: dict[str, bool] = {}
-    for option in configurable(ctx.command):
-        name, is_reset = long_name(option), _reset_name(option) in opts
-        if is_reset and option.name in opts:
-            raise click.UsageError(f"--{name} and --no-{name} contradict each other; give one", ctx)
-        if is_reset or option.name in opts:
-            named[name] = not is_reset and opts[option.name or ""] is not False
-    return named
-
-
-def _reset_name(option: click.Option) -> str:
-    return f"take_back_{option.name}"
 
 
 def configuration(ctx: click.Context) -> Configuration:
@@ -337,53 +300,42 @@ def _find_config_files(
         return ()
     if named is None and (variable := os.environ.get("EXWARP_CONFIG")):
         named, how = variable, "EXWARP_CONFIG"
-    if named is not None and named.strip().lower() in NO_FILE:
+    if named is not None and named.strip().lower() in ("", "none"):
         return ()
     files: list[ConfigLocation] = []
+    candidates: list[ConfigLocation] = []
     if named is not None:
+        problem = None
         try:
-            files.append(ConfigLocation(_named_path(named, how), how))
-        except UsageError as error:
-            problems.append(str(error))
+            path = Path(named).expanduser().absolute()
+            # Else a file, or a pipe, as in ``--config <(generate)``.
+            if path.is_dir() or not path.exists():
+                state = "is a folder" if path.is_dir() else "does not exist"
+                problem = f"{how} names {path}, which {state}"
+            files.append(ConfigLocation(path, how))
+        except RuntimeError:
+            problem = f"{how} names {named}, and no user has that home"
+        except OSError as error:
+            reason = error.strerror or error
+            problem = f"{how} names {named}, which cannot be reached: {reason}"
+        if problem is not None:
+            problems.append(f"{problem}; name a TOML file, or none to go without")
             return ()
     else:
-        try:
-            current = Path.cwd()
-            folders = [current, *current.parents]
-        except OSError:  # the folder was removed; the command itself reports what it needs of it
-            folders = []
-        nearest = next(filter(_is_file, (folder / FILE_NAME for folder in folders)), None)
-        if nearest is not None:
-            files.append(ConfigLocation(nearest, "nearest folder"))
+        with suppress(OSError):  # the folder was removed; the command reports what it needs of it
+            folders = (Path.cwd(), *Path.cwd().parents)
+            candidates += [ConfigLocation(path / FILE_NAME, "nearest folder") for path in folders]
     own = Path(click.get_app_dir("exwarp"), FILE_NAME)
     # Without a home folder it begins with "~", which would be a folder in the current one.
-    is_there = own.is_absolute() and _is_file(own)
-    if is_there and own.resolve() not in [file.path.resolve() for file in files]:
-        files.append(ConfigLocation(own, "user's own"))
+    candidates += [ConfigLocation(own, "user's own")] if own.is_absolute() else []
+    for candidate in candidates:
+        path, others = candidate.path, {file.how: file.path.resolve() for file in files}
+        # A folder above that may not be entered has nothing for us.
+        with suppress(OSError):
+            is_there = candidate.how not in others and path.exists() and not path.is_dir()
+            if is_there and path.resolve() not in others.values():
+                files.append(candidate)
     return tuple(files)
-
-
-def _named_path(named: str, how: str) -> Path:
-    remedy = "name a TOML file, or none to go without"
-    try:
-        path = Path(named).expanduser().absolute()
-        if path.exists() and not path.is_dir():  # also a pipe, as in ``--config <(generate)``
-            return path
-        problem = "is a folder" if path.is_dir() else "does not exist"
-    except RuntimeError as error:
-        raise UsageError(f"{how} names {named}, and no user has that home; {remedy}") from error
-    except OSError as error:
-        raise UsageError(
-            f"{how} names {named}, which cannot be reached: {error.strerror or error}; {remedy}"
-        ) from error
-    raise UsageError(f"{how} names {path}, which {problem}; {remedy}")
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.exists() and not path.is_dir()
-    except OSError:  # a folder above that may not be entered has nothing for us
-        return False
 
 
 def _read_layers(
@@ -507,7 +459,7 @@ def _read_file(ctx: click.Context, file: Path) -> Iterator[tuple[str, Value, str
             raise UsageError(f"{origin} is no option of {line}{near}")
         option, is_positive = names[key]
         if is_positive:
-            yield key, toml_value(option, value, file.parent, origin), origin
+            yield key, option_values.toml_value(option, value, file.parent, origin), origin
         elif isinstance(value, bool):
             yield key, value, origin
         else:
@@ -529,7 +481,8 @@ def _read_environment(
                 raise UsageError(f"{variable} is {text!r}; write 1 or 0, for on or off")
             value = _SWITCH_WORDS[text.strip().lower()]
         elif option.multiple:
-            value = tuple(word for part in text.split(SEPARATOR) if (word := part.strip()))
+            # Paths and channels may hold commas, colons and spaces.
+            value = tuple(word for part in text.split(";") if (word := part.strip()))
         yield name, value, variable
 
 

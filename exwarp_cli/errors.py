@@ -128,10 +128,6 @@ class IncompleteError(ExwarpError):
     exit_code = 12
 
 
-# Errors that only writing causes.
-_NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
-
-
 def thread_limit_error(error: BaseException) -> OutOfMemoryError | None:
     """Translate an error that says that the system starts no more threads or processes."""
     # Python raises BlockingIOError for processes and RuntimeError for threads; libraries in C++
@@ -163,5 +159,7 @@ def to_exwarp_error(error: BaseException) -> ExwarpError | None:
         return None
     if error.strerror is None:
         return None
-    kind = OutputError if error.errno in _NO_SPACE else InputError
+    # Errors that only writing causes.
+    is_output = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
+    kind = OutputError if is_output else InputError
     return kind(f"cannot use {error.filename}: {error.strerror}; check the path and its rights")

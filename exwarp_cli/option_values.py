@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import date, datetime, time
 from pathlib import Path
+from typing import Any
 
 import click
 from click.types import StringParamType
@@ -33,7 +34,13 @@ WRITTEN = frozenset({"output", "report_folder", "write_holes", "video", "bundle"
 ON_WORKERS = frozenset({"program"})
 EXPANDED = frozenset({"inputs", "data"})
 
-_DRIVE = re.compile(r"[A-Za-z]:[\\/]|\\\\\w")
+# Of ``--config``, which ``exwarp`` and each of its commands have.
+CONFIG_ATTRIBUTES: dict[str, Any] = {
+    "type": click.Path(),
+    "metavar": "FILE",
+    "help": "TOML file to take options from, or none; else EXWARP_CONFIG, or exwarp.toml in this "
+    "folder or one above.",
+}
 
 _TYPE_NAMES: dict[type, str] = {
     bool: "true or false",
@@ -58,13 +65,8 @@ def names_paths(parameter: click.Parameter) -> bool:
     """True if a parameter names files, folders or sequences, by its type or its metavar."""
     if isinstance(parameter.type, click.Path | click.File):
         return True
-    return isinstance(parameter.type, StringParamType) and bool(
-        _metavar_words(parameter) & PATH_WORDS
-    )
-
-
-def _metavar_words(parameter: click.Parameter) -> set[str]:
-    return set(re.split(r"[^A-Z]+", parameter.metavar or ""))
+    words = re.findall("[A-Z]+", parameter.metavar or "")
+    return isinstance(parameter.type, StringParamType) and not PATH_WORDS.isdisjoint(words)
 
 
 def toml_value(option: click.Option, value: object, folder: Path, origin: str) -> Value:
@@ -84,7 +86,8 @@ def toml_value(option: click.Option, value: object, folder: Path, origin: str) -
     else:
         expected, types = "text", (str, int, float)
     # One value may hold several, with commas between.
-    is_list = bool(_metavar_words(option) & LIST_WORDS) or "," in (option.metavar or "")
+    metavar = option.metavar or ""
+    is_list = "," in metavar or not LIST_WORDS.isdisjoint(re.findall("[A-Z]+", metavar))
     has_several = option.multiple or (isinstance(option.type, StringParamType) and is_list)
     if has_several:
         expected += ", or an array of such"
@@ -156,7 +159,7 @@ def _require_usable(parameter: click.Parameter, text: str) -> None:
             f"{subject}, and frames do not go through standard input or output; name a folder, "
             "or the full path of one of that name"
         )
-    if os.name != "nt" and _DRIVE.match(text):
+    if os.name != "nt" and re.match(r"[A-Za-z]:[\\/]|\\\\\w", text):
         raise UsageError(
             f"{subject}, which is a path of Windows, and this system has no drives; write the path "
             "as it is here, or the full path of a file of that name"

@@ -27,9 +27,7 @@ class StandardOutput(io.FileIO):
     After the first failure everything else that is printed is dropped.
     """
 
-    def __init__(self) -> None:
-        super().__init__(STDOUT, "w", closefd=False)
-        self._has_failed = False
+    _has_failed = False
 
     def write(self, data: Any, /) -> Any:
         """Write bytes.
@@ -54,10 +52,6 @@ class StandardOutput(io.FileIO):
 class StandardError(io.FileIO):
     """Standard error that drops what it cannot write: messages must not stop the work."""
 
-    def __init__(self) -> None:
-        # Its own descriptor, so that `silence_libraries` does not silence ExWarp itself.
-        super().__init__(os.dup(STDERR), "w")
-
     def write(self, data: Any, /) -> Any:
         """Write bytes, or drop them where that fails."""
         try:
@@ -78,8 +72,11 @@ def prepare_streams() -> None:
         sys.stderr = sys.stderr or os.fdopen(STDERR, "w", closefd=False)
     if os.name == "nt":
         return  # a console of Windows is no file
-    sys.stdout = _replace_stream(sys.stdout, StandardOutput)
-    sys.stderr = _replace_stream(sys.stderr, StandardError)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout = _replace_file(sys.stdout, StandardOutput(STDOUT, "w", closefd=False))
+    if isinstance(sys.stderr, io.TextIOWrapper):
+        # Its own descriptor, so that `silence_libraries` does not silence ExWarp itself.
+        sys.stderr = _replace_file(sys.stderr, StandardError(os.dup(STDERR), "w"))
 
 
 def is_debugging() -> bool:
@@ -114,15 +111,13 @@ def silence_libraries() -> Iterator[None]:
             os.close(saved)
 
 
-def _replace_stream(stream: Any, kind: type[StandardOutput | StandardError]) -> Any:
-    """Return a text stream over a file of `kind`, with the encoding of the old one."""
-    if not isinstance(stream, io.TextIOWrapper):
-        return stream
+def _replace_file(stream: io.TextIOWrapper, file: io.FileIO) -> io.TextIOWrapper:
+    """Return a text stream over another file, with the encoding of the old one."""
     encoding, errors = stream.encoding, stream.errors
     if errors == "strict":
         # Bytes of file names that are no Unicode are printed as they are; characters that a
         # terminal of another encoding lacks are spelled out.
         is_utf8 = encoding.lower().replace("-", "") == "utf8"
         errors = "surrogateescape" if is_utf8 else "backslashreplace"
-    file = io.BufferedWriter(kind())
-    return io.TextIOWrapper(file, encoding, errors, line_buffering=stream.line_buffering)
+    buffer = io.BufferedWriter(file)
+    return io.TextIOWrapper(buffer, encoding, errors, line_buffering=stream.line_buffering)

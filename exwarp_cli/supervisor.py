@@ -10,6 +10,7 @@ The child ends with its parent, and gets the signals that its parent gets.
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import signal
@@ -30,9 +31,6 @@ TICK_S = 2.0  # between two looks of the parent at the files that are being read
 GRACE_S = 60.0  # for the child to end after a signal: it finishes the files that it writes
 MAX_RESTARTS = 32  # a command that fails more often does not fail at single files
 
-# Seconds for a library at one file; the largest frames take seconds, and slow shares minutes.
-READ_LIMIT_S = 600.0
-
 # Environment variables: another number of seconds, 0 for no limit; and 0 to run the command in one
 # process, for a debugger.
 LIMIT_VARIABLE = "EXWARP_FILE_TIMEOUT"
@@ -50,7 +48,7 @@ class ChildExit:
     code: int  # its exit code; below 0 the signal that ended it, as in `subprocess`
     # Files that libraries were reading then; if some took too long, only these
     reading: tuple[Path, ...] = ()
-    overdue: bool = False  # whether it was ended because a file took too long
+    overdue: float = 0.0  # seconds at a file after which it was ended; 0 if it was not
     stopped: int = 0  # the signal that asked it to end; 0 without one
     skippable: tuple[Path, ...] = ()  # those of the files without which the command can start again
 
@@ -58,7 +56,7 @@ class ChildExit:
     def is_failure(self) -> bool:
         """Whether a library failed; else a user or the system ended it, or it ended itself."""
         crashed = self.code < 0 and -self.code not in (*FORWARDED_SIGNALS, signal.SIGKILL)
-        return not self.stopped and (self.overdue or crashed)
+        return not self.stopped and (self.overdue > 0 or crashed)
 
     @property
     def files(self) -> str:
@@ -69,8 +67,8 @@ class ChildExit:
     def reason(self) -> str:
         """The failure at these files in words."""
         if self.overdue:
-            limit = _read_limit()
-            return f"reading {self.files} took longer than {LIMIT_VARIABLE} allows ({limit:g} s)"
+            allowed = f"{LIMIT_VARIABLE} allows ({self.overdue:g} s)"
+            return f"reading {self.files} took longer than {allowed}"
         return f"a library crashed ({signal.Signals(-self.code).name}) while it read {self.files}"
 
 
@@ -143,17 +141,12 @@ def _fork_once(skipped: Mapping[Path, str], handlers: Mapping[int, Any]) -> Chil
         os.close(lifeline_in)
 
 
-def _read_limit() -> float:
-    try:
-        seconds = float(os.environ.get(LIMIT_VARIABLE, ""))
-    except ValueError:
-        return READ_LIMIT_S
-    return seconds if seconds > 0 else float("inf")
-
-
 def _wait_for_child(child: int, messages: int, signals: list[tuple[int, float]]) -> ChildExit:
     """Wait for the child; kill it if a file takes too long, or if it does not stop."""
-    limit = _read_limit()
+    limit = 600.0  # seconds at one file: the largest frames take seconds, and slow shares minutes
+    with suppress(ValueError):  # not set, or no number
+        limit = float(os.environ.get(LIMIT_VARIABLE, ""))
+        limit = limit if limit > 0 else math.inf
     registry = ReadRegistry()
     seconds: dict[int, float] = {}
     overdue: list[int] = []
@@ -171,7 +164,7 @@ def _wait_for_child(child: int, messages: int, signals: list[tuple[int, float]])
                 return ChildExit(
                     os.waitstatus_to_exitcode(status),
                     tuple(dict.fromkeys(registry.files[number] for number in numbers)),
-                    bool(overdue),
+                    limit if overdue else 0.0,
                     signals[0][0] if signals else 0,
                     tuple({registry.files[number] for number in skippable}),
                 )

@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from pathlib import Path
 
 import click
 
-from exwarp_cli.commands.options import (
-    FILE,
-    FrameRate,
-    json_option,
-    print_json,
-    progress_option,
-    show,
-    summary_of_files,
-)
+from exwarp_cli.commands import options
+from exwarp_cli.commands.options import FILE, FrameRate
 from exwarp_cli.domain.settings import DEVICES
 from exwarp_cli.research.bench.systems import CLOCKS, SETTINGS, SYSTEMS, BenchSettings
 
@@ -66,8 +58,8 @@ from exwarp_cli.research.bench.systems import CLOCKS, SETTINGS, SYSTEMS, BenchSe
 )
 @click.option("--jobs", type=click.IntRange(1), help="Key intervals at a time; default: all cores.")
 @click.option("--device", type=click.Choice(DEVICES), default=DEVICES[0])
-@json_option
-@progress_option()
+@options.json_option
+@options.progress_option()
 def command(
     scenes: str | None,
     setting: str,
@@ -76,8 +68,7 @@ def command(
     predictor_clock: str,
     as_json: bool,
     progress: str,
-    fps: Fraction | None,
-    **options: object,
+    **values: object,
 ) -> None:
     """Measure every method on DATA, or on SEQUENCE with its ground truth.
 
@@ -101,15 +92,16 @@ def command(
             settings=SETTINGS if setting == "both" else (setting,),
             systems=parse_systems(systems),
             metrics=parse_metrics(metrics),
-            fps=fps,
-            **options,  # type: ignore[arg-type]
+            **values,  # type: ignore[arg-type]
         )
         with run_benchmark(settings, reporter) as benchmark:
             written = write_benchmark(settings.output, benchmark, hertz, reporter)
     if as_json:
-        print_json(written)
+        options.print_json(written)
         return
     out = settings.output
-    with summary_of_files():
-        show(f"tables in {out / MARKDOWN_FILE}, {out / JSON_FILE} and CSV files beside them")
-        show(f"page to look at: {out / PAGE_FILE}")
+    with options.summary_of_files():
+        options.show(
+            f"tables in {out / MARKDOWN_FILE}, {out / JSON_FILE} and CSV files beside them"
+        )
+        options.show(f"page to look at: {out / PAGE_FILE}")

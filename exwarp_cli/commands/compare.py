@@ -8,17 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from exwarp_cli.commands.options import (
-    PROGRESS_HELP,
-    json_option,
-    max_pixels_option,
-    metrics_option,
-    print_json,
-    progress_option,
-    scan_option,
-    show,
-    view_transform_option,
-)
+from exwarp_cli.commands import options
 from exwarp_cli.domain.metric import METRICS, Threshold, parse_threshold
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.domain.wording import pluralise
@@ -47,8 +37,8 @@ def _parse_limits(
     metavar="RANGE",
     help="Compare these frames only, by A's numbers or those of --ground-truth.",
 )
-@max_pixels_option
-@scan_option
+@options.max_pixels_option
+@options.scan_option
 @click.option(
     "--holes",
     metavar="SEQ",
@@ -61,8 +51,8 @@ def _parse_limits(
     type=click.Path(path_type=Path, file_okay=False),
     help="Write report.html to look at, report.json and frames.csv into this folder.",
 )
-@view_transform_option("the report's pictures show")
-@metrics_option
+@options.view_transform_option("the report's pictures show")
+@options.metrics_option
 @click.option(
     "--preset",
     type=click.Choice(tuple(PRESETS)),
@@ -84,25 +74,23 @@ def _parse_limits(
     help="The same for flip, hdr-flip and flicker, of which less is better, and for the magnitude "
     "of pulse: generated.pulse=5.",
 )
-@json_option
-@progress_option(f"{PROGRESS_HELP} Default: a bar on a terminal, nothing elsewhere.", default=None)
+@options.json_option
+@options.progress_option(
+    f"{options.PROGRESS_HELP} Default: a bar on a terminal, nothing elsewhere.", default=None
+)
 def command(
     reference: str,
     test: str,
-    view: str,
     ground_truth: str | None,
     frames: str | None,
     max_pixels: int,
-    scan: str,
     holes: str | None,
     folder: Path | None,
-    view_transform: str,
-    metrics: tuple[str, ...] | None,
-    preset: str | None,
     fail_below: tuple[Threshold, ...],
     fail_above: tuple[Threshold, ...],
     as_json: bool,
     progress: str | None,
+    **measuring: Any,
 ) -> None:
     """Score sequence B against A, the ground truth; or both against --ground-truth.
 
@@ -120,8 +108,6 @@ def command(
     set_max_pixels(max_pixels)
     kind = progress or ("bar" if sys.stderr.isatty() else "none")
     with reporting(kind, results_on_stdout=as_json) as reporter:
-        limits = (*fail_below, *fail_above)
-        measuring = MeasureSettings(metrics, preset, limits, view, scan, view_transform)
         result = compare(
             reference,
             test,
@@ -129,11 +115,11 @@ def command(
             frames=frames,
             holes=holes,
             report=folder,
-            measuring=measuring,
+            measuring=MeasureSettings(thresholds=(*fail_below, *fail_above), **measuring),
             progress=reporter,
         )
         if as_json:
-            print_json(result.document)
+            options.print_json(result.document)
         else:
             _print_scores(result.comparison, result.document)
         require_quality(result.comparison)
@@ -154,11 +140,11 @@ def _print_scores(result: Comparison, document: dict[str, Any]) -> None:
         scores = ((metric, values[metric.field]) for metric in metrics)
         cells = ("-" if value is None else metric.text(value) for metric, value in scores)
         table.add_row(name, *cells, str(values["frames"]))
-    show(f"reference {result.reference.pattern}")
+    options.show(f"reference {result.reference.pattern}")
     if BASELINE in document:
-        show(f"baseline  {document[BASELINE]['pattern']}")
-    show(f"test      {result.test.pattern}")
+        options.show(f"baseline  {document[BASELINE]['pattern']}")
+    options.show(f"test      {result.test.pattern}")
     click.echo(f"{pluralise(len(result.frames), 'frame')}, matched by {result.matched_by}")
     for note in result.notes:
-        show(note)
+        options.show(note)
     Console().print(table)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -37,13 +38,13 @@ ROLES = (
 )  # fmt: skip
 
 
-def _limits(*, more_is_better: bool) -> Iterator[str]:
-    """Yield how limits on quality begin, with a metric's name and what it is taken over."""
-    for prefix in SCOPES:
-        for metric in METRICS:
-            if metric.more_is_better == more_is_better and (metric.in_holes or prefix != "holes"):
-                yield f"{prefix}.{metric.option}=".removeprefix(".")
-
+# How limits on quality begin: with what a metric is taken over, and its name.
+LIMITS = {
+    f"{prefix}.{metric.option}=".removeprefix("."): metric
+    for prefix in SCOPES
+    for metric in METRICS
+    if metric.in_holes or prefix != "holes"
+}
 
 # Suggested words by the long names of options, and the options that take several with commas.
 WORDS: Mapping[str, tuple[str, ...]] = {
@@ -55,32 +56,34 @@ WORDS: Mapping[str, tuple[str, ...]] = {
     "cuts": ("auto", "none"),
     "view": ("all", "left", "right"),
     "systems": SYSTEMS,
-    "fail-below": tuple(_limits(more_is_better=True)),
-    "fail-above": tuple(_limits(more_is_better=False)),
+    "fail-below": tuple(limit for limit in LIMITS if LIMITS[limit].more_is_better),
+    "fail-above": tuple(limit for limit in LIMITS if not LIMITS[limit].more_is_better),
 }
 LISTED = frozenset({"metrics", "cuts", "systems"})
 
 
+@dataclass(eq=False)
 class SuggestedText(StringParamType):
     """Text for which a shell offers words, or files and folders where there are no words."""
 
-    def __init__(self, words: tuple[str, ...], is_list: bool, has_role: bool) -> None:
-        self._words, self._is_list, self._has_role = words, is_list, has_role
+    words: tuple[str, ...]
+    is_list: bool  # several words with commas between
+    has_role: bool  # a file comes behind ``ROLE=``
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
         """Offer what the text can become."""
-        if self._words:
+        if self.words:
             before, comma, last = (
-                incomplete.rpartition(",") if self._is_list else ("", "", incomplete)
+                incomplete.rpartition(",") if self.is_list else ("", "", incomplete)
             )
-            unused = (word for word in self._words if word not in before.split(","))
+            unused = (word for word in self.words if word not in before.split(","))
             return [
                 CompletionItem(f"{before}{comma}{word}") for word in unused if word.startswith(last)
             ]
         role, equals, path = incomplete.partition("=")
-        if not self._has_role:
+        if not self.has_role:
             return [CompletionItem(incomplete, type="file")]
         if not equals:
             return [CompletionItem(f"{name}=") for name in ROLES if name.startswith(role)]
@@ -107,15 +110,13 @@ def with_suggestions(command: click.Command) -> click.Command:
         suggesting.params.append(parameter)
         if type(parameter.type) is not StringParamType:
             continue
-        words: tuple[str, ...] = ()
-        is_list = False
-        if isinstance(parameter, click.Option):
-            name = long_name(parameter)
-            words, is_list = WORDS.get(name, ()), name in LISTED
-            if not words and not names_paths(parameter):
-                continue
         # Arguments that are plain text are sequences: files.
-        parameter.type = SuggestedText(words, is_list, "=" in (parameter.metavar or ""))
+        name = long_name(parameter) if isinstance(parameter, click.Option) else ""
+        words = WORDS.get(name, ())
+        if name and not words and not names_paths(parameter):
+            continue
+        has_role = "=" in (parameter.metavar or "")
+        parameter.type = SuggestedText(words, name in LISTED, has_role)
     return suggesting
 
 

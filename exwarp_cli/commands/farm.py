@@ -11,13 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from exwarp_cli.commands import upsample
-from exwarp_cli.commands.options import (
-    FILE,
-    combined,
-    json_option,
-    print_json,
-    show,
-)
+from exwarp_cli.commands.options import FILE, combined, json_option, print_json, show
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.settings import DEFAULT_CHUNK_SIZE
 
@@ -128,14 +122,17 @@ def openjd(
     if bundle is not None:
         write_bundle(bundle, template)
     if template.size > job.size:
-        _print_note(
-            f"chunks have {template.size} key frames, not {job.size}, as the list of chunks would "
-            "be too long for Open Job Description; without --plain any size does"
+        show(
+            f"exwarp: chunks have {template.size} key frames, not {job.size}, as the list of "
+            "chunks would be too long for Open Job Description; without --plain any size does",
+            err=True,
         )
     if template.values and bundle is None:
         values = (f"-p {shlex.quote(f'{name}={value}')}" for name, value in template.values.items())
-        _print_note(
-            f"add at submission, as these are not below the current folder: {' '.join(values)}"
+        show(
+            "exwarp: add at submission, as these are not below the current folder: "
+            f"{' '.join(values)}",
+            err=True,
         )
     if as_json:
         print_json(template.document)
@@ -164,7 +161,7 @@ def commands(chunk_size: int, program: str, as_json: bool, **options: Any) -> No
     for _, words in chunks:
         click.echo(os.fsencode(shell_line(words)))  # names as the disk has them, for any terminal
     for words in afterwards:
-        _print_note(f"when all are done: {shell_line(words)}")
+        show(f"exwarp: when all are done: {shell_line(words)}", err=True)
 
 
 def _open_job(options: Mapping[str, Any], chunk_size: int, title: str | None) -> FarmJob:
@@ -208,7 +205,3 @@ def option_values(options: Mapping[str, Any]) -> Iterator[tuple[str, str, str | 
             yield name, parameter.opts[-1], ",".join(m.option for m in METRICS if m.field in value)
         else:
             yield name, parameter.opts[-1], str(value)
-
-
-def _print_note(text: str) -> None:
-    show(f"exwarp: {text}", err=True)

@@ -7,13 +7,7 @@ from typing import Any
 import click
 
 from exwarp_cli import __version__
-from exwarp_cli.commands.options import (
-    json_option,
-    print_json,
-    progress_option,
-    source_options,
-    threads_option,
-)
+from exwarp_cli.commands import options
 from exwarp_cli.domain.timeline import AUTO_CUTS
 
 
@@ -21,7 +15,7 @@ from exwarp_cli.domain.timeline import AUTO_CUTS
 @click.argument("sequence")
 @click.option("--gbuffers", metavar="SEQ", help="G-buffers rendered at the output rate.")
 @click.option("--motion", metavar="CONVENTION", help="Read vectors so, whatever is measured.")
-@source_options
+@options.source_options
 @click.option(
     "--cuts",
     default=AUTO_CUTS,
@@ -30,9 +24,9 @@ from exwarp_cli.domain.timeline import AUTO_CUTS
     help="Where shots begin, by their first key frames: nothing is compared across cuts.",
 )
 @click.option("--frames", metavar="RANGE", help="Key frames, by number: 1001-1100x2, 1-10:2.")
-@threads_option
-@json_option
-@progress_option()
+@options.threads_option
+@options.json_option
+@options.progress_option()
 def command(
     frames: str | None, threads: int | None, as_json: bool, progress: str, **source: Any
 ) -> None:
@@ -54,7 +48,9 @@ def command(
     with reporting(progress, results_on_stdout=True) as reporter:
         rows = map(feature_row, features(SourceSettings(**source), frames, reporter))
         if as_json:
-            print_json({"schema": FEATURES_SCHEMA, "version": __version__, "rows": list(rows)})
+            options.print_json(
+                {"schema": FEATURES_SCHEMA, "version": __version__, "rows": list(rows)}
+            )
             return
         for index, row in enumerate(rows):
             if index == 0:  # not before: a sequence that cannot be used gives no table

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from exwarp_cli.commands.options import (
-    FILE,
-    json_option,
-    print_json,
-    scan_option,
-    source_options,
-)
+from exwarp_cli.commands import options
 from exwarp_cli.domain.wording import pluralise, printable
 
 if TYPE_CHECKING:
@@ -28,17 +21,17 @@ _ESTIMATED = (
 @click.command("inspect")
 @click.argument("sequence")
 @click.option("--motion", metavar="CONVENTION", help="Read vectors so, whatever is measured.")
-@source_options
-@scan_option
+@options.source_options
+@options.scan_option
 @click.option(
     "--write-channel-map",
     "write_map",
     metavar="FILE",
-    type=FILE,
+    type=options.FILE,
     help="Write what is found as a TOML file for --channel-map, to correct and to keep.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace the channel map if it exists.")
-@json_option
+@options.json_option
 def command(write_map: Path | None, overwrite: bool, as_json: bool, **source: Any) -> None:
     """Show what SEQUENCE holds and how its motion vectors are read.
 
@@ -52,7 +45,7 @@ def command(write_map: Path | None, overwrite: bool, as_json: bool, **source: An
     if write_map is not None:
         save_channel_map(inspection, write_map, overwrite)
     if as_json:
-        print_json(inspection.as_dict())
+        options.print_json(inspection.as_dict())
     else:
         _print_inspection(inspection)
 
@@ -62,8 +55,12 @@ def _print_inspection(inspection: Inspection) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from exwarp_cli.io.channels import Role
     from exwarp_cli.io.cryptomatte import cryptomatte_refs
+    from exwarp_cli.io.layers import is_colour_alone, no_vectors_message
+    from exwarp_cli.io.shot import alpha_note
 
+    shot = inspection.shot
     console = Console(highlight=False, soft_wrap=True, markup=False, emoji=False)
     data = inspection.as_dict()
     producer = f", written by {data['producer']}" if data["pictures"] is None else ""
@@ -78,9 +75,9 @@ def _print_inspection(inspection: Inspection) -> None:
     if data["pictures"] is not None:
         return
     table = Table("role", "channels", "type", box=box.SIMPLE)
-    hashed = cryptomatte_refs(inspection.shot.cryptomattes)
+    hashed = cryptomatte_refs(shot.cryptomattes)
     unused: dict[tuple[str, str], list[str]] = {}  # by what they are, and their layer
-    for ref in inspection.shot.unused:
+    for ref in shot.unused:
         name, meaning = ref.label, "Cryptomatte" if ref in hashed else "no role"
         unused.setdefault((meaning, name.rpartition(".")[0]), []).append(name)
     rows = [*data["roles"].items(), *((meaning, names) for (meaning, _), names in unused.items())]
@@ -88,34 +85,25 @@ def _print_inspection(inspection: Inspection) -> None:
         kinds = sorted({inspection.types.get(name, "") for name in names})
         table.add_row(meaning, printable(", ".join(names)), ", ".join(kinds))
     console.print(table)
-    for line in _finding_lines(inspection, data):
-        console.print(printable(line))
-
-
-def _finding_lines(inspection: Inspection, data: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what is left out or absent, and how motion and depth are read."""
-    from exwarp_cli.io.channels import Role
-    from exwarp_cli.io.layers import is_colour_alone, no_vectors_message
-    from exwarp_cli.io.shot import alpha_note
-
-    shot = inspection.shot
-    if (alpha := alpha_note(shot.layout)) is not None:
-        yield alpha
+    # What is left out or absent, and how motion and depth are read.
+    lines = [] if (alpha := alpha_note(shot.layout)) is None else [alpha]
     if missing := [role for role in Role if role not in shot.layout]:
         incomplete = shot.layout.incomplete
         names = (
             f"{role.value} ({incomplete[role]})" if role in incomplete else role.value
             for role in missing
         )
-        yield f"not found: {', '.join(names)}"
+        lines.append(f"not found: {', '.join(names)}")
     motion = data["motion"]
     if motion is not None:
         state = motion["source"] or "unsettled"
-        yield f"motion {state}: {motion['evidence'] or motion['problem']}"
+        lines.append(f"motion {state}: {motion['evidence'] or motion['problem']}")
     else:
-        yield _ESTIMATED if is_colour_alone(shot) else no_vectors_message(shot)
+        lines.append(_ESTIMATED if is_colour_alone(shot) else no_vectors_message(shot))
     if data["depth_evidence"] is not None:
-        yield f"depth {data['depth_evidence']}"
+        lines.append(f"depth {data['depth_evidence']}")
+    for line in lines:
+        console.print(printable(line))
 
 
 def _structure_lines(data: dict[str, Any]) -> list[str]:

@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import click
 
-from exwarp_cli.commands.options import (
-    FILE,
-    json_option,
-    print_json,
-    progress_option,
-    show,
-    summary_lines,
-    summary_of_files,
-)
+from exwarp_cli.commands import options
 from exwarp_cli.domain.wording import pluralise
 
 # Folders that a line names at most.
@@ -24,17 +14,17 @@ MOST_NAMED = 3
 
 
 @click.command("merge-reports")
-@click.argument("folders", nargs=-1, required=True, metavar="FOLDER…", type=FILE)
+@click.argument("folders", nargs=-1, required=True, metavar="FOLDER…", type=options.FILE)
 @click.option(
     "-o",
     "--output",
     metavar="DIR",
-    type=FILE,
+    type=options.FILE,
     help="Folder of the joined report. Default: FOLDER, whose chunks/ are joined.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace a report that is there.")
-@json_option
-@progress_option("How programs learn why it fails: openjd for farms, json for others.")
+@options.json_option
+@options.progress_option("How programs learn why it fails: openjd for farms, json for others.")
 def command(
     folders: tuple[Path, ...], output: Path | None, overwrite: bool, as_json: bool, progress: str
 ) -> None:
@@ -50,37 +40,32 @@ def command(
     """
     from exwarp_cli.pipeline.progress import reporting
     from exwarp_cli.report.merge import merge_reports
+    from exwarp_cli.report.sentences import format_time
 
     with reporting(progress, results_on_stdout=as_json):
         document = merge_reports(folders, output, overwrite)
     if as_json:
-        print_json(document)
-    else:
-        with summary_of_files():
-            _print_summary(document, output or folders[0])
-
-
-def _print_summary(document: dict[str, Any], output: Path) -> None:
-    from exwarp_cli.report.sentences import format_time
-
+        options.print_json(document)
+        return
     merged, wall_s = document["merged"], document["wall_s"]
-    if document["frames"]["written"]:
-        for line in summary_lines(document):
-            show(line)
-    # NaN or infinite in a run.json is None here.
-    work = "time of the work not known" if wall_s is None else f"{format_time(wall_s)} of work"
-    click.echo(f"{pluralise(merged['reports'], 'report')} joined, {work}")
-    if merged["missing"] is not None:
-        click.echo(f"key frames of the sequence that are in no report: {merged['missing']}")
-    if merged["superseded"]:
-        names = _list_folders(merged["superseded"])
-        show(f"older reports, of key frames that newer ones tell of: {names}")
-    if merged["without_pictures"]:
-        names = _list_folders(merged["without_pictures"])
-        show(f"without pictures, as album.json is not there or cannot be read: {names}")
-    show(f"report in {output}")
-
-
-def _list_folders(folders: Sequence[str]) -> str:
-    more = f" and {len(folders) - MOST_NAMED} more" if len(folders) > MOST_NAMED else ""
-    return f"{', '.join(folders[:MOST_NAMED])}{more}"
+    with options.summary_of_files():
+        if document["frames"]["written"]:
+            for line in options.summary_lines(document):
+                options.show(line)
+        # NaN or infinite in a run.json is None here.
+        work = "time of the work not known" if wall_s is None else f"{format_time(wall_s)} of work"
+        click.echo(f"{pluralise(merged['reports'], 'report')} joined, {work}")
+        if merged["missing"] is not None:
+            click.echo(f"key frames of the sequence that are in no report: {merged['missing']}")
+        for subject, places in (
+            ("older reports, of key frames that newer ones tell of", merged["superseded"]),
+            (
+                "without pictures, as album.json is not there or cannot be read",
+                merged["without_pictures"],
+            ),
+        ):
+            if places:
+                others = len(places) - MOST_NAMED
+                more = f" and {others} more" if others > 0 else ""
+                options.show(f"{subject}: {', '.join(places[:MOST_NAMED])}{more}")
+        options.show(f"report in {output or folders[0]}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -118,12 +119,9 @@ def export(
     vectors: int,
     seed: int,
     verilog: bool,
-    cores: int,
-    macs: int,
-    cache: str,
-    port: int,
     overwrite: bool,
     as_json: bool,
+    **sizes: Any,
 ) -> None:
     """Write weights, biases, multipliers, shifts and test vectors into DIR for $readmemh.
 
@@ -133,7 +131,7 @@ def export(
     from exwarp_cli.pipeline.predictor import MANIFEST, machine
     from exwarp_cli.pipeline.predictor import export as write
 
-    array = machine(cores, macs, cache, port)
+    array = machine(**sizes)
     files = write(
         folder, policy, vectors=vectors, seed=seed, overwrite=overwrite, array=array,
         verilog=verilog,

@@ -10,20 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from exwarp_cli.commands.options import (
-    FrameRate,
-    json_option,
-    metrics_option,
-    print_json,
-    progress_option,
-    scan_option,
-    show,
-    source_options,
-    summary_lines,
-    summary_of_files,
-    threads_option,
-    view_transform_option,
-)
+from exwarp_cli.commands import options
+from exwarp_cli.commands.options import FrameRate
 from exwarp_cli.domain.settings import (
     DEVICES,
     USUAL_EFFORT,
@@ -34,7 +22,7 @@ from exwarp_cli.domain.settings import (
 )
 from exwarp_cli.domain.timeline import MAX_FACTOR
 from exwarp_cli.errors import IncompleteError
-from exwarp_cli.runtime.read_registry import enable_restart, is_restarted
+from exwarp_cli.runtime.read_registry import enable_restart
 
 if TYPE_CHECKING:
     from exwarp_cli.api import UpsampleResult
@@ -75,8 +63,8 @@ if TYPE_CHECKING:
     help="Layers that new frames hold beside the beauty, by name: all, or '*Diffuse*,Depth'. Light "
     "moves as the beauty does; ids, depth, normals and the like come from the nearest source.",
 )
-@source_options
-@scan_option
+@options.source_options
+@options.scan_option
 @click.option("--frames", metavar="RANGE", help="Key frames to do, by number: 1001-1100x2, 1-10:2.")
 @click.option("--gbuffers", metavar="SEQ", help="G-buffers rendered at the output rate.")
 @click.option(
@@ -158,7 +146,7 @@ if TYPE_CHECKING:
     "take the place of generated frames.",
 )
 @click.option("--ground-truth", metavar="SEQ", help="Score against this sequence.")
-@metrics_option
+@options.metrics_option
 @click.option(
     "--report",
     "report_folder",
@@ -176,7 +164,7 @@ if TYPE_CHECKING:
     "10 bits, in MOV alone.",
 )
 @click.option("--exposure", type=float, default=0.0, show_default=True, help="Of the video, stops.")
-@view_transform_option("the video and the report's pictures show")
+@options.view_transform_option("the video and the report's pictures show")
 @click.option("--write-holes", metavar="DIR|PATTERN", help="Also write the hole masks.")
 @click.option(
     "--compression",
@@ -203,7 +191,7 @@ if TYPE_CHECKING:
 @click.option(
     "--verify", is_flag=True, help="Read all files back from the disk, and compare checksums."
 )
-@threads_option
+@options.threads_option
 @click.option(
     "--workers",
     type=click.IntRange(1),
@@ -233,8 +221,8 @@ if TYPE_CHECKING:
 @click.option(
     "--dry-run", is_flag=True, help="Open everything and say what would be done; write nothing."
 )
-@json_option
-@progress_option()
+@options.json_option
+@options.progress_option()
 def command(
     report_folder: Path | None,
     as_chunk: bool,
@@ -244,7 +232,7 @@ def command(
     workers: int | None,
     cluster: str | None,
     chunk_size: int | None,
-    **options: Any,
+    **values: Any,
 ) -> None:
     """Write SEQUENCE at four times its frame rate, or another.
 
@@ -258,12 +246,11 @@ def command(
     """
     from exwarp_cli.api import find_report_folder, upsample
     from exwarp_cli.pipeline.job import open_job
+    from exwarp_cli.pipeline.messages import require_complete
     from exwarp_cli.pipeline.progress import reporting
 
-    settings = settings_of(options)
-    if settings.source.keep_going:
-        enable_restart()
-    if is_restarted():  # what is there was written before
+    settings = settings_of(values)
+    if settings.source.keep_going and enable_restart():  # what is there was written before
         settings = replace(
             settings, skip_existing=True, overwrite=False, replaces_foreign=settings.overwrite
         )
@@ -286,16 +273,13 @@ def command(
             has_document=as_json,
         )
         _print_summary(result, settings, as_json)
-        if not result.is_complete:
-            from exwarp_cli.pipeline.messages import require_complete
-
-            require_complete(result.summary)
+        require_complete(result.summary)
 
 
-def settings_of(options: Mapping[str, Any]) -> UpsampleSettings:
+def settings_of(values: Mapping[str, Any]) -> UpsampleSettings:
     """Return the settings that options of `command` make: those that have a field of their name."""
-    source = {field.name: options[field.name] for field in fields(SourceSettings)}
-    own = {f.name: options[f.name] for f in fields(UpsampleSettings) if f.name in options}
+    source = {field.name: values[field.name] for field in fields(SourceSettings)}
+    own = {f.name: values[f.name] for f in fields(UpsampleSettings) if f.name in values}
     return UpsampleSettings(SourceSettings(**source), **own)
 
 
@@ -318,10 +302,10 @@ def _print_dry_run(
     job.announce(reporter)
     plan = replace(plan, report=folder)
     if as_json:
-        print_json(dry_run_document(plan))
+        options.print_json(dry_run_document(plan))
         return
     for line in dry_run_lines(plan):
-        show(line)
+        options.show(line)
 
 
 def _print_summary(result: UpsampleResult, settings: UpsampleSettings, as_json: bool) -> None:
@@ -329,18 +313,18 @@ def _print_summary(result: UpsampleResult, settings: UpsampleSettings, as_json: 
 
     document = result.document
     if as_json:
-        print_json(document)
+        options.print_json(document)
         return
-    with summary_of_files():
+    with options.summary_of_files():
         if document["frames"]["written"]:
             is_scored = settings.ground_truth is not None
-            for line in summary_lines(document, settings.output, is_scored):
-                show(line)
+            for line in options.summary_lines(document, settings.output, is_scored):
+                options.show(line)
             if result.report_folder is not None:
-                show(f"report in {result.report_folder}")
+                options.show(f"report in {result.report_folder}")
         elif result.is_complete:
             # A video without frames is an error, so it was kept.
             if is_clip(settings.output):
-                show(f"{settings.output} is there already, as this run would write it")
+                options.show(f"{settings.output} is there already, as this run would write it")
             else:
-                show(f"no frame falls to {settings.output}")
+                options.show(f"no frame falls to {settings.output}")

@@ -74,8 +74,6 @@ ENCODINGS = ("srgb", "linear", "log")
 
 MIN_WHITE = 0.75  # least code of 1. Frames with a sun would be black to the network without it.
 
-_SRGB_SLOPE_AT_WHITE = 1.055 / 2.4  # a shoulder that starts with this slope has no kink
-
 
 @dataclass(frozen=True)
 class ShoulderCurve:
@@ -93,7 +91,8 @@ class ShoulderCurve:
     @property
     def white(self) -> float:
         """Code of 1; 1 itself where nothing is brighter."""
-        return max(MIN_WHITE, float(1 / (1 + _SRGB_SLOPE_AT_WHITE * np.log(self.peak))))
+        slope = 1.055 / 2.4  # of sRGB at white: a shoulder that starts with it has no kink
+        return max(MIN_WHITE, float(1 / (1 + slope * np.log(self.peak))))
 
     def encode(self, linear: Float32) -> Float32:
         """Return the code of scene-linear colour, float32 of the same shape, -1 to 1."""

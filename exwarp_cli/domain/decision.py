@@ -29,15 +29,10 @@ class Features:
     distance: float  # median distance from the camera, scene units; 0 when unknown
 
     @property
-    def resolution(self) -> int:
-        """R, rendered pixels."""
-        return self.width * self.height
-
-    @property
     def values(self) -> tuple[float, float, float, float, float, float]:
         """The six features in the order of FEATURES."""
         emd = self.emd_normal, self.emd_position
-        return (self.objects, *emd, self.var_x, self.var_y, self.resolution)
+        return (self.objects, *emd, self.var_x, self.var_y, self.width * self.height)
 
 
 # The makers of a frame: W, E, or the repetition of the frame before.
@@ -132,10 +127,6 @@ class Plan:
     def extrapolates(self) -> bool:
         """True if the network makes any frame."""
         return PATHS[self.path].extrapolates
-
-    def decision_of(self, slot: int) -> Decision | None:
-        """Return the decision about a slot, 1 to 3; None for slot 2 after d1 = E."""
-        return next((d for d in self.decisions if NODE_SLOTS[d.node] == slot), None)
 
 
 def walk_tree(choose: Callable[[str], str]) -> str:

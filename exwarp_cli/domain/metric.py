@@ -103,24 +103,12 @@ class Threshold:
     @property
     def name(self) -> str:
         """As it is written on the command line: ``psnr``, ``worst.ssim``."""
-        prefix = next(prefix for prefix, scope in SCOPES.items() if scope == self.scope)
-        return f"{prefix}.{self.metric.option}" if prefix else self.metric.option
+        return self.metric.option if self.scope == "all" else f"{self.scope}.{self.metric.option}"
 
     @property
     def option(self) -> str:
         """The option that sets it."""
         return "--fail-below" if self.metric.more_is_better else "--fail-above"
-
-    def passes(self, value: float) -> bool:
-        """Return whether a value is good enough; the limit itself is."""
-        return self.metric.badness(value) <= self.metric.badness(self.limit)
-
-    def failure(self, value: float) -> str:
-        """Return by which value it is broken."""
-        if self.metric.signed:
-            return f"{self.name} {value:+.6g} is farther from 0 than {self.limit:g}"
-        side = self.option.removeprefix("--fail-")
-        return f"{self.name} {value:.6g} is {side} {self.limit:g}"
 
 
 def parse_threshold(text: str, option: str) -> Threshold:

@@ -136,12 +136,10 @@ class MotionConvention:
     def describe(self, channels: tuple[str, ...]) -> str:
         """Return the convention in the notation of ``--motion``."""
         units = ("width", "height") if self.of_frame else ("", "")
-        parts = []
-        if self.to_previous is not None:
-            parts.append(f"previous={self.to_previous.describe(channels, units)}")
-        if self.to_next is not None:
-            parts.append(f"next={self.to_next.describe(channels, units)}")
-        return " ".join(parts)
+        maps = (("previous", self.to_previous), ("next", self.to_next))
+        return " ".join(
+            f"{name}={m.describe(channels, units)}" for name, m in maps if m is not None
+        )
 
 
 @dataclass(frozen=True)
@@ -170,11 +168,8 @@ def _format_number(value: float) -> str:
     return short if float(short) == value else repr(float(value))
 
 
-def _both_directions(y: float) -> MotionConvention:
-    """Forward vectors in the first two channels, backward ones in the next two, in pixels."""
-    return MotionConvention(AxisMap(2, 3, 1.0, y), AxisMap(0, 1, 1.0, y))
-
-
+# Forward vectors in the first two channels, backward ones in the next two, in pixels, y up.
+_BOTH = MotionConvention(AxisMap(2, 3, 1.0, -1.0), AxisMap(0, 1, 1.0, -1.0))
 _FORWARD = MotionConvention(to_next=AxisMap(0, 1, 1.0, -1.0))
 
 # Conventions by name, for --motion. Indices count the motion channels in the order in which they
@@ -190,14 +185,14 @@ PRESETS: dict[str, MotionConvention] = {
     "arnold": MotionConvention(to_next=AxisMap(0, 1, 1.0, -1.0, length=2)),
     "vray": _FORWARD,
     "redshift": _FORWARD,
-    "renderman": _both_directions(1.0),  # raster space: y down
+    "renderman": MotionConvention(AxisMap(2, 3, 1.0, 1.0), AxisMap(0, 1, 1.0, 1.0)),  # y down
     "karma": _FORWARD,
     # The screen reaches from -1 to 1; premultiplied.
     "moonray": MotionConvention(to_next=AxisMap(0, 1, 0.5, -0.5, alpha=2), of_frame=True),
-    "nuke": _both_directions(-1.0),
+    "nuke": _BOTH,
     "reelsmart": _FORWARD,
     "twixtor": _FORWARD,
     "forward": _FORWARD,
     "backward": MotionConvention(to_previous=AxisMap(0, 1, 1.0, -1.0)),
-    "forward+backward": _both_directions(-1.0),
+    "forward+backward": _BOTH,
 }

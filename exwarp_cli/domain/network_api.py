@@ -140,28 +140,12 @@ class Extrapolator(NetworkModel, Protocol):
 class TileSpan:
     """A tile along one axis, in pixels of the picture."""
 
-    begin: int  # from here the network sees pixels
-    end: int  # to before here
-    first: int  # from here its output is kept
-    last: int  # to before here
-
-    @property
-    def seen(self) -> slice:
-        """The pixels that the network sees."""
-        return slice(self.begin, self.end)
-
-    @property
-    def kept(self) -> slice:
-        """The place in the picture of what is kept."""
-        return slice(self.first, self.last)
-
-    @property
-    def inside(self) -> slice:
-        """The place in the tile of what is kept."""
-        return slice(self.first - self.begin, self.last - self.begin)
+    seen: slice  # what the network sees
+    kept: slice  # that of its output which is kept
 
 
 Tile = tuple[TileSpan, TileSpan]  # rows and columns
+KeptPart = tuple[slice, slice]  # rows and columns of the picture that a tile makes
 
 
 def cut_tiles(
@@ -201,7 +185,10 @@ def cut_tiles(
         lasts = [*firsts[1:], total]
         axes.append(
             [
-                TileSpan(start * stride, (start + length) * stride, first * stride, last * stride)
+                TileSpan(
+                    slice(start * stride, (start + length) * stride),
+                    slice(first * stride, last * stride),
+                )
                 for start, first, last in zip(starts, firsts, lasts, strict=True)
             ]
         )
@@ -248,5 +235,5 @@ LOOKAHEAD_INTERFACE = NetworkInterface(
 class LookAheadNetwork(NetworkModel, Protocol):
     """A network that weighs candidates."""
 
-    def weigh(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
+    def weigh(self, inputs: LazyInputs) -> Iterator[tuple[KeptPart, Float32]]:
         """Yield the weights of each tile of a slot: float32 [CANDIDATES, h, w]."""

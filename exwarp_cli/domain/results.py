@@ -8,7 +8,7 @@ from enum import Enum
 from fractions import Fraction
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.decision import BLEND, HELD, HOLD, INTERPOLATE, Decision, Trial
+from exwarp_cli.domain.decision import BLEND, HOLD, INTERPOLATE, Decision, Trial
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.settings import SRGB_VIEW
 from exwarp_cli.domain.tiles import Risk, TileMakers
@@ -179,12 +179,6 @@ class InterpolatorSummary:
     policy_sha256: str | None = None
     effort: float | None = None
 
-    @property
-    def identity(self) -> list[str | float | None]:
-        """What its frames depend on, wherever the files lie."""
-        tiles = [] if self.policy_sha256 is None else [self.policy_sha256, self.effort]
-        return [self.sha256, self.card_sha256, self.device, *tiles]
-
 
 @dataclass(frozen=True)
 class PolicySummary:
@@ -231,15 +225,6 @@ class RunSummary:
     def selected(self) -> tuple[int, ...]:
         """Input numbers of the selected key frames; where none are stated, those with frames."""
         return self.keys or tuple(sorted({frame.key for frame in self.frames}))
-
-    @property
-    def held(self) -> tuple[int, ...]:
-        """Input numbers of the key frames that the slots after them repeat, ascending.
-
-        The next key frame shows the same picture; or none follows in the shot, and the key frame
-        itself repeats the one before.
-        """
-        return tuple(sorted({frame.key for frame in self.frames if frame.method == HELD}))
 
     @property
     def output_fps(self) -> float:

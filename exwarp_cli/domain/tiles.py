@@ -20,8 +20,6 @@ REASONS = ("light", "holes", "motion")
 
 CODE_STEPS = 16  # steps of a tile's error to its doubling: it is kept to 4 %
 
-_TILE_CODE = re.compile(r"([a-z])([0-9a-f]{2})")
-
 
 @dataclass(frozen=True)
 class Risk:
@@ -49,7 +47,7 @@ class Risk:
         """Read `text` again; ValueError if it is no such text."""
         size, _, tiles = text.partition(":")
         columns, rows = map(int, size.split("x"))
-        codes = _TILE_CODE.findall(tiles)
+        codes = re.findall(r"([a-z])([0-9a-f]{2})", tiles)
         letters = [reason[0] for reason in REASONS]
         if len(codes) != columns * rows or 3 * len(codes) != len(tiles):
             raise ValueError(f"{text!r} has other tiles than it says")
@@ -102,8 +100,6 @@ TILE_FEATURES = ("holes", "outlines", "Var_x", "Var_y", "light", "motion")
 LOOK_AHEAD_FEATURES = ("unseen", "light", "motion", "key_light", "key_motion", "apart")
 LOOK_AHEAD_STATE = "look-ahead tiles/1"
 
-_MAKERS_TEXT = re.compile(r"([1-9][0-9]*)x([1-9][0-9]*):([werls]+)")
-
 
 @dataclass(frozen=True)
 class TileMakers:
@@ -120,16 +116,6 @@ class TileMakers:
         return cls(marks.shape[1], marks.shape[0], "".join(letters))
 
     @property
-    def looks_ahead(self) -> bool:
-        """Whether the frame was made of the key frames on both sides."""
-        return self.letters[0] in (MAKER_LETTERS[SOFTSPLAT], MAKER_LETTERS[LOOKAHEAD])
-
-    @property
-    def dear_share(self) -> float:
-        """Return the share of the tiles that a network made, 0 to 1."""
-        return self.share(EXTRAPOLATE) + self.share(LOOKAHEAD)
-
-    @property
     def text(self) -> str:
         """Return the tiles on one line: ``14x8:wwe…``."""
         return f"{self.columns}x{self.rows}:{self.letters}"
@@ -137,7 +123,7 @@ class TileMakers:
     @classmethod
     def parsed(cls, text: str) -> TileMakers:
         """Read `text` again; raises ValueError when it is no such text."""
-        found = _MAKERS_TEXT.fullmatch(text)
+        found = re.fullmatch(r"([1-9][0-9]*)x([1-9][0-9]*):([werls]+)", text)
         if found is None or int(found[1]) * int(found[2]) != len(found[3]):
             raise ValueError(f"{text!r} says nothing of tiles")
         return cls(int(found[1]), int(found[2]), found[3])
@@ -174,10 +160,3 @@ class TilePlan:
         """Return the makers of the tiles of a slot, 1 to 3."""
         letters = (TILE_PATHS[name][slot - 1] for name in self.paths)
         return TileMakers(self.columns, self.rows, "".join(letters))
-
-
-def paths_from_makers(second: TileMakers, third: TileMakers) -> tuple[str, ...]:
-    """Return the path of each tile by the makers of slots 2 and 3; KeyError for no path."""
-    path_of = {letters[1:]: name for name, letters in TILE_PATHS.items()}
-    pairs = zip(second.letters, third.letters, strict=True)
-    return tuple(path_of[a + b] for a, b in pairs)

@@ -152,16 +152,13 @@ def parse_frames(text: str) -> list[int]:
     Numbers are sorted, without duplicates. ``:`` means a step, as in Open Job Description.
     UsageError: the text is not a frame range.
     """
+    example = "write for example 1001-1100, 1-10x2 or 1,5,9"
     try:
         frames = list_numbers(text)
     except ValueError as error:
-        raise UsageError(
-            f"--frames {text!r} is not a frame range; write for example 1001-1100, 1-10x2 or 1,5,9"
-        ) from error
+        raise UsageError(f"--frames {text!r} is not a frame range; {example}") from error
     if not frames:
-        raise UsageError(
-            f"--frames {text!r} names no frame; write for example 1001-1100, 1-10x2 or 1,5,9"
-        )
+        raise UsageError(f"--frames {text!r} names no frame; {example}")
     if fractions := [str(number) for number in frames if number != int(number)]:
         raise UsageError(
             f"--frames {text!r} names the subframe {fractions[0]}; "
@@ -225,14 +222,6 @@ def standard_rate(rate: Fraction) -> Fraction:
         if abs(rate - standard) <= RATE_TOLERANCE * standard:
             return standard
     return rate.limit_denominator(min(MAX_DENOMINATOR, max(1, int(MAX_NUMERATOR / rate))))
-
-
-def compatible_rate(base: Fraction, target: Fraction) -> Fraction:
-    """Return the rate within 0.1 % of `target` at which most key frames are output instants."""
-    # From 24000/1001 to 60 fps only one key frame in a thousand is an output instant; to 60000/1001
-    # every other one is. The target is kept where nothing is gained.
-    rates = (target, target * NTSC_RATIO, target / NTSC_RATIO)
-    return min(rates, key=lambda rate: (rate / base).denominator)
 
 
 def number_step(numbers: Iterable[int]) -> int:

@@ -38,12 +38,6 @@ def first_line(error: BaseException) -> str:
 # own.
 MAX_LINE = 4000
 
-# Every line break of any reader, with the space around it.
-_LINE_BREAK = re.compile(r"\s*[\t-\r\x1c-\x1f\x85\u2028\u2029]\s*")
-
-# Control characters, ends of lines and paragraphs, and what overrides or embeds a direction.
-_CONTROL_CHARS = re.compile(r"[\0-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
-
 
 def one_line(text: str) -> str:
     """Return text as one line of printable characters.
@@ -58,9 +52,10 @@ def one_line(text: str) -> str:
     >>> one_line("a.exr is damaged;\\nrender it again")
     'a.exr is damaged; render it again'
     """
-    line = _LINE_BREAK.sub(" ", text).strip()
+    # Every line break of any reader, with the space around it.
+    line = re.sub(r"\s*[\t-\r\x1c-\x1f\x85\u2028\u2029]\s*", " ", text).strip()
     if not line.isprintable():
-        line = "".join(c if c.isprintable() else _escape(c) for c in line)
+        line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
     if len(line) > MAX_LINE:
         half = MAX_LINE // 2 - 2
         line = f"{line[:half]} … {line[-half:]}"
@@ -78,13 +73,6 @@ def printable(text: str) -> str:
     >>> printable("a\\nb")
     'a\\\\nb'
     """
-    return _CONTROL_CHARS.sub(lambda found: _escape(found[0]), text)
-
-
-def has_control_chars(text: str) -> bool:
-    """Return whether text holds what `printable` spells out: its look differs from its content."""
-    return _CONTROL_CHARS.search(text) is not None
-
-
-def _escape(character: str) -> str:
-    return character.encode("unicode_escape").decode("ascii")
+    # Control characters, ends of lines and paragraphs, and what overrides or embeds a direction.
+    misleading = r"[\0-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]"
+    return re.sub(misleading, lambda found: found[0].encode("unicode_escape").decode(), text)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import ranges
-from exwarp_cli.domain.wording import has_control_chars, printable
+from exwarp_cli.domain.wording import printable
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.channel_map import parse_aovs, read_channel_map
 from exwarp_cli.io.frame_names import NamePattern
@@ -340,7 +340,7 @@ def shell_line(words: Sequence[str]) -> str:
 
     UsageError: a word has a line end or another control character.
     """
-    if misleading := [word for word in words if has_control_chars(word)]:
+    if misleading := [word for word in words if printable(word) != word]:
         raise UsageError(
             f"{printable(misleading[0])} has a line end or control character in it, which no line "
             "of a shell should have; rename it, or take --json"

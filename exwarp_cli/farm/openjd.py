@@ -21,7 +21,7 @@ from typing import Any
 import yaml
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.wording import has_control_chars, pluralise
+from exwarp_cli.domain.wording import pluralise, printable
 from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.farm.farm_job import (
     Argument,
@@ -306,7 +306,8 @@ def yaml_text(document: Data) -> str:
     """Write a document as YAML that every version reads alike."""
     style: dict[str, Any] = {"Dumper": _Dumper, "sort_keys": False, "width": 100}
     text: str = yaml.dump(document, allow_unicode=True, **style)
-    if has_control_chars(text.replace("\n", "")):
+    lines = text.replace("\n", "")
+    if printable(lines) != lines:
         # Invisible characters, such as marks that turn the direction of a line, are escaped.
         text = yaml.dump(document, allow_unicode=False, **style)
     return text

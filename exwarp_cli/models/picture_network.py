@@ -110,17 +110,21 @@ class PictureNetwork(OnnxNetwork):
         for _ in self.answers(network_api.NetworkPictures(planes, 0.5)):
             pass
 
-    def answers(self, inputs: network_api.LazyInputs) -> Iterator[tuple[network_api.Tile, Float32]]:
-        """Yield each tile and the planes that are kept of its answer, float32 [C, h, w]."""
+    def answers(
+        self, inputs: network_api.LazyInputs
+    ) -> Iterator[tuple[network_api.KeptPart, Float32]]:
+        """Yield the part of the picture that each tile makes, and its planes, float32 [C, h, w]."""
         height, width = inputs.shape
         rows, columns = (-(-pixels // self.stride) * self.stride for pixels in inputs.shape)
+        row, column = slice(0, rows), slice(0, columns)
         tiles: tuple[network_api.Tile, ...] = (
-            (network_api.TileSpan(0, rows, 0, rows), network_api.TileSpan(0, columns, 0, columns)),
+            (network_api.TileSpan(row, row), network_api.TileSpan(column, column)),
         )
         if rows * columns > MAX_PIXELS and self._reach is not None:
             tiles = network_api.cut_tiles((rows, columns), self.stride, self._reach, MAX_PIXELS)
         for number, (down, across) in enumerate(tiles, start=1):
-            shape = (self._interface.channels, down.end - down.begin, across.end - across.begin)
+            sides = (span.seen.stop - span.seen.start for span in (down, across))
+            shape = (self._interface.channels, *sides)
             # One buffer serves all tiles of a size. When it went back to the pool in between, it
             # swapped memory with frames' arrays: to map and clear pages took three times as long
             # as writing the planes.
@@ -145,9 +149,14 @@ class PictureNetwork(OnnxNetwork):
                 )
             self._require_values(answer, pixels)
             self._buffer = None if is_last else buffer
-            kept = answer[0, :, down.inside, across.inside]
+            inside = [
+                slice(span.kept.start - span.seen.start, span.kept.stop - span.seen.start)
+                for span in (down, across)
+            ]
+            kept = answer[0, :, inside[0], inside[1]]
             # The last tiles reach beyond a picture whose size is no multiple of the stride.
-            yield (down, across), kept[:, : height - down.first, : width - across.first]
+            kept = kept[:, : height - down.kept.start, : width - across.kept.start]
+            yield (down.kept, across.kept), kept
 
     def _require_shape(self, node: Any, kind: str, shape: tuple[int | None, ...]) -> None:
         """Refuse another shape than this one, in which None is a size that the network leaves free.
@@ -239,7 +248,7 @@ class OnnxExtrapolator(PictureNetwork):
         """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""
         colour = np.empty((3, *inputs.shape), np.float32)
         for (rows, columns), answer in self.answers(inputs):
-            colour[:, rows.kept, columns.kept] = answer
+            colour[:, rows, columns] = answer
         return colour
 
     def _require_values(self, answer: Float32, pixels: str) -> None:

@@ -106,7 +106,9 @@ class Fingerprinter:
         if self.network is not None and extrapolates:
             facts["network"] = [self.network.sha256, self.network.device]
         if self.interpolator is not None:
-            facts["interpolator"] = self.interpolator.identity
+            model = self.interpolator
+            tiles = [] if model.policy_sha256 is None else [model.policy_sha256, model.effort]
+            facts["interpolator"] = [model.sha256, model.card_sha256, model.device, *tiles]
         if self.policy is not None and extrapolates:
             facts["policy"] = self.policy
         if self.method.needs_truth and self.truth is not None:

@@ -40,7 +40,6 @@ from exwarp_cli.pipeline.progress import FrameListener, Progress, kind_of
 from exwarp_cli.pipeline.scoring import IntervalScores, KeyedPulses, broken_pixels_of
 from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, header_attributes
 from exwarp_cli.runtime.cores import hold_cores
-from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.runtime.stop import check_stop
 
 # Bytes of frames that wait to be written, beside those that are being written.
@@ -159,7 +158,6 @@ class Run:
             for _ in keys:
                 # Handed on at once: a variable would hold the raw geometry while the next is read.
                 self._render_interval(next(intervals))
-                pool.trim()
         records = self._records
         if self._pulses is not None:
             records = list(self._pulses.complete(records))

@@ -14,7 +14,15 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.decision import TIMING_STEPS, Decision, Features, Plan, Trial, infer_maker
+from exwarp_cli.domain.decision import (
+    NODE_SLOTS,
+    TIMING_STEPS,
+    Decision,
+    Features,
+    Plan,
+    Trial,
+    infer_maker,
+)
 from exwarp_cli.domain.frame import Bool, Image, place_on_canvas
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.tiles import Risk, TileMakers, TilePlan
@@ -212,6 +220,7 @@ class SlotRenderer:
         timeline, plan = self.source.timeline, prepared.plan
         # What a path made that was decided is of the method that decides.
         decided = isinstance(plan, Plan) and self.method.predict is None
+        decisions = plan.decisions if isinstance(plan, Plan) else ()
         number = timeline.number(slot)
         rendered = () if part is None else part.rendered
         sources = predicted.sources if part is None else part.keys
@@ -234,7 +243,8 @@ class SlotRenderer:
             timing_ms=timing_ms,
             made_by=predicted.made_by,
             path=plan.path if isinstance(plan, Plan) else None,
-            decision=plan.decision_of(slot.index) if isinstance(plan, Plan) else None,
+            # None about slot 2 after d1 = E
+            decision=next((d for d in decisions if NODE_SLOTS[d.node] == slot.index), None),
             replaced=self.writer.is_in_the_way(number),
             risk=predicted.risk if predicted.kind is FrameKind.GENERATED else None,
             trial=prepared.trial,

@@ -16,10 +16,10 @@ from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import (
     FACTOR,
     MAX_FACTOR,
+    NTSC_RATIO,
     CutOption,
     Slot,
     Timeline,
-    compatible_rate,
     number_step,
     parse_cuts,
     parse_rate,
@@ -375,7 +375,12 @@ def _timeline(keys: Shot, settings: SourceSettings) -> tuple[Timeline, Fraction,
     if settings.to_fps is not None:
         if settings.factor is not None:
             raise UsageError("--factor and --to-fps say the same in two ways; give one of them")
-        factor = compatible_rate(fps, standard_rate(settings.to_fps)) / fps
+        # The rate within 0.1 % at which most key frames are output instants. From 24000/1001 to 60
+        # fps only one key frame in a thousand is one; to 60000/1001 every other one is. The rate is
+        # kept where nothing is gained.
+        factor = standard_rate(settings.to_fps) / fps
+        ratios = (factor, factor * NTSC_RATIO, factor / NTSC_RATIO)
+        factor = min(ratios, key=lambda ratio: ratio.denominator)
         if not 1 < factor <= MAX_FACTOR:
             raise UsageError(
                 f"--to-fps {float(settings.to_fps):g} is {float(factor):g} times the input's "

@@ -180,7 +180,7 @@ def state(features: decision.Features, node: str) -> F64:
         "EMD_Wp": features.emd_position / features.distance if features.distance > 0 else 0.0,
         "Var_x": features.var_x / features.width**2,
         "Var_y": features.var_y / features.width**2,
-        "R": features.resolution / 1e6,
+        "R": features.width * features.height / 1e6,
     }
     scaled = [SCALES[name](relative[name]) for name in decision.FEATURES]
     return np.array([*scaled, *(name == node for name in decision.NODES)], float)

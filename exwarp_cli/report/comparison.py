@@ -149,6 +149,7 @@ def _judge_limits(result: Comparison, quality: dict[str, Any]) -> list[dict[str,
             value = max(measured, key=limit.metric.badness, default=None)
         else:
             value = quality[limit.scope][name]
+        worst = limit.metric.badness(limit.limit)  # which itself passes
         verdicts.append(
             {
                 "name": limit.name,
@@ -157,7 +158,7 @@ def _judge_limits(result: Comparison, quality: dict[str, Any]) -> list[dict[str,
                 "limit": limit.limit,
                 "fails": limit.option.removeprefix("--fail-"),
                 "value": value,
-                "passed": value is not None and limit.passes(value),
+                "passed": value is not None and limit.metric.badness(value) <= worst,
             }
         )
     return verdicts
@@ -183,10 +184,16 @@ def require_quality(result: Comparison) -> None:
             "that limit out"
         )
     if failed:
-        failures = ", ".join(limit.failure(value) for limit, value in failed)
+        failures = [
+            f"{limit.name} {value:+.6g} is farther from 0 than {limit.limit:g}"
+            if limit.metric.signed
+            else f"{limit.name} {value:.6g} is {limit.option.removeprefix('--fail-')} "
+            f"{limit.limit:g}"
+            for limit, value in failed
+        ]
         raise QualityError(
-            f"{result.test.pattern} is not good enough: {failures}; look at the worst frame, "
-            f"{result.worst.test}, or set other limits"
+            f"{result.test.pattern} is not good enough: {', '.join(failures)}; look at the worst "
+            f"frame, {result.worst.test}, or set other limits"
         )
 
 

@@ -21,7 +21,9 @@ import numpy as np
 
 from exwarp_cli.domain.decision import (
     CHOICES,
+    EXTRAPOLATE,
     FEATURES,
+    HELD,
     LOOKAHEAD,
     NODES,
     PATHS,
@@ -31,7 +33,7 @@ from exwarp_cli.domain.decision import (
 )
 from exwarp_cli.domain.metric import GROUND_TRUTH, KEY_FRAMES, METRICS
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary, Score
-from exwarp_cli.domain.tiles import paths_from_makers
+from exwarp_cli.domain.tiles import MAKER_LETTERS, TILE_PATHS
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.report.review import PLACE_COLUMNS, Place, summarise_review
 
@@ -128,7 +130,9 @@ def run_document(run: RunSummary) -> dict[str, Any]:
         "cuts": None
         if run.cuts is None
         else [{"frame": cut.number, "source": cut.source} for cut in run.cuts],
-        "held": run.held,
+        # Key frames that the slots after them repeat: the next one shows the same picture; or none
+        # follows in the shot, and the key frame itself repeats the one before.
+        "held": sorted({frame.key for frame in run.frames if frame.method == HELD}),
         "views": run.views,
         "layers": run.layers,
         "left_out": run.left_out,
@@ -255,9 +259,14 @@ def _summarise_decisions(
     softsplat and the network made, in parts where tiles were chosen; ``cost``: the networks' share
     of the new frames' area.
     """
-    # Makers of the frames for each of whose tiles the decision tree was walked.
-    tiles = {f.number: f.tiles for f in run.frames if f.tiles and not f.tiles.looks_ahead}
+    # Makers of the frames for each of whose tiles the decision tree was walked: not those that are
+    # made of the key frames on both sides.
+    two_sided = MAKER_LETTERS[SOFTSPLAT], MAKER_LETTERS[LOOKAHEAD]
+    kinds = ((f.number, f.tiles) for f in run.frames if f.tiles is not None)
+    tiles = {number: made for number, made in kinds if made.letters[0] not in two_sided}
     decides = run.decides or bool(tiles)
+    # A tile's path shows in the makers of slots 2 and 3.
+    path_of = {letters[1:]: name for name, letters in TILE_PATHS.items()}
     paths: list[str] = []
     for interval in complete if decides else ():
         taken = [frame.path for frame in interval if frame.path]
@@ -265,7 +274,8 @@ def _summarise_decisions(
         if taken:
             paths.append(taken[-1])
         elif 2 in by_slot and 3 in by_slot:
-            paths += paths_from_makers(by_slot[2], by_slot[3])
+            pairs = zip(by_slot[2].letters, by_slot[3].letters, strict=True)
+            paths += [path_of[second + third] for second, third in pairs]
     block = count_decisions(paths if decides else None)
 
     keys: dict[tuple[Trial, bool], dict[int, None]] = {}
@@ -276,7 +286,7 @@ def _summarise_decisions(
             looks_ahead = run.lookahead and frame.number not in tiles
             keys.setdefault((frame.trial, looks_ahead), {})[frame.key] = None
         if frame.tiles is not None:
-            shares[frame.number] = frame.tiles.dear_share
+            shares[frame.number] = sum(map(frame.tiles.share, (EXTRAPOLATE, LOOKAHEAD)))
         elif run.lookahead and frame.kind is FrameKind.GENERATED:
             shares[frame.number] = float(frame.made_by == LOOKAHEAD)
     trials = []

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 COMPILING = "compiling kernels for this machine, once; this may take half a minute"
 COMPILED = "compiled "  # begins all later messages
@@ -17,16 +18,19 @@ COMPILED = "compiled "  # begins all later messages
 INTERVAL = 3.0
 
 
+@dataclass
 class Compilation:
     """The kernels that a process compiles, and the messages about them."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
-        self._channels: list[Callable[[str], None]] = []
-        self.loaded = self.compiled = 0  # kernels since the process began
-        self._is_announced = False
-        self._count, self._seconds = 0, 0.0  # of the kernels compiled since the last report
-        self._start = self._newest = 0.0  # times of the last kernel's start and the last message
+    clock: Callable[[], float] = time.monotonic
+    loaded: int = 0  # kernels since the process began
+    compiled: int = 0
+    _channels: list[Callable[[str], None]] = field(default_factory=list)
+    _is_announced: bool = False
+    _count: int = 0  # kernels compiled since the last report
+    _seconds: float = 0.0  # that they took
+    _start: float = 0.0  # time of the last kernel's start
+    _newest: float = 0.0  # time of the last message
 
     @contextmanager
     def messages_to(self, channel: Callable[[str], None]) -> Iterator[None]:
@@ -36,35 +40,33 @@ class Compilation:
             yield
         finally:
             if self._count:
-                self._send(f"{self._summary()}; later runs need not")
+                self._report("; later runs need not")
                 self._count, self._seconds = 0, 0.0
             self._channels.remove(channel)
             self._is_announced = self._is_announced and bool(self._channels)
 
     def begin(self) -> None:
         """Note that a kernel is about to be compiled."""
-        self._start = self._clock()
+        self._start = self.clock()
         if self._channels and not self._is_announced:
             self._is_announced = True
-            self._send(COMPILING)
+            self._newest = self._start
+            self._channels[-1](COMPILING)
 
     def end(self) -> None:
         """Note that a kernel was compiled."""
-        now = self._clock()
+        now = self.clock()
         self.compiled += 1
         if not self._is_announced:
             return
         self._count, self._seconds = self._count + 1, self._seconds + now - self._start
         if sys.stderr.isatty() and now - self._newest >= INTERVAL:
-            self._send(f"{self._summary()} so far")
+            self._report(" so far")
 
-    def _summary(self) -> str:
+    def _report(self, ending: str) -> None:
+        self._newest = self.clock()
         kernels = "1 kernel" if self._count == 1 else f"{self._count} kernels"
-        return f"{COMPILED}{kernels} in {self._seconds:.0f} s"
-
-    def _send(self, text: str) -> None:
-        self._newest = self._clock()
-        self._channels[-1](text)
+        self._channels[-1](f"{COMPILED}{kernels} in {self._seconds:.0f} s{ending}")
 
 
 compilation = Compilation()

@@ -20,7 +20,13 @@ _count: int | None = None
 _limit: int | None = None  # cores that threads hold while they work; None where all may work
 _free = 0  # of these
 _changed = Condition()
-_thread = local()  # `held`: cores that a thread holds
+
+
+class _Thread(local):
+    held = 0  # cores that a thread holds
+
+
+_thread = _Thread()
 
 
 def set_count(count: int | None, usable: int) -> None:
@@ -30,7 +36,7 @@ def set_count(count: int | None, usable: int) -> None:
     limit = _count if _count < usable else None
     if limit != _limit:  # else what threads hold stays valid
         with _changed:
-            _limit, _free, _thread = limit, limit or 0, local()
+            _limit, _free, _thread = limit, limit or 0, _Thread()
             _changed.notify_all()
 
 
@@ -45,7 +51,7 @@ def hold_cores(count: int = 1) -> Iterator[None]:
 
     A thread that holds some already keeps to these.
     """
-    if _limit is None or _held():
+    if _limit is None or _thread.held:
         yield
         return
     _keep(count)
@@ -61,7 +67,7 @@ def release_cores() -> Iterator[None]:
 
     The thread must hold no lock that these may want: they could wait for each other.
     """
-    count = _held()
+    count = _thread.held
     if not count:
         yield
         return
@@ -72,17 +78,13 @@ def release_cores() -> Iterator[None]:
         _keep(count)
 
 
-def _held() -> int:
-    return int(getattr(_thread, "held", 0))
-
-
 def _keep(count: int) -> None:
     """Wait for so many cores, or all there are, and hold them; give all back for 0."""
     global _free
     with _changed:
         _changed.wait_for(lambda: _free >= min(count, _limit or 0))
         kept = min(count, _limit or 0)  # after `set_count` there may be fewer
-        _free += _held() - kept
+        _free += _thread.held - kept
         _thread.held = kept
         if not kept:
             _changed.notify_all()

@@ -19,15 +19,6 @@ GROUPS = Path("/sys/fs/cgroup")
 MEMBERSHIP = Path("/proc/self/cgroup")
 MEMORY = Path("/proc/meminfo")
 
-# Version 1 of control groups writes a huge number of bytes where there is no limit.
-_UNLIMITED = 1 << 60
-
-# Files with limit and use, in version 2 of control groups and in version 1.
-_MEMORY_FILES = (
-    ("memory.max", "memory.current"),
-    ("memory.limit_in_bytes", "memory.usage_in_bytes"),
-)
-
 
 @dataclass(frozen=True)
 class Processors:
@@ -91,9 +82,13 @@ def memory() -> Memory:
     there, available = meminfo.get("MemTotal"), meminfo.get("MemAvailable")
     limits, rooms = [], [] if available is None else [available]
     for folder in _control_groups():
-        for names in _MEMORY_FILES:
-            limit, used = (_read_text(folder / name) for name in names)
-            if limit.isdecimal() and used.isdecimal() and int(limit) < (there or _UNLIMITED):
+        for maximum, current in (  # in version 2 of control groups and in version 1
+            ("memory.max", "memory.current"),
+            ("memory.limit_in_bytes", "memory.usage_in_bytes"),
+        ):
+            limit, used = _read_text(folder / maximum), _read_text(folder / current)
+            # Version 1 writes a huge number of bytes where there is no limit.
+            if limit.isdecimal() and used.isdecimal() and int(limit) < (there or 1 << 60):
                 # The kernel counts cached files as used, but drops them when memory is needed.
                 stat = _read_text(folder / "memory.stat")
                 cached = re.search(r"^(?:total_)?inactive_file (\d+)$", stat, re.MULTILINE)
@@ -117,14 +112,6 @@ def look_at(path: Path) -> Folder:
     except OSError:
         free = None
     return Folder(path, problem, free)
-
-
-def temporary_folder() -> Path | None:
-    """Return the folder of temporary files; None where none can be written."""
-    try:
-        return Path(tempfile.gettempdir())
-    except OSError:
-        return None
 
 
 def cached_files(folder: Path, suffix: str) -> tuple[int, int]:

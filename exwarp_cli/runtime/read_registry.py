@@ -10,6 +10,7 @@ import os
 import select
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 
@@ -23,14 +24,14 @@ _pipe: int | None = None
 _skipped: Mapping[Path, str] = {}
 
 
+@dataclass
 class ReadRegistry:
     """The files that another process reads."""
 
-    def __init__(self) -> None:
-        self.files: dict[int, Path] = {}  # by the number of the reading
-        self.required: set[int] = set()  # readings that nothing can go on without
-        self.restarts = False  # whether the command can restart without files that crash a library
-        self._incomplete = b""
+    files: dict[int, Path] = field(default_factory=dict)  # by the number of the reading
+    required: set[int] = field(default_factory=set)  # readings that nothing can go on without
+    restarts: bool = False  # whether the command can restart without files that crash a library
+    _incomplete: bytes = b""
 
     def receive(self, data: bytes) -> None:
         """Update from the next bytes of the pipe."""
@@ -58,13 +59,12 @@ def attach(pipe: int, skipped: Mapping[Path, str]) -> None:
     _pipe, _skipped = pipe, dict(skipped)
 
 
-def enable_restart() -> None:
-    """Allow a restart without the files at which a library crashes or hangs."""
+def enable_restart() -> bool:
+    """Allow a restart without the files at which a library crashes or hangs.
+
+    Returns whether this is one: an earlier process of this command failed at a file.
+    """
     _send(_RESTART, 0)
-
-
-def is_restarted() -> bool:
-    """Return whether an earlier process of this command failed at a file."""
     return bool(_skipped)
 
 

@@ -14,9 +14,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn
 
 # Seconds in which signals count as one. A terminal sends SIGINT to both processes of a command, and
 # the parent forwards it.
@@ -27,8 +27,6 @@ AT_ONCE_S = 1.0
 # allow 10 s or more before they kill. A longer frame is lost, and the next run makes it again.
 STALLED_S = 8.0
 
-_TICK_S = 0.25
-
 # The signal by which this process was asked to stop. No Event: its lock may be held by the thread
 # that a handler interrupts.
 _number = 0
@@ -36,12 +34,11 @@ _progress = 0.0  # when a loop began to stop, or a temporary file was last compl
 _clean_ups: list[Callable[[], object]] = []
 
 
+@dataclass(eq=False)
 class StopRequested(BaseException):
-    """Ends a loop, with the signal's number; no `Exception`, as it is no failure."""
+    """Ends a loop; no `Exception`, as it is no failure."""
 
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
+    number: int  # the signal's
 
 
 def check_stop() -> None:
@@ -94,17 +91,31 @@ def graceful_stop(last_words: Callable[[int], str], is_last: bool = False) -> It
     if threading.current_thread() is not threading.main_thread():
         yield
         return
+    # Python runs a handler between two steps of the main thread, which may be in a library for
+    # minutes. What C writes to the wakeup descriptor reaches the other thread at once.
+    receiver, sender = socket.socketpair()
+    sender.setblocking(False)
+    watcher = threading.Thread(target=_watch, args=(receiver, last_words), daemon=True)
+    previous = None
     handlers = {signal.SIGTERM: signal.signal(signal.SIGTERM, _request_stop)}
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         handlers[signal.SIGINT] = signal.signal(signal.SIGINT, _request_stop)
     try:
-        with _watch_signals(last_words):
-            yield
+        with suppress(RuntimeError):  # no more threads: what needs one says so; the flag is set
+            watcher.start()
+            previous = signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
+        yield
     except Exception as error:
         if _number:
             raise StopRequested(_number) from error
         raise
     finally:
+        if previous is not None:
+            signal.set_wakeup_fd(previous)
+            sender.close()  # ends the thread
+            watcher.join()
+        sender.close()
+        receiver.close()
         for number, handler in handlers.items():
             signal.signal(number, signal.SIG_IGN if is_last else handler or signal.SIG_DFL)
         _number = 0
@@ -131,30 +142,6 @@ def _request_stop(number: int, _frame: FrameType | None = None) -> None:
     _number = _number or number
 
 
-@contextmanager
-def _watch_signals(last_words: Callable[[int], str]) -> Iterator[None]:
-    """Let another thread act on signals in the block."""
-    # Python runs a handler between two steps of the main thread, which may be in a library for
-    # minutes. What C writes to the wakeup descriptor reaches the other thread at once.
-    receiver, sender = socket.socketpair()
-    sender.setblocking(False)
-    watcher = threading.Thread(target=_watch, args=(receiver, last_words), daemon=True)
-    try:
-        watcher.start()
-    except RuntimeError:  # no more threads: what needs one says so, and the flag is still set
-        receiver.close()
-        sender.close()
-        yield
-        return
-    previous = signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
-    try:
-        yield
-    finally:
-        signal.set_wakeup_fd(previous)
-        sender.close()  # ends the thread
-        watcher.join()
-
-
 def _watch(receiver: socket.socket, last_words: Callable[[int], str]) -> None:
     """End this process at a second signal, or when it does not stop by itself."""
     first = 0.0
@@ -164,25 +151,21 @@ def _watch(receiver: socket.socket, last_words: Callable[[int], str]) -> None:
                 number = receiver.recv(1)
             except TimeoutError:
                 if time.monotonic() - max(first, _progress) > STALLED_S:
-                    _end_process(last_words)
+                    break
                 continue
             if not number:
                 return
             if number[0] not in (signal.SIGINT, signal.SIGTERM):
                 continue
             if first and time.monotonic() - first > AT_ONCE_S:
-                _end_process(last_words)
+                break
             if not first:
                 first = time.monotonic()
-                receiver.settimeout(_TICK_S)
+                receiver.settimeout(0.25)
                 _request_stop(number[0])
-
-
-def _end_process(last_words: Callable[[int], str]) -> NoReturn:
-    """End this process from another thread: the main one may be in a library."""
-    with suppress(OSError, ValueError, AttributeError):  # a lock may be held on the stream
-        os.write(sys.stderr.fileno(), f"{last_words(_number)}\n".encode())
-    for action in reversed(_clean_ups.copy()):  # programs before the files that they write
-        with suppress(Exception):
-            action()
-    os._exit(128 + _number)
+        with suppress(OSError, ValueError, AttributeError):  # a lock may be held on the stream
+            os.write(sys.stderr.fileno(), f"{last_words(_number)}\n".encode())
+        for action in reversed(_clean_ups.copy()):  # programs before the files that they write
+            with suppress(Exception):
+                action()
+        os._exit(128 + _number)  # from this thread: the main one may be in a library

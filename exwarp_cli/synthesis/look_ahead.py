@@ -45,7 +45,9 @@ class LookAhead:
     chosen: Bool | None = field(default=None, init=False)
     # Of the beauty, for further layers: what the network answered, what moves along light as well,
     # and how far that is followed, [H, W].
-    _weights: list[tuple[network_api.Tile, np.ndarray]] = field(default_factory=list, init=False)
+    _weights: list[tuple[network_api.KeptPart, np.ndarray]] = field(
+        default_factory=list, init=False
+    )
     _light: tuple[tuple[warp.Mover, warp.Mover], Float32] | None = field(default=None, init=False)
 
     def make(
@@ -110,7 +112,7 @@ class LookAhead:
 
     def _weigh(
         self, network: network_api.LookAheadNetwork, beauty: Candidates
-    ) -> Iterable[tuple[network_api.Tile, np.ndarray]]:
+    ) -> Iterable[tuple[network_api.KeptPart, np.ndarray]]:
         """Have a network weigh the beauty's candidates; return float16 [5, h, w] of each tile."""
         if self.choose is not None and self.evidence is not None:
             self.chosen = self.choose(self.evidence)
@@ -171,7 +173,7 @@ class Candidates:
 
     def weigh_in(
         self, network: network_api.LookAheadNetwork, mosaic: Mosaic, chosen: Bool
-    ) -> Iterator[tuple[network_api.Tile, np.ndarray]]:
+    ) -> Iterator[tuple[network_api.KeptPart, np.ndarray]]:
         """Yield the weights of each row of tiles; what `softsplat` makes counts beside chosen ones.
 
         Weights change smoothly there, so that no seam shows in any layer.
@@ -182,7 +184,7 @@ class Candidates:
             region = network_api.InputRegion(self, rows, columns)
             out = np.empty((network_api.CANDIDATES, *region.shape), np.float32)
             for (down, across), planes in network.weigh(region):
-                out[:, down.kept, across.kept] = planes
+                out[:, down, across] = planes
             return out
 
         answers = ((*part, weigh(part[1], part[2])) for part in mosaic.parts(chosen))
@@ -192,10 +194,9 @@ class Candidates:
             part, share = weights[:, top:bottom], ramp[top:bottom]
             part[1:] *= share
             part[0] = 1 - share * (1 - part[0])
-            down = network_api.TileSpan(top, bottom, top, bottom)
-            yield (down, network_api.TileSpan(0, width, 0, width)), part
+            yield (slice(top, bottom), slice(0, width)), part
 
-    def mix(self, weights: Iterable[tuple[network_api.Tile, np.ndarray]]) -> Float32:
+    def mix(self, weights: Iterable[tuple[network_api.KeptPart, np.ndarray]]) -> Float32:
         """Mix the candidates by weights, float16 [5, h, w] of each tile.
 
         Returns the slot's colour, float32 [H, W, C], coded as the candidates are.
@@ -203,6 +204,6 @@ class Candidates:
         out: Float32 = pool.empty(self.mixed.shape, np.float32)
         sides = tuple(side.pixels for side in self.sides)
         for (down, across), part in weights:
-            corner = down.first, across.first
+            corner = down.start, across.start
             blend.mix_candidates(self.mixed, sides, part.astype(np.float32), corner, out)
         return out

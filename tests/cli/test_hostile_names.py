@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from exwarp_cli import cli
-from exwarp_cli.domain.wording import has_control_chars
+from exwarp_cli.domain.wording import printable
 from tests.cli import shots
 from tests.cli.shots import FORWARD, SMALL
 
@@ -88,7 +88,7 @@ def shot(request, folder) -> tuple[Path, str]:
 def require_plain(*texts: str) -> None:
     """Refuse what a terminal would obey."""
     for text in texts:
-        bad = [line for line in text.split("\n") if has_control_chars(line)]
+        bad = [line for line in text.split("\n") if printable(line) != line]
         assert not bad
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -14,6 +15,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from exwarp_cli.domain.decision import EXTRAPOLATE, LOOKAHEAD
 from exwarp_cli.domain.tiles import TileMakers
 from tests.cli import shots
 from tests.cli.street import Street
@@ -81,6 +83,10 @@ def test_tiles_of_one_frame_differ(take):
     assert decisions["warp_share"] == pytest.approx(1 - cost)
     count = len(done.tiles[0].letters)
     assert sum(decisions["paths"].values()) == COUNT * count
+    second, third = ("".join(t.letters for t in done.tiles[slot::3]) for slot in (1, 2))
+    pairs = Counter(zip(second, third, strict=True))
+    for name, makers in {"S3": "ee", "S4": "er", "S5": "we", "S6": "ww"}.items():
+        assert decisions["paths"][name] == pairs[makers[0], makers[1]]
     assert decisions["nodes"]["d1"] == {"warp": COUNT * count, "extrapolate": 0}
     assert sum(decisions["nodes"]["d2"].values()) == COUNT * count
     with OpenEXR.File(str(done.folder / "shot.0003.exr"), header_only=True) as file:
@@ -159,11 +165,11 @@ def test_between_key_frames_tiles_of_one_frame_differ(ahead):
     done = ahead("out", "--no-gate")
     tiles = done.tiles[:BETWEEN]
     assert all({"s", "l"} == set(each.letters) for each in tiles)
-    dear = sum(each.dear_share for each in tiles)
+    dear = sum(each.share(LOOKAHEAD) for each in tiles)
     decisions = done.report["decisions"]
     assert decisions["look_ahead"]["dear"] == pytest.approx(dear, abs=1e-3)
     assert sum(decisions["look_ahead"].values()) == pytest.approx(BETWEEN)
-    after = sum(each.dear_share for each in done.tiles[BETWEEN:])
+    after = sum(each.share(EXTRAPOLATE) for each in done.tiles[BETWEEN:])
     assert decisions["cost"] == pytest.approx((dear + after) / (3 * COUNT))
     assert sum(decisions["paths"].values()) == len(done.tiles[-1].letters)
     assert done.report["interpolator"]["effort"] == 0.5

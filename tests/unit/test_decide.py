@@ -117,7 +117,7 @@ class TestKeySetting:
         inside = Window(10, 8, 64, 40)
         wide = Observer(inside, "key").surroundings(1, keys(0, 1), ())
         cut = Observer(inside, "key").surroundings(1, keys(0, 1, window=inside), ())
-        assert wide == cut and wide.now[0].resolution == 64 * 40
+        assert wide == cut and wide.now[0].values[-1] == 64 * 40
 
     def test_a_key_frame_settled_elsewhere_is_not_settled_again(self, monkeypatch):
         monkeypatch.setattr(decide, "settle_motion", lambda gbuffer: pytest.fail("settled"))

@@ -91,9 +91,8 @@ class TestPlan:
 
     @pytest.mark.parametrize("name", paper.PATHS)
     def test_which_decision_a_slot_is_of(self, name):
-        for slot, node in enumerate(paper.NODES_OF[name], start=1):
-            decision = Plan.fixed(name).decision_of(slot)
-            assert (decision.node if decision else "") == node
+        nodes = {NODE_SLOTS[step.node]: step.node for step in Plan.fixed(name).decisions}
+        assert tuple(nodes.get(slot, "") for slot in (1, 2, 3)) == tuple(paper.NODES_OF[name])
 
 
 numbers = st.floats(min_value=0, allow_infinity=False, allow_nan=False)

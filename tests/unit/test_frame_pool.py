@@ -70,18 +70,9 @@ def test_a_copy_has_the_values_and_its_own_memory(pool):
     assert copy.flags.c_contiguous and not np.shares_memory(copy, given)
 
 
-def test_what_a_whole_interval_did_not_use_is_freed(pool):
-    pool.empty(SHAPE, np.float32)
-    pool.trim()
-    assert pool.free_bytes == BYTES  # the interval that used it has just ended
-    pool.trim()
-    assert pool.free_bytes == 0
-
-
-def test_what_every_interval_uses_stays(pool):
+def test_what_is_used_again_and_again_stays(pool):
     for _ in range(4):
         pool.empty(SHAPE, np.float32)
-        pool.trim()
     assert pool.free_bytes == BYTES
 
 
@@ -119,7 +110,7 @@ def test_threads_never_share_a_buffer(pool):
             if any((one[::4096] != number).any() for one in held):
                 wrong.append(number)
             if turn % 50 == 0:
-                pool.trim()
+                pool.clear()
 
     threads = [threading.Thread(target=work, args=(number,)) for number in range(1, 6)]
     for thread in threads:

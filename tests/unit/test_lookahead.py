@@ -13,10 +13,9 @@ from exwarp_cli.domain.network_api import (
     CANDIDATES,
     LOOKAHEAD_INTERFACE,
     SIDES,
+    KeptPart,
     LazyInputs,
     NetworkPictures,
-    Tile,
-    TileSpan,
 )
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.kernels import blend
@@ -37,16 +36,16 @@ class Chooser:
     checksum: str = "0" * 64
     given: list[NetworkPictures] = field(default_factory=list)
 
-    def weigh(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
+    def weigh(self, inputs: LazyInputs) -> Iterator[tuple[KeptPart, Float32]]:
         height, width = inputs.shape
         for first in range(0, height, self.rows):
             end = min(first + self.rows, height)
-            part = inputs.part(slice(first, end), slice(0, width))
+            rows, columns = slice(first, end), slice(0, width)
+            part = inputs.part(rows, columns)
             self.given.append(part)
             weights = np.zeros((CANDIDATES, end - first, width), np.float32)
             weights[self.candidate] = 1
-            span = TileSpan(first, end, first, end)
-            yield (span, TileSpan(0, width, 0, width)), weights
+            yield (rows, columns), weights
 
 
 def key(index: int) -> KeyFrame:

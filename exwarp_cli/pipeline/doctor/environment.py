@@ -10,6 +10,7 @@ import importlib
 import platform
 import re
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from importlib.metadata import Distribution, PackageNotFoundError, distribution, version
@@ -21,7 +22,7 @@ import exwarp_cli
 from exwarp_cli import __version__
 from exwarp_cli.domain.wording import enumerated, first_line, size_text
 from exwarp_cli.pipeline.doctor.checkup import CheckResult, Finding, failure, warning
-from exwarp_cli.runtime.machine import look_at, memory, processors, temporary_folder
+from exwarp_cli.runtime.machine import look_at, memory, processors
 
 LEAST_MEMORY = 4 << 30  # for 1920x1080 by a network; 3.7 GiB were measured
 LEAST_MEMORY_WITHOUT_NETWORK = 1 << 30  # the same for s6 and softsplat
@@ -98,8 +99,9 @@ def check_machine() -> CheckResult:
 
 def check_temporary() -> CheckResult:
     """Check the folder of temporary files."""
-    path = temporary_folder()
-    if path is None:
+    try:
+        path = Path(tempfile.gettempdir())
+    except OSError:
         text = "no folder for temporary files can be written; name one in TMPDIR"
         return CheckResult(
             "none", (failure(text),), {"path": None, "writable": False, "free": None}

@@ -23,9 +23,8 @@ from exwarp_cli.domain.network_api import (
     CANDIDATES,
     LOOKAHEAD_INTERFACE,
     SIDES,
+    KeptPart,
     LazyInputs,
-    Tile,
-    TileSpan,
 )
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import RenderedScene
@@ -108,13 +107,14 @@ class _Recorder:
     checksum = ""
     pictures: dict[str, np.ndarray]
 
-    def weigh(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
+    def weigh(self, inputs: LazyInputs) -> Iterator[tuple[KeptPart, Float32]]:
         height, width = inputs.shape
-        part = inputs.part(slice(0, height), slice(0, width))
+        rows, columns = slice(0, height), slice(0, width)
+        part = inputs.part(rows, columns)
         self.pictures = {name: p.astype(np.float16) for name, p in part.pictures.items()}
         weights = np.zeros((CANDIDATES, height, width), np.float32)
         weights[0] = 1
-        yield (TileSpan(0, height, 0, height), TileSpan(0, width, 0, width)), weights
+        yield (rows, columns), weights
 
 
 def variants_of(name: str, seed: int) -> list[tuple[Variant, Look]]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 
-from exwarp_cli import cli, config
+from exwarp_cli import cli
 from tests.cli.config.commands import Parse
 
 
@@ -29,10 +29,14 @@ def parse(project, monkeypatch, capsys) -> Parse:
     """Run a command line up to where the command would begin; return what it would be given."""
     taken: list[dict[str, Any]] = []
 
-    def instead(*_: object) -> Callable[..., None]:
-        return lambda **parameters: taken.append(parameters)
+    original = click.Command.invoke
 
-    monkeypatch.setattr(config, "_with_startup_messages", instead)
+    def invoke(command: click.Command, ctx: click.Context) -> Any:
+        if isinstance(command, click.Group):
+            return original(command, ctx)
+        return taken.append(ctx.params)
+
+    monkeypatch.setattr(click.Command, "invoke", invoke)
 
     def run(*arguments: object) -> dict[str, Any]:
         taken.clear()

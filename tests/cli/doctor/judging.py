@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NoReturn
 
 from exwarp_cli.pipeline.doctor import checkup
 
@@ -39,3 +39,8 @@ def healthy(found: tuple[int, dict[str, Any]], *names: str) -> None:
     for name in names:
         assert document["checks"][name]["outcome"] == "ok"
         assert document["checks"][name]["remarks"] == []
+
+
+def no_folder(*_: Any, **__: Any) -> NoReturn:
+    """Stands in for a function of `tempfile` where nothing can be written."""
+    raise FileNotFoundError(2, "No such file or directory")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,7 +13,7 @@ from exwarp_cli.errors import MissingExtraError
 from exwarp_cli.models import model_file, picture_network, session
 from exwarp_cli.pipeline.doctor import environment, libraries
 from exwarp_cli.runtime.machine import Folder, Memory, Processors
-from tests.cli.doctor.judging import failed, healthy, warned
+from tests.cli.doctor.judging import failed, healthy, no_folder, warned
 
 
 class TestMachine:
@@ -27,17 +28,16 @@ class TestMachine:
         warned(examined("machine"), "machine", "300 MiB of memory", "limit")
 
     def test_a_temporary_folder_that_cannot_be_written(self, examined, monkeypatch, tmp_path):
-        def none(*_: Any, **__: Any) -> None:
-            raise FileNotFoundError(2, "No such file or directory")
-
-        monkeypatch.setattr(environment, "temporary_folder", lambda: tmp_path / "none")
-        monkeypatch.setattr("tempfile.TemporaryDirectory", none)
+        monkeypatch.setattr(
+            environment, "tempfile", SimpleNamespace(gettempdir=lambda: str(tmp_path / "none"))
+        )
+        monkeypatch.setattr("tempfile.TemporaryDirectory", no_folder)
         found = examined("temp_folder", "self_test")
         failed(found, "temp_folder", "No such file", "TMPDIR")
         failed(found, "self_test", "see 'temp folder'")
 
     def test_no_temporary_folder(self, examined, monkeypatch):
-        monkeypatch.setattr(environment, "temporary_folder", lambda: None)
+        monkeypatch.setattr(environment, "tempfile", SimpleNamespace(gettempdir=no_folder))
         failed(examined("temp_folder"), "temp_folder", "TMPDIR")
 
     def test_a_full_disk(self, examined, monkeypatch):

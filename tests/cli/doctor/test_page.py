@@ -10,6 +10,7 @@ import struct
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -17,7 +18,7 @@ from exwarp_cli import __version__
 from exwarp_cli.pipeline.doctor import checkup, environment
 from exwarp_cli.pipeline.doctor.checkup import SCHEMA, CheckResult
 from exwarp_cli.runtime.machine import Folder
-from tests.cli.doctor.judging import ESCAPE, NAMES, failed, warned
+from tests.cli.doctor.judging import ESCAPE, NAMES, failed, no_folder, warned
 
 
 class TestHealthy:
@@ -117,7 +118,7 @@ class TestConfiguration:
 
 def test_the_page_tells_what_failed(exwarp, monkeypatch):
     monkeypatch.setattr(checkup, "CHECKS", {"temp_folder": checkup.CHECKS["temp_folder"]})
-    monkeypatch.setattr(environment, "temporary_folder", lambda: None)
+    monkeypatch.setattr(environment, "tempfile", SimpleNamespace(gettempdir=no_folder))
     result = exwarp("doctor")
     assert result.code == 10
     assert "failed   temp folder    none\n" in result.out

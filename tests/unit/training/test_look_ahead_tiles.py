@@ -16,7 +16,7 @@ from exwarp_cli.accelerator.mlp import PAPER_SIZES, infer_reference, to_fixed
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.domain.decision import LOOKAHEAD, NODES, SOFTSPLAT
 from exwarp_cli.domain.frame import Bool, Float32
-from exwarp_cli.domain.network_api import LazyInputs, Tile
+from exwarp_cli.domain.network_api import KeptPart, LazyInputs
 from exwarp_cli.domain.tiles import LOOK_AHEAD_FEATURES, LOOK_AHEAD_STATE, TileMakers
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.models.policy_files import SHIPPED_LOOK_AHEAD_POLICY, PolicyFile, load_policy
@@ -58,7 +58,7 @@ class Counting(Chooser):
 
     pixels = 0
 
-    def weigh(self, inputs: LazyInputs) -> Iterator[tuple[Tile, Float32]]:
+    def weigh(self, inputs: LazyInputs) -> Iterator[tuple[KeptPart, Float32]]:
         self.pixels += int(np.prod(inputs.shape))
         return super().weigh(inputs)
 
@@ -91,7 +91,7 @@ class TestFrames:
         np.testing.assert_array_equal(whole.pixels, made("lookahead", interval(Chooser(2))))
         np.testing.assert_array_equal(nothing.pixels, made("softsplat", interval()))
         assert (whole.made_by, nothing.made_by) == (LOOKAHEAD, SOFTSPLAT)
-        assert whole.tiles is not None and whole.tiles.dear_share == 1
+        assert whole.tiles is not None and whole.tiles.share(LOOKAHEAD) == 1
         assert nothing.tiles is not None and set(nothing.tiles.letters) == {"s"}
 
     def test_a_chosen_tile_is_the_network_s_and_no_seam_shows_beside_it(self):
@@ -139,8 +139,7 @@ class TestFrames:
     def test_letters_are_read_again(self):
         found = TileMakers.chosen(np.array([[True, False, False]]))
         assert found.text == "3x1:lss" and TileMakers.parsed(found.text) == found
-        assert found.looks_ahead and found.dear_share == pytest.approx(1 / 3)
-        assert not TileMakers.parsed("3x1:wer").looks_ahead
+        assert found.share(LOOKAHEAD) == pytest.approx(1 / 3)
 
 
 class TestState:
