@@ -7,6 +7,7 @@ import threading
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from exwarp_cli.io.channels import ChannelRef, Layout, Role
 from exwarp_cli.io.display_colour import primaries_of
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.exr.writer import COMPRESSIONS, PartTemplate, PlaneTemplate, Template
+from exwarp_cli.io.files import with_retries
 from exwarp_cli.io.frame_names import file_type, split_names
 from exwarp_cli.io.generated_frames import FrameTemplate, read_picture
 from exwarp_cli.io.key_file import file_digest
@@ -62,12 +64,17 @@ class ClipSequence(Sequence):
         return str(self.folder)
 
     def image(self, number: int) -> Image:
-        """Decode a frame, cheaply as long as numbers grow; raises DamagedFileError."""
+        """Decode a frame, cheaply as long as numbers grow.
+
+        Raises DamagedFileError when damage affects it, or the video ends early. Raises
+        UnreadableError when the system does not let it through.
+        """
         thread = threading.get_ident()
         if thread not in self._readers:
             self._readers[thread] = ClipReader(self.clip)
         window = read_display_window(self, number)
-        return Image(self._readers[thread].read(number - 1), window, window)
+        read = partial(self._readers[thread].read, number - 1)
+        return Image(with_retries(self.clip.path, read), window, window)
 
     def close(self) -> None:
         """Stop decoding; a later call begins again."""

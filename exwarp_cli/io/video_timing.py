@@ -99,23 +99,6 @@ class Packets:
             return None
         return index
 
-    def is_decoded_before(self, index: int, reference: int) -> bool:
-        """Return whether a frame is known to be decoded before another one."""
-        return bool(self.positions) and self.positions[index] < self.positions[reference]
-
-    def last_needed(self, index: int) -> int:
-        """Return the last frame in the order of showing that one may build on, or itself."""
-        ahead = range(min(index + MAX_REORDERED, self.count - 1), index, -1)
-        return next((i for i in ahead if self.is_decoded_before(i, index)), index)
-
-    def cut(self, index: int) -> int | None:
-        """Return the last frame, up to this one, that its time identifies; None if none does.
-
-        Past a mended time, ffmpeg may derive others than those of the file.
-        """
-        last = index if self.mended is None else min(index, self.mended - 1)
-        return last if self.times and last >= 0 else None
-
 
 @dataclass(frozen=True)
 class Pacing:
@@ -145,17 +128,6 @@ class _Packet:
     is_key: bool
     is_hidden: bool
     is_certain: bool = True
-
-
-def read_packets(path: Path) -> Packets:
-    """List the packets of a file's first video stream, without decoding.
-
-    Raises FfmpegError when there is none, or the file cannot be read.
-    """
-    listed, _ = run_ffmpeg(
-        ["-i", f"file:{path}", "-map", "0:V:0", "-c", "copy", "-f", "framecrc", "-"]
-    )
-    return parse_packets(listed.decode("ascii", "replace"))
 
 
 def parse_packets(listed: str) -> Packets:
@@ -202,7 +174,7 @@ def _fill_times(packets: list[_Packet]) -> list[_Packet]:
     missing = sum(p.time is None for p in packets)
     if not missing or len(times) < 2 or missing > MAX_MISSING * len(packets):
         return packets
-    step = _usual_step(times)
+    step = round(median([b - a for a, b in pairwise(times) if b > a] or [1]))
     filled: list[_Packet] = []
     for packet in packets:
         if packet.time is None:
@@ -224,12 +196,13 @@ def _fill_times(packets: list[_Packet]) -> list[_Packet]:
 def _spread_equal_times(times: Sequence[int]) -> list[int]:
     """Spread equal times over the larger gap beside them; times ascend."""
     spread = list(times)
+    step = round(median([b - a for a, b in pairwise(times) if b > a] or [1]))
     first = 0
     while first < len(times):
         stop = bisect_right(times, times[first])
         count = stop - first
         if count > 1:
-            time, step = times[first], _usual_step(times)
+            time = times[first]
             before = time - times[first - 1] if first else 0
             after = times[stop] - time if stop < len(times) else step * count
             if stop == len(times) and 2 * before >= 3 * step:
@@ -241,11 +214,6 @@ def _spread_equal_times(times: Sequence[int]) -> list[int]:
                     spread[stop - 1 - place] = time - before * place // count
         first = stop
     return spread
-
-
-def _usual_step(times: Sequence[int]) -> int:
-    """Return the median time between two frames, in ticks."""
-    return round(median([b - a for a, b in pairwise(times) if b > a] or [1]))
 
 
 def find_pacing(packets: Packets, header_rate: Fraction | None) -> Pacing:
@@ -271,7 +239,12 @@ def find_pacing(packets: Packets, header_rate: Fraction | None) -> Pacing:
         if distance <= tick * rate:
             return Pacing(rate, every)
     # Where the rate varies, a header has a mean that stands for nothing: 29.83 of a phone's 30.
-    likely = _standard_rates_near(typical, tick)
+    # Times in milliseconds have a median of 42 at 24 fps, which would be 23.8: hence the tick. With
+    # half of the frames missing, only the shorter steps are those of the rate.
+    likely, short = (
+        [rate for rate in _STANDARD_RATES if abs(rate - near) <= (SNAP + tick * near) * rate]
+        for near in (typical, 1 / steps[len(steps) // 10])
+    )
     # A mean far off that of most frames shows that frames are missing, or too many.
     means = (nearest_standard_rate(mean), mean.limit_denominator(1001))
     drifting = means if abs(mean - typical) <= SNAP * typical else ()
@@ -279,8 +252,6 @@ def find_pacing(packets: Packets, header_rate: Fraction | None) -> Pacing:
     for rate in (*standard, *nearest, nearest_standard_rate(typical), *drifting):
         if all(abs(time * rate - place) < Fraction(1, 2) for place, time in enumerate(seconds)):
             return Pacing(rate, every, varies=True)
-    # With half of the frames missing, only the shorter steps are those of the rate.
-    short = _standard_rates_near(1 / steps[len(steps) // 10], tick)
     fine = [rate for rate in short if tick * rate <= FINE_TICK]
     rate = nearest_standard_rate(typical)
     for rates in (likely, fine):
@@ -302,13 +273,6 @@ def nearest_standard_rate(rate: Fraction) -> Fraction:
     """Return the standard rate that a measured one is near to, else the rate itself, simplified."""
     best = min(_STANDARD_RATES, key=lambda standard: abs(standard - rate))
     return best if abs(best - rate) <= SNAP * rate else rate.limit_denominator(1001)
-
-
-def _standard_rates_near(rate: Fraction, tick: Fraction) -> list[Fraction]:
-    """Return the standard rates for one that is measured in ticks."""
-    # Times in milliseconds have a median of 42 at 24 fps, which would be 23.8.
-    tolerance = SNAP + tick * rate
-    return [s for s in _STANDARD_RATES if abs(s - rate) <= tolerance * s]
 
 
 def first_interlaced(path: Path, packets: Packets, is_indexed: bool) -> Fraction | None:
@@ -370,7 +334,7 @@ def intact_frames(
     the frame whose time is ffmpeg's 0; 0 for the start of the file. `rate` counts where the packets
     have no times.
     """
-    expected, is_usable, zero = begin, True, None
+    expected, is_usable, zero, places = begin, True, None, packets.positions
     # Frames that may build on frames shown after them: index, bytes, and the last frame that each
     # may build on. Without times a B-frame has None there: it waits for the next that is none.
     waiting: deque[tuple[int, bytes, int | None]] = deque()
@@ -387,8 +351,11 @@ def intact_frames(
         is_usable = not frame.is_corrupt and (frame.is_key or (is_usable and index == expected))
         expected = index + 1
         if is_usable:
-            last = None if frame.is_b_frame else index
-            waiting.append((index, data, packets.last_needed(index) if packets.times else last))
+            needed = None if frame.is_b_frame else index
+            if places:
+                ahead = range(min(index + MAX_REORDERED, packets.count - 1), index, -1)
+                needed = next((i for i in ahead if places[i] < places[index]), index)
+            waiting.append((index, data, needed))
         while waiting:
             settled, data, needed = waiting[0]
             if frame.is_b_frame if needed is None else needed > index:
@@ -403,10 +370,11 @@ def _without_dependents(
     waiting: deque[tuple[int, bytes, int | None]], packets: Packets, damaged: range
 ) -> deque[tuple[int, bytes, int | None]]:
     """Return the waiting frames that build on no damaged one."""
+    places = packets.positions
     return deque(
         (index, data, needed)
         for index, data, needed in waiting
-        if not any(needed is None or packets.is_decoded_before(i, index) for i in damaged)
+        if not any(needed is None or (places and places[i] < places[index]) for i in damaged)
     )
 
 
