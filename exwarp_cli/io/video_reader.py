@@ -125,14 +125,14 @@ class Clip:
             f"out_range=pc:{EXACT_SCALING},format={pixels}"
         )
         options = [
-            *(*video_timing.ON_DAMAGE, *seek, *video_timing.IN_ORDER, *self._decoder),
+            *("-nostdin", *video_timing.ON_DAMAGE, *seek, *video_timing.IN_ORDER, *self._decoder),
             *("-i", f"file:{self.path}", "-map", "0:V:0"),
             *("-vf", f"{fields}{conversion}", "-fps_mode", "passthrough"),
             *("-f", "rawvideo", "-pix_fmt", pixels, "-"),
         ]
         frame_bytes = self.width * self.height * (3 + self.has_alpha) * (1 + self.deep)
         try:
-            with FfmpegReader(options, frame_bytes) as ffmpeg:
+            with FfmpegReader(options, frame_bytes=frame_bytes) as ffmpeg:
                 intact = video_timing.intact_frames(ffmpeg, packets, begin, self.rate)
                 decoded, data = -1, b""
                 for source in shown:
