@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from operator import attrgetter
 from pathlib import Path
 from threading import Lock
 from typing import Any, BinaryIO
@@ -33,22 +34,18 @@ from exwarp_cli.io.exr.header import (
     COMPRESSION_NAMES,
     MAGIC,
     SIGNATURE_BYTES,
+    SIGNATURES,
     Channel,
     Part,
     RawHeader,
     channels_in,
     decode,
     describe_part,
-    file_format,
     in_openimageio_order,
     name_channels,
     window_of,
 )
-from exwarp_cli.io.exr.scanlines import (
-    ChunkLayout,
-    parse_layouts,
-    read_blocks,
-)
+from exwarp_cli.io.exr.scanlines import ChunkLayout, parse_layouts, read_blocks
 from exwarp_cli.io.files import with_retries
 from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.frame_pool import pool
@@ -66,6 +63,8 @@ USUAL_SIZE, USUAL_CHANNELS, USUAL_BYTES = 1 << 16, 256, 1 << 30
 
 MAX_HEADERS = 4  # in a `HeaderCache`: a Cryptomatte's manifest in one may take megabytes
 
+_STAMP = attrgetter("st_dev", "st_ino", "st_size", "st_mtime_ns")
+
 # Channels by the number of their group, their part, and whether they are integers.
 ChannelGroups = Mapping[tuple[int, int, bool], Sequence[Channel]]
 
@@ -79,7 +78,7 @@ class FileHeader:
     raw: RawHeader | None = None  # the headers as bytes; None where they are not understood here
     # How each part is stored; None for a part that OpenImageIO has to read
     layouts: tuple[ChunkLayout | None, ...] = ()
-    # Device, inode, size and time, by which another file at the path is noticed
+    # What `_STAMP` reads of the file, by which another one at the path is noticed
     stamp: tuple[int, ...] = ()
 
     @cached_property
@@ -122,7 +121,7 @@ def parse_header(path: Path, file: BinaryIO) -> FileHeader:
     try:
         status = os.fstat(file.fileno())
         raw = RawHeader.read(file, status.st_size)
-        header = replace(header, raw=raw, stamp=_stamp(status))
+        header = replace(header, raw=raw, stamp=_STAMP(status))
         layouts = parse_layouts(raw, file, status.st_size)
         header = replace(header, layouts=tuple(layouts))
         # OpenImageIO opens what OpenEXR opens: so both readers accept the same files.
@@ -147,10 +146,6 @@ def parse_header(path: Path, file: BinaryIO) -> FileHeader:
     except (OSError, RuntimeError, ValueError, ArithmeticError, DamagedFileError):
         pass
     return header
-
-
-def _stamp(status: os.stat_result) -> tuple[int, ...]:
-    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
 class ExrFile(AbstractContextManager["ExrFile"]):
@@ -205,8 +200,11 @@ class ExrFile(AbstractContextManager["ExrFile"]):
                 with suppress(OSError):  # OpenImageIO fails, too, and the cause is looked up then
                     self._file = path.open("rb", buffering=0)
                     head = self._file.read(SIGNATURE_BYTES)
+                    # Checked before decoding: OpenImageIO prints warnings for foreign data.
                     if not head.startswith(MAGIC):
-                        raise damaged_error(path, f"its content is {file_format(head)}")
+                        kinds = (name for magic, name in SIGNATURES if head.startswith(magic))
+                        content = next(kinds, "something else" if head else "nothing")
+                        raise damaged_error(path, f"its content is {content}")
                     header = parse_header(path, self._file)
             if not header.parts:
                 header = replace(header, parts=self._parts_by_openimageio(header.raw))
@@ -363,7 +361,7 @@ class HeaderCache:
         with self._lock:
             header = self._headers.get(path)
         with suppress(OSError):
-            if header is not None and header.stamp == _stamp(path.stat()):
+            if header is not None and header.stamp == _STAMP(path.stat()):
                 return header
         with ExrFile(path) as file:
             self.keep(path, file.header)

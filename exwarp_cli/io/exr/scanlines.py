@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import accumulate
 from threading import Lock
 from typing import BinaryIO, TypeAlias
@@ -75,6 +76,9 @@ REQUIRED = {
 # Where the channels of a request go: int64 [K, 2] as kernels want it, bytes of each of the
 # part's channels and its place in the array or -1; and that array, bits, uint32 [H, W, C]
 _Destination: TypeAlias = tuple[I64, np.ndarray]
+
+# Blocks that are decoded by one thread: of which part, to where, and their numbers
+_Run: TypeAlias = tuple["ChunkLayout", Sequence[_Destination], I64]
 
 _NO_OFFSETS = np.empty(0, np.int64)
 
@@ -247,20 +251,13 @@ def read_blocks(
                 members = by_part.setdefault(layout.number, (layout, []))[1]
                 members.append((columns, out))
         arrays.append(out)
-    runs: list[tuple[ChunkLayout, list[_Destination], I64]] = []
+    runs: list[_Run] = []
     for layout, members in by_part.values():
         order = np.argsort(layout.starts, kind="stable")  # as they follow each other on disk
         step = max(1, RUN_BYTES // (layout.lines * layout.window.width * sum(layout.sizes)))
         for first in range(0, len(order), step):
             runs.append((layout, members, order[first : first + step]))
-    file_bytes = FileBytes(file)
-    broken: set[int | None] = set()  # numbers of the parts that could not be decoded
-
-    def decode(run: tuple[ChunkLayout, list[_Destination], I64]) -> None:
-        with cores.hold_cores():
-            if run[0].number not in broken and not _decode_blocks(file_bytes, *run):
-                broken.add(run[0].number)
-
+    decode, are_sound = partial(_decode_blocks, FileBytes(file)), list[bool]()
     threads = min(cores.count(), len(runs))
     if threads > 1:
         # No thread can be started when the interpreter ends, or the system has no more.
@@ -268,10 +265,10 @@ def read_blocks(
             # A pool of its own: starting one takes a thousandth of a frame's time.
             results = executor.map(decode, runs)
             with cores.release_cores():
-                list(results)
-            runs = []
-    for run in runs:
-        decode(run)
+                are_sound = list(results)
+    are_sound = are_sound or [decode(run) for run in runs]
+    # Numbers of the parts that could not be decoded.
+    broken = {run[0].number for run, sound in zip(runs, are_sound, strict=True) if not sound}
     return [
         None
         if out is None or layout.number in broken
@@ -280,12 +277,12 @@ def read_blocks(
     ]
 
 
-def _decode_blocks(
-    file: FileBytes, layout: ChunkLayout, destinations: Sequence[_Destination], chunks: I64
-) -> bool:
+@cores.hold_cores()
+def _decode_blocks(file: FileBytes, run: _Run) -> bool:
     """Decode blocks of a part; False when one of them is not what it should be."""
     from exwarp_cli.kernels import exr_filters  # numba: not for what reads no pixels
 
+    layout, destinations, chunks = run
     # Before each block: the part's number, the first line, the bytes.
     leader = struct.Struct("<2i" if layout.number is None else "<3i")
     line_size = layout.window.width * sum(layout.sizes)
@@ -295,11 +292,11 @@ def _decode_blocks(
         ends = np.minimum(layout.ends[chunks], starts + leader.size + layout.lines * line_size)
         breaks = np.flatnonzero(starts[1:] != ends[:-1]) + 1
         # Blocks that follow each other are read at once.
-        for run in np.split(np.arange(len(starts)), breaks):
-            begin = int(starts[run[0]])
-            blocks = file.read_padded(begin, int(ends[run[-1]]) - begin)
+        for group in np.split(np.arange(len(starts)), breaks):
+            begin = int(starts[group[0]])
+            blocks = file.read_padded(begin, int(ends[group[-1]]) - begin)
             blocks.flags.writeable = False  # kernels are compiled for arrays of one kind
-            for i in run:
+            for i in group:
                 data = blocks[starts[i] - begin : ends[i] - begin + INPUT_PADDING]
                 if len(data) < leader.size + INPUT_PADDING:
                     return False
@@ -312,30 +309,19 @@ def _decode_blocks(
                 is_complete = 0 < size <= full_size and len(packed) == size + INPUT_PADDING
                 if not is_own or not is_complete:
                     return False
-                pixels: U8 | None
                 if size == full_size:  # stored uncompressed, as it did not become smaller
                     kernel, pixels = exr_filters.read_lines, packed[:full_size]
                 else:
-                    kernel, pixels = exr_filters.read_predicted, inflate(packed, full_size)
-                if pixels is None:
-                    return False
+                    # libdeflate takes 0.6 of ISA-L's time. It ignores what follows the checksum.
+                    inflated = deflate.zlib_decompress(packed, full_size)
+                    checksum = packed[-INPUT_PADDING - 4 : -INPUT_PADDING].tobytes()
+                    is_sound = deflate.adler32(inflated) == int.from_bytes(checksum, "big")
+                    if len(inflated) != full_size or not is_sound:
+                        return False
+                    kernel, pixels = exr_filters.read_predicted, np.frombuffer(inflated, np.uint8)
+                    pixels.flags.writeable = False
                 for columns, out in destinations:
                     kernel(pixels, columns, out[first : first + rows])
-    except (OSError, MemoryError):
+    except (OSError, MemoryError, deflate.DeflateError):
         return False
     return True
-
-
-def inflate(packed: U8, size: int) -> U8 | None:
-    """Inflate a padded zlib stream, uint8 [N]; None unless it is sound and of just `size` bytes."""
-    # libdeflate takes 0.6 of ISA-L's time. It ignores what follows the checksum.
-    try:
-        data: bytearray = deflate.zlib_decompress(packed, size)
-    except deflate.DeflateError:
-        return None
-    checksum = int.from_bytes(packed[-INPUT_PADDING - 4 : -INPUT_PADDING].tobytes(), "big")
-    if len(data) != size or deflate.adler32(data) != checksum:
-        return None
-    out = np.frombuffer(data, np.uint8)
-    out.flags.writeable = False
-    return out
