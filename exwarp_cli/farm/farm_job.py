@@ -115,39 +115,20 @@ def locate(parameter: str, text: str) -> PathOption:
 
     InputError: the path is no text that a job can hold.
     """
-    option = _parse(parameter, text)
-    # Absolute paths are checked, because the current folder becomes a part of them.
-    for path in (option.text, *map(str, option.companions.values())):
-        try:
-            path.encode("utf-8")
-        except UnicodeEncodeError as error:
-            raise InputError(
-                f"the path {path!r} holds bytes that are no UTF-8, which no job can carry; "
-                "rename it"
-            ) from error
-    return option
-
-
-def _parse(parameter: str, text: str) -> PathOption:
     role = PATH_ROLES[parameter]
+    option = PathOption(role, role.name, role.label, Path(text).absolute())
+    path = option.path
     if role.kind is ValueKind.AOV:
         (aov,) = parse_aovs([text])
-        folder, pattern = _split_existing(Path(aov.pattern).absolute())
-        name = "".join(word.capitalize() for word in aov.role.value.split("_"))
-        return PathOption(
+        option = PathOption(
             role,
-            f"{role.name}{name}",
+            role.name + "".join(word.capitalize() for word in aov.role.value.split("_")),
             f"{role.label} {aov.role.value}",
-            folder,
-            pattern=pattern,
+            Path(aov.pattern).absolute(),
             before=f"{aov.role.value}=",
             after=aov.chosen,
         )
-    option = PathOption(role, role.name, role.label, Path(text).absolute())
-    path = option.path
-    if role.kind is ValueKind.FOLDER:
-        return option
-    if role.kind is ValueKind.FILE:
+    elif role.kind is ValueKind.FILE:
         companions = {}
         if parameter == "interpolator" and (card := path.with_suffix(".json")).is_file():
             companions["Card"] = card
@@ -155,22 +136,30 @@ def _parse(parameter: str, text: str) -> PathOption:
             _, files = embed_weights(path, read_file_bytes(path))
             for number, file in enumerate(files, start=1):
                 companions[f"Weights{number}"] = file
-        return replace(option, is_file=True, companions=companions)
-    if role.is_written:  # as `upsample` does; the folder need not exist
+        option = replace(option, is_file=True, companions=companions)
+    elif role.kind is ValueKind.SEQUENCE and role.is_written:
+        # As `upsample` does; the folder need not exist.
         is_folder = text.endswith(("/", os.sep)) or path.is_dir()
-        if is_folder or NamePattern.parse(path.name) is None:
-            return option
-        return replace(option, path=path.parent, pattern=path.name)
-    if is_clip(text) and path.is_file():
-        return replace(option, is_file=True)
-    folder, pattern = _split_existing(path)
-    return replace(option, path=folder, pattern=pattern)
-
-
-def _split_existing(path: Path) -> tuple[Path, str]:
-    """Split a path into a folder that exists, and the rest: ``%V`` may also stand for a folder."""
-    folder = next(parent for parent in (path, *path.parents) if parent.is_dir())
-    return folder, "" if folder == path else path.relative_to(folder).as_posix()
+        if not is_folder and NamePattern.parse(path.name) is not None:
+            option = replace(option, path=path.parent, pattern=path.name)
+    elif role.kind is ValueKind.SEQUENCE and is_clip(text) and path.is_file():
+        option = replace(option, is_file=True)
+    if not (role.is_written or option.is_file):
+        # A folder that exists, and the rest: ``%V`` may also stand for a folder.
+        path = option.path
+        folder = next(parent for parent in (path, *path.parents) if parent.is_dir())
+        pattern = "" if folder == path else path.relative_to(folder).as_posix()
+        option = replace(option, path=folder, pattern=pattern)
+    # Absolute paths are checked, because the current folder becomes a part of them.
+    for name in (option.text, *map(str, option.companions.values())):
+        try:
+            name.encode("utf-8")
+        except UnicodeEncodeError as error:
+            raise InputError(
+                f"the path {name!r} holds bytes that are no UTF-8, which no job can carry; "
+                "rename it"
+            ) from error
+    return option
 
 
 def absolute(settings: Settings) -> Settings:
@@ -317,22 +306,20 @@ def command_lines(
     Returns the key frames and the words of each chunk's command, which may run in any order and in
     parallel, and the words of the commands to run when all chunks are done.
     """
-    all_frames = frames_text(job.numbers)
-
-    def fill(command: Sequence[Argument], frames: str) -> list[str]:
+    chunks = [frames_text(chunk) for chunk in split(job.numbers, job.size)]
+    commands = [(frames, job.chunk) for frames in chunks]
+    # These have all key frames in the place of a chunk's.
+    commands += [(frames_text(job.numbers), command) for command in job.afterwards.values()]
+    filled = []
+    for frames, command in commands:
         words = [program]
         for word in command:
             if isinstance(word, Placeholder):
-                words.append(frames if word is Placeholder.FRAMES else all_frames)
+                words.append(frames)
             else:
                 words.append(word.text if isinstance(word, PathOption) else word)
-        return words
-
-    frames = [frames_text(chunk) for chunk in split(job.numbers, job.size)]
-    return (
-        [(text, fill(job.chunk, text)) for text in frames],
-        [fill(command, all_frames) for command in job.afterwards.values()],
-    )
+        filled.append((frames, words))
+    return filled[: len(chunks)], [words for _, words in filled[len(chunks) :]]
 
 
 def shell_line(words: Sequence[str]) -> str:

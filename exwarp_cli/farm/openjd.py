@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 import os.path
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -24,7 +23,6 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.wording import has_control_chars, pluralise
 from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.farm.farm_job import (
-    Argument,
     FarmJob,
     PathOption,
     Placeholder,
@@ -86,12 +84,19 @@ def job_template(job: FarmJob, workers: Workers, folder: Path | None) -> JobTemp
         if isinstance(option.value, PathOption):
             parameters.add_argument(option.value)
     all_frames = frames_text(job.numbers)
+    ranges, culprit = [all_frames], "--frames"
     if workers.plain:
-        frames = [
-            _require_short(frames_text(chunk), "--chunk-size") for chunk in split(job.numbers, size)
-        ]
-        space: Data = {"name": "Frames", "type": "STRING", "range": frames}
-    else:
+        ranges = [frames_text(chunk) for chunk in split(job.numbers, size)]
+        culprit = "--chunk-size"
+    for frames in ranges:
+        if len(frames) > LONGEST:
+            raise UsageError(
+                f"the key frames {frames[:40]}… take {len(frames)} characters, and Open Job "
+                f"Description allows {LONGEST}; choose fewer with {culprit}, or take 'exwarp farm "
+                "commands'"
+            )
+    space: Data = {"name": "Frames", "type": "STRING", "range": ranges}
+    if not workers.plain:
         all_frames, space = _chunked_frames(job, workers, parameters)
     steps = _steps(job, workers, parameters, all_frames, space)
     chunks = pluralise(len(split(job.numbers, size)), "chunk")
@@ -188,7 +193,7 @@ def _chunked_frames(job: FarmJob, workers: Workers, parameters: _Parameters) -> 
     all_frames = parameters.add(
         "Frames",
         "STRING",
-        _require_short(frames_text(job.numbers), "--frames"),
+        frames_text(job.numbers),
         "Frames",
         "Chunks",
         description="By their numbers, such as 1001-1100, 10-90:4 or 1,5,9-12.",
@@ -228,7 +233,19 @@ def _steps(
     )
     references = {Placeholder.FRAMES: "{{Task.Param.Frames}}", Placeholder.ALL_FRAMES: all_frames}
 
-    def step(name: str, command: Sequence[Argument], more: Data, requires: Data) -> Data:
+    memory = None if workers.memory_gib is None else math.ceil(workers.memory_gib * 1024)
+    least = {"vcpu": workers.vcpus, "memory": memory, "gpu": workers.gpus}
+    amounts = [
+        {"name": f"amount.worker.{name}", "min": value} for name, value in least.items() if value
+    ]
+    requires: Data = {"hostRequirements": {"amounts": amounts}} if amounts else {}
+    after: Data = {"dependencies": [{"dependsOn": "Upsample"}]}
+    tasks = {"parameterSpace": {"taskParameterDefinitions": [space]}}
+    steps = []
+    for name, command in {"Upsample": job.chunk, **job.afterwards}.items():
+        more = tasks if name == "Upsample" else after
+        if name != "Report":
+            more = more | requires
         args = [
             references[word] if isinstance(word, Placeholder) else parameters.add_argument(word)
             for word in command
@@ -239,23 +256,8 @@ def _steps(
             # SIGTERM first: upsample then ends with complete frames and removes its temporaries.
             "cancelation": {"mode": "NOTIFY_THEN_TERMINATE"},
         }
-        return {"name": name, **more, **requires, "script": {"actions": {"onRun": action}}}
-
-    memory = None if workers.memory_gib is None else math.ceil(workers.memory_gib * 1024)
-    least = {"vcpu": workers.vcpus, "memory": memory, "gpu": workers.gpus}
-    amounts = [
-        {"name": f"amount.worker.{name}", "min": value} for name, value in least.items() if value
-    ]
-    requires: Data = {"hostRequirements": {"amounts": amounts}} if amounts else {}
-    after: Data = {"dependencies": [{"dependsOn": "Upsample"}]}
-    tasks = {"parameterSpace": {"taskParameterDefinitions": [space]}}
-    return [
-        step("Upsample", job.chunk, tasks, requires),
-        *(
-            step(name, command, after, {} if name == "Report" else requires)
-            for name, command in job.afterwards.items()
-        ),
-    ]
+        steps.append({"name": name, **more, "script": {"actions": {"onRun": action}}})
+    return steps
 
 
 def _require_length(value: str, label: str) -> None:
@@ -264,17 +266,6 @@ def _require_length(value: str, label: str) -> None:
             f"the value of {label!r} has {len(value)} characters, and Open Job Description takes "
             f"{LONGEST} at most; shorten it, or take 'exwarp farm commands'"
         )
-
-
-def _require_short(frames: str, option: str) -> str:
-    """Return key frames; UsageError where they take too many characters, without a range."""
-    if len(frames) > LONGEST:
-        raise UsageError(
-            f"the key frames {frames[:40]}… take {len(frames)} characters, and Open Job "
-            f"Description allows {LONGEST}; choose fewer with {option}, or take 'exwarp farm "
-            "commands'"
-        )
-    return frames
 
 
 def _name(title: str) -> str:
