@@ -153,14 +153,14 @@ class Clip:
         return np.concatenate([light * alpha, alpha], axis=-1)
 
 
+@dataclass(eq=False)
 class ClipReader:
     """Frames of a video by their index, cheaply as long as that grows; `close` ends ffmpeg."""
 
-    def __init__(self, clip: Clip) -> None:
-        self._clip = clip
-        self._frames: Generator[Float32 | None, None, None] | None = None
-        self._index = -1
-        self._frame: Float32 | None = None  # that was decoded last; None if it is damaged
+    clip: Clip
+    _frames: Generator[Float32 | None, None, None] | None = None
+    _index: int = -1
+    _frame: Float32 | None = None  # that was decoded last; None if it is damaged
 
     def read(self, index: int) -> Float32:
         """Return a frame as `Clip.frames` yields it.
@@ -168,7 +168,7 @@ class ClipReader:
         It is decoded on from the last one, or from the key frame before. Raises DamagedFileError
         when damage affects it, or the video ends early.
         """
-        clip = self._clip
+        clip = self.clip
         damage = damaged_clip(
             clip.path, f"frame {index + 1} of {clip.count} is damaged, or builds on a damaged one"
         )

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -54,9 +54,6 @@ from exwarp_cli.runtime.read_registry import report_reading
 # Scan lines in a chunk of the lossy compressions, the most that any but DWAB has.
 LINES, LINES_OF_DWAB = 32, 256
 
-# What OpenImageIO calls the six faces of a cube in one image.
-CUBE_MAP = "CubeFace Environment"
-
 # Pixels across or down, channels, and bytes of a part that OpenImageIO takes for sure. It has
 # limits of its own, and refuses files beyond them.
 USUAL_SIZE, USUAL_CHANNELS, USUAL_BYTES = 1 << 16, 256, 1 << 30
@@ -64,9 +61,6 @@ USUAL_SIZE, USUAL_CHANNELS, USUAL_BYTES = 1 << 16, 256, 1 << 30
 MAX_HEADERS = 4  # in a `HeaderCache`: a Cryptomatte's manifest in one may take megabytes
 
 _STAMP = attrgetter("st_dev", "st_ino", "st_size", "st_mtime_ns")
-
-# Channels by the number of their group, their part, and whether they are integers.
-ChannelGroups = Mapping[tuple[int, int, bool], Sequence[Channel]]
 
 
 @dataclass(frozen=True)
@@ -234,13 +228,9 @@ class ExrFile(AbstractContextManager["ExrFile"]):
             display = Window(spec.full_x, spec.full_y, spec.full_width, spec.full_height)
             types = [str(t) for t in spec.channelformats] or [str(spec.format)] * spec.nchannels
             channels = zip(spec.channelnames, types, strict=True)
-            is_deep, is_tiled, is_multipart = bool(spec.deep), spec.tile_width > 0, len(specs) > 1
-            parts.append(
-                describe_part(
-                    index, own, (data, display), channels, is_multipart, is_deep, is_tiled
-                )
-            )
-        if any(spec.getattribute("textureformat") == CUBE_MAP for spec in specs):
+            kind = len(specs) > 1, bool(spec.deep), spec.tile_width > 0
+            parts.append(describe_part(index, own, (data, display), channels, *kind))
+        if any(spec.getattribute("textureformat") == "CubeFace Environment" for spec in specs):
             # OpenImageIO gives a cube map with smaller levels the window of a single face.
             if raw is None:
                 raise damaged_error(self.path, "its header is unknown")
@@ -257,6 +247,7 @@ class ExrFile(AbstractContextManager["ExrFile"]):
         those of one part and type lie interleaved in one array, in this order, where the part is
         decoded here.
         """
+        # By the number of their group, their part, and whether they are integers.
         wanted: dict[tuple[int, int, bool], list[Channel]] = {}
         visited: set[Channel] = set()
         for number, group in enumerate(groups):
@@ -269,7 +260,9 @@ class ExrFile(AbstractContextManager["ExrFile"]):
             raise deep_image_error(self.path)
         return with_retries(self.path, partial(self._read, wanted))
 
-    def _read(self, groups: ChannelGroups) -> dict[Channel, np.ndarray]:
+    def _read(
+        self, groups: dict[tuple[int, int, bool], list[Channel]]
+    ) -> dict[Channel, np.ndarray]:
         """Decode channels once, of a file that is opened again after a failure."""
         if self._has_failed:
             self._close()  # a stale handle stays stale
@@ -446,8 +439,6 @@ def damaged_error(path: Path, reason: str) -> DamagedFileError:
 
 def _first_line(geterror: Callable[[], str]) -> str:
     """Return the first line of a decoder's error; it may quote the file's broken bytes."""
-    try:
-        lines = geterror().strip().splitlines()
-    except UnicodeDecodeError:
-        return ""
-    return lines[0] if lines else ""
+    with suppress(UnicodeDecodeError):
+        return next(iter(geterror().strip().splitlines()), "")
+    return ""
