@@ -33,7 +33,6 @@ from exwarp_cli.domain.wording import first_line, pluralise
 from exwarp_cli.errors import ClusterError, MissingExtraError, UsageError
 from exwarp_cli.farm.dask_worker import (
     Chunk,
-    ChunkResult,
     SharedWatcher,
     WorkerRequirements,
     check_worker,
@@ -49,14 +48,8 @@ from exwarp_cli.pipeline.messages import announce_skipped
 from exwarp_cli.pipeline.progress import ANY, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.run import make_writer
 from exwarp_cli.pipeline.scheduling import AsyncWriter
+from exwarp_cli.runtime import stop
 from exwarp_cli.runtime.machine import processors
-from exwarp_cli.runtime.stop import (
-    block_signals,
-    check_stop,
-    clean_up_after,
-    note_progress,
-    scratch_folder,
-)
 
 CONNECT_S = 10.0  # seconds that a scheduler has to answer
 STOP_S = 6.0  # seconds that processes have to end before they are killed
@@ -75,6 +68,9 @@ VIDEO_ALONE = (
     "-o {} is a video alone, and workers write frames; name a folder in -o and the video in "
     "--video, or leave out --workers and --cluster"
 )
+
+# What `render_chunk` returns
+ChunkResult = tuple[RunOutcome, SharedWatcher | None]
 
 DASK_SETTINGS = {
     "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
@@ -163,11 +159,11 @@ def _local_cluster(distributed: Any, workers: int, threads: int | None) -> Itera
         # It would unblock SIGINT below where the first process starts it.
         resource_tracker.ensure_running()
     with ExitStack() as stack:
-        folder = str(stack.enter_context(scratch_folder()))
+        folder = str(stack.enter_context(stop.scratch_folder()))
         # Some parts of Dask otherwise make a folder for all runs, which is never removed.
         stack.enter_context(dask.config.set({"temporary-directory": folder}))
         try:
-            with block_signals(signal.SIGINT):  # this process ends its workers itself
+            with stop.block_signals(signal.SIGINT):  # this process ends its workers itself
                 cluster = distributed.LocalCluster(
                     n_workers=workers,
                     threads_per_worker=threads_per_worker(workers, threads),
@@ -185,14 +181,14 @@ def _local_cluster(distributed: Any, workers: int, threads: int | None) -> Itera
                 "use fewer --workers, or none"
             ) from error
         # Listed now: a cluster that is being closed lists them no more.
-        stack.enter_context(clean_up_after(partial(_kill, tuple(cluster.workers.values()))))
+        stack.enter_context(stop.clean_up_after(partial(_kill, tuple(cluster.workers.values()))))
         stack.callback(_close, cluster)
         yield cluster
 
 
 def _close(connection: Any) -> None:
     """Close a client or a local cluster. Processes that do not end are killed afterwards."""
-    note_progress()
+    stop.note_progress()
     with suppress(OSError, RuntimeError):
         connection.close(timeout=STOP_S)
 
@@ -275,12 +271,12 @@ def _collect(
     outcomes: dict[int, RunOutcome] = {}
     filmed = 0
     with closing(dispatcher.render(chunks)) as finished:
-        for chunk, result in finished:
-            outcomes[chunk.index] = result.outcome
-            for skipped in result.outcome.left_out:
+        for chunk, (outcome, part) in finished:
+            outcomes[chunk.index] = outcome
+            for skipped in outcome.left_out:
                 announce_skipped(progress, skipped)
-            if watcher is not None and result.watcher is not None:
-                watcher.adopt(result.watcher)
+            if watcher is not None and part is not None:
+                watcher.adopt(part)
             while video is not None and filmed in outcomes:  # in order, as far as complete
                 skips = outcomes[filmed].left_out
                 video.append(chunks[filmed].keys, [n for skip in skips for n in skip.frames])
@@ -399,7 +395,7 @@ class ChunkDispatcher:
         ClusterError: no worker comes, or all that are there cannot do the job.
         """
         while not self._fit:
-            check_stop()
+            stop.check_stop()
             self._look()
             if self._unfit and not self._fit:
                 worker, reason = min(self._unfit.items())
@@ -420,7 +416,7 @@ class ChunkDispatcher:
             self._call("subscribe_topic", run, self._news.put)
         try:
             while self._waiting or self._tasks:
-                check_stop()
+                stop.check_stop()
                 self._look()
                 for worker in sorted(self._fit - self._tasks.keys())[: len(self._waiting)]:
                     chunk = self._waiting.popleft()
@@ -536,12 +532,12 @@ class ChunkDispatcher:
         task.future.release()
         if isinstance(result, BaseException):
             raise result
-        assert isinstance(result, ChunkResult)
-        for record in result.outcome.frames:  # events may come later than the result
+        outcome: RunOutcome = result[0]
+        for record in outcome.frames:  # events may come later than the result
             self._count(record.number, record.method, kind_of(record.slot), made=False)
-        for number in (number for skip in result.outcome.left_out for number in skip.frames):
+        for number in (number for skip in outcome.left_out for number in skip.frames):
             self._count(number, "left out", ANY, made=False)
-        return result
+        return outcome, result[1]
 
     def _repeat(self, task: _Task) -> None:
         """Put back the chunk of a lost worker; ClusterError after several losses."""
@@ -573,7 +569,7 @@ class ChunkDispatcher:
             return
         deadline = time.monotonic() + CANCEL_S
         while begun and time.monotonic() < deadline:
-            note_progress()
+            stop.note_progress()
             with suppress(queue.Empty):
                 news = self._news.get(timeout=POLL_S)
                 if isinstance(news, tuple) and "end" in news[1]:

@@ -71,7 +71,6 @@ PATH_ROLES: Mapping[str, PathRole] = {
     "report_folder": PathRole("Report", "Report", ValueKind.FOLDER, is_written=True),
     "video": PathRole("Video", "Video", ValueKind.FILE, is_written=True),
 }
-NETWORKS = ("extrapolator", "interpolator")  # of these the ONNX models
 
 
 def names_files(parameter: str, value: object) -> bool:
@@ -132,7 +131,7 @@ def locate(parameter: str, text: str) -> PathOption:
         companions = {}
         if parameter == "interpolator" and (card := path.with_suffix(".json")).is_file():
             companions["Card"] = card
-        if parameter in NETWORKS and path.is_file():
+        if parameter in ("extrapolator", "interpolator") and path.is_file():
             _, files = embed_weights(path, read_file_bytes(path))
             for number, file in enumerate(files, start=1):
                 companions[f"Weights{number}"] = file
@@ -165,21 +164,19 @@ def locate(parameter: str, text: str) -> PathOption:
 def absolute(settings: Settings) -> Settings:
     """Return settings whose paths do not depend on the folder in which a process runs."""
     paths: dict[str, Any] = {}
+    folder = Path.cwd()
     for name in (f.name for f in fields(settings)):
         value = getattr(settings, name)
         if isinstance(value, SourceSettings):
             paths[name] = absolute(value)
-        elif names_files(name, value) and PATH_ROLES[name].kind is ValueKind.AOV:
-            parts = (aov.partition("=") for aov in value)  # ROLE=PATTERN[:CHANNELS]
-            paths[name] = tuple(f"{role}{equals}{_absolute(path)}" for role, equals, path in parts)
         elif names_files(name, value):
-            paths[name] = _absolute(value)
+            # ROLE=PATTERN[:CHANNELS] of each AOV, else one path. `Path` would drop a slash at the
+            # end; and `..` stays, as links could lead elsewhere.
+            is_aov = PATH_ROLES[name].kind is ValueKind.AOV
+            parts = [aov.partition("=") for aov in value] if is_aov else [("", "", value)]
+            texts = [f"{a}{sign}{os.path.join(folder, b)}" for a, sign, b in parts]  # noqa: PTH118
+            paths[name] = tuple(texts) if is_aov else texts[0]
     return replace(settings, **paths)
-
-
-def _absolute(text: str) -> str:
-    # Not by `Path`, which drops a slash at the end; and `..` stays, as links could lead elsewhere.
-    return text if Path(text).is_absolute() else f"{Path.cwd()}/{text}"
 
 
 def inputs_of(job: Job) -> tuple[tuple[str, int], ...]:

@@ -22,17 +22,9 @@ import yaml
 from exwarp_cli import __version__
 from exwarp_cli.domain.wording import has_control_chars, pluralise
 from exwarp_cli.errors import OutputExistsError, UsageError
-from exwarp_cli.farm.farm_job import (
-    FarmJob,
-    PathOption,
-    Placeholder,
-    frames_text,
-    split,
-)
+from exwarp_cli.farm.farm_job import FarmJob, PathOption, Placeholder, frames_text, split
 from exwarp_cli.io.files import atomic_write_text, make_folder, path_exists
 
-SPECIFICATION = "jobtemplate-2023-09"
-CHUNKING = "TASK_CHUNKING"
 MOST_TASKS = 1024  # values that a task parameter's list may have
 LONGEST = 1024  # characters that a parameter's value may have
 LONGEST_NAME = 128
@@ -99,12 +91,17 @@ def job_template(job: FarmJob, workers: Workers, folder: Path | None) -> JobTemp
     if not workers.plain:
         all_frames, space = _chunked_frames(job, workers, parameters)
     steps = _steps(job, workers, parameters, all_frames, space)
+    # Without control characters, and without what would be filled in.
+    name = "".join(c if c.isprintable() else " " for c in job.title)
+    for pair in BRACES:
+        while pair in name:
+            name = name.replace(pair, " ".join(pair))
     chunks = pluralise(len(split(job.numbers, size)), "chunk")
     frame_count = pluralise(len(job.numbers), "key frame")
     document = {
-        "specificationVersion": SPECIFICATION,
-        **({} if workers.plain else {"extensions": [CHUNKING]}),
-        "name": _name(job.title),
+        "specificationVersion": "jobtemplate-2023-09",
+        **({} if workers.plain else {"extensions": ["TASK_CHUNKING"]}),
+        "name": name[:LONGEST_NAME].strip() or "exwarp",
         "description": f"{frame_count} upsampled in {chunks}, as ExWarp {__version__} wrote it.",
         "parameterDefinitions": parameters.definitions,
         "steps": steps,
@@ -150,17 +147,32 @@ class _Parameters:
         if word in self._formats:
             return self._formats[word]
         if isinstance(word, PathOption):
+            group, flow = ("Output", "OUT") if word.role.is_written else ("Input", "IN")
             name = f"{word.name}{'File' if word.is_file else 'Folder'}"
-            reference = self._add_path(name, word.path, word, word.label)
+            paths = {name: (word.path, word.label)}
             for kind, path in word.companions.items():
-                self._add_path(f"{word.name}{kind}", path, word, f"{word.label}: {kind.lower()}")
+                paths[f"{word.name}{kind}"] = path, f"{word.label}: {kind.lower()}"
+            for parameter, (path, label) in paths.items():
+                definition: Data = {
+                    "name": parameter,
+                    "type": "PATH",
+                    "objectType": "FILE" if word.is_file else "DIRECTORY",
+                    "dataFlow": flow,
+                    "userInterface": {"label": label, "groupLabel": group},
+                }
+                normal = Path(os.path.normpath(path))
+                if self.folder is not None and normal.is_relative_to(self.folder):
+                    definition["default"] = normal.relative_to(self.folder).as_posix()
+                else:
+                    self.values[parameter] = str(path)
+                _require_length(str(path), label)
+                self.definitions.append(definition)
             if word.pattern:
                 pattern, label = f"{word.pattern}{word.after}", f"{word.label}: names"
-                group = "Output" if word.role.is_written else "Input"
                 remainder = "/" + self.add(f"{word.name}Pattern", "STRING", pattern, label, group)
             else:
                 remainder = self.add_argument(word.remainder)
-            text = f"{word.before}{reference}{remainder}"
+            text = f"{word.before}{{{{Param.{name}}}}}{remainder}"
         elif any(pair in word for pair in BRACES):
             name = f"Text{len(self.definitions)}"
             text = self.add(name, "STRING", word, name, "ExWarp", hidden=True)
@@ -168,24 +180,6 @@ class _Parameters:
             text = word
         self._formats[word] = text
         return text
-
-    def _add_path(self, name: str, path: Path, option: PathOption, label: str) -> str:
-        is_written = option.role.is_written
-        definition: Data = {
-            "name": name,
-            "type": "PATH",
-            "objectType": "FILE" if option.is_file else "DIRECTORY",
-            "dataFlow": "OUT" if is_written else "IN",
-            "userInterface": {"label": label, "groupLabel": "Output" if is_written else "Input"},
-        }
-        normal = Path(os.path.normpath(path))
-        if self.folder is not None and normal.is_relative_to(self.folder):
-            definition["default"] = normal.relative_to(self.folder).as_posix()
-        else:
-            self.values[name] = str(path)
-        _require_length(str(path), label)
-        self.definitions.append(definition)
-        return f"{{{{Param.{name}}}}}"
 
 
 def _chunked_frames(job: FarmJob, workers: Workers, parameters: _Parameters) -> tuple[str, Data]:
@@ -266,15 +260,6 @@ def _require_length(value: str, label: str) -> None:
             f"the value of {label!r} has {len(value)} characters, and Open Job Description takes "
             f"{LONGEST} at most; shorten it, or take 'exwarp farm commands'"
         )
-
-
-def _name(title: str) -> str:
-    """Return a job's name: no control characters, and nothing that would be filled in."""
-    name = "".join(c if c.isprintable() else " " for c in title)
-    for pair in BRACES:
-        while pair in name:
-            name = name.replace(pair, " ".join(pair))
-    return name[:LONGEST_NAME].strip() or "exwarp"
 
 
 class _Dumper(yaml.SafeDumper):

@@ -15,7 +15,6 @@ from exwarp_cli.farm import dask_cluster
 from exwarp_cli.farm.dask_cluster import ATTEMPTS, ChunkDispatcher
 from exwarp_cli.farm.dask_worker import (
     Chunk,
-    ChunkResult,
     WorkerRequirements,
     check_worker,
     render_chunk,
@@ -93,7 +92,7 @@ class Progress(Reporter):
         self.messages.append(text)
 
 
-DONE = ChunkResult(RunOutcome(), None)
+DONE = (RunOutcome(), None)
 
 
 @pytest.fixture(autouse=True)
