@@ -164,19 +164,21 @@ def locate(parameter: str, text: str) -> PathOption:
 def absolute(settings: Settings) -> Settings:
     """Return settings whose paths do not depend on the folder in which a process runs."""
     paths: dict[str, Any] = {}
-    folder = Path.cwd()
     for name in (f.name for f in fields(settings)):
         value = getattr(settings, name)
         if isinstance(value, SourceSettings):
             paths[name] = absolute(value)
+        elif names_files(name, value) and PATH_ROLES[name].kind is ValueKind.AOV:
+            parts = (aov.partition("=") for aov in value)  # ROLE=PATTERN[:CHANNELS]
+            paths[name] = tuple(f"{role}{equals}{_absolute(path)}" for role, equals, path in parts)
         elif names_files(name, value):
-            # ROLE=PATTERN[:CHANNELS] of each AOV, else one path. `Path` would drop a slash at the
-            # end; and `..` stays, as links could lead elsewhere.
-            is_aov = PATH_ROLES[name].kind is ValueKind.AOV
-            parts = [aov.partition("=") for aov in value] if is_aov else [("", "", value)]
-            texts = [f"{a}{sign}{os.path.join(folder, b)}" for a, sign, b in parts]  # noqa: PTH118
-            paths[name] = tuple(texts) if is_aov else texts[0]
+            paths[name] = _absolute(value)
     return replace(settings, **paths)
+
+
+def _absolute(text: str) -> str:
+    # Not by `Path`, which drops a slash at the end; and `..` stays, as links could lead elsewhere.
+    return text if Path(text).is_absolute() else f"{Path.cwd()}/{text}"
 
 
 def inputs_of(job: Job) -> tuple[tuple[str, int], ...]:
@@ -303,20 +305,22 @@ def command_lines(
     Returns the key frames and the words of each chunk's command, which may run in any order and in
     parallel, and the words of the commands to run when all chunks are done.
     """
-    chunks = [frames_text(chunk) for chunk in split(job.numbers, job.size)]
-    commands = [(frames, job.chunk) for frames in chunks]
-    # These have all key frames in the place of a chunk's.
-    commands += [(frames_text(job.numbers), command) for command in job.afterwards.values()]
-    filled = []
-    for frames, command in commands:
+    all_frames = frames_text(job.numbers)
+
+    def fill(command: Sequence[Argument], frames: str) -> list[str]:
         words = [program]
         for word in command:
             if isinstance(word, Placeholder):
-                words.append(frames)
+                words.append(frames if word is Placeholder.FRAMES else all_frames)
             else:
                 words.append(word.text if isinstance(word, PathOption) else word)
-        filled.append((frames, words))
-    return filled[: len(chunks)], [words for _, words in filled[len(chunks) :]]
+        return words
+
+    frames = [frames_text(chunk) for chunk in split(job.numbers, job.size)]
+    return (
+        [(text, fill(job.chunk, text)) for text in frames],
+        [fill(command, all_frames) for command in job.afterwards.values()],
+    )
 
 
 def shell_line(words: Sequence[str]) -> str:

@@ -59,9 +59,8 @@ class Clip:
     # Of its frames as players show them, turned upright, in pixels
     width: int
     height: int
-    pacing: (
-        video_timing.Pacing
-    )  # frame rate, and which of the file's frames is shown at each instant of it
+    # Frame rate, and which of the file's frames is shown at each instant of it
+    pacing: video_timing.Pacing
     look: VideoLook  # its colour, pixel aspect and sound, for a video made of it
     has_alpha: bool  # whether it has an alpha channel
     deep: bool  # whether it has more than 8 bits a channel; then 16 are decoded

@@ -174,7 +174,7 @@ def _fill_times(packets: list[_Packet]) -> list[_Packet]:
     missing = sum(p.time is None for p in packets)
     if not missing or len(times) < 2 or missing > MAX_MISSING * len(packets):
         return packets
-    step = round(median([b - a for a, b in pairwise(times) if b > a] or [1]))
+    step = _usual_step(times)
     filled: list[_Packet] = []
     for packet in packets:
         if packet.time is None:
@@ -196,13 +196,12 @@ def _fill_times(packets: list[_Packet]) -> list[_Packet]:
 def _spread_equal_times(times: Sequence[int]) -> list[int]:
     """Spread equal times over the larger gap beside them; times ascend."""
     spread = list(times)
-    step = round(median([b - a for a, b in pairwise(times) if b > a] or [1]))
     first = 0
     while first < len(times):
         stop = bisect_right(times, times[first])
         count = stop - first
         if count > 1:
-            time = times[first]
+            time, step = times[first], _usual_step(times)
             before = time - times[first - 1] if first else 0
             after = times[stop] - time if stop < len(times) else step * count
             if stop == len(times) and 2 * before >= 3 * step:
@@ -214,6 +213,11 @@ def _spread_equal_times(times: Sequence[int]) -> list[int]:
                     spread[stop - 1 - place] = time - before * place // count
         first = stop
     return spread
+
+
+def _usual_step(times: Sequence[int]) -> int:
+    """Return the median time between two frames, in ticks."""
+    return round(median([b - a for a, b in pairwise(times) if b > a] or [1]))
 
 
 def find_pacing(packets: Packets, header_rate: Fraction | None) -> Pacing:
@@ -239,12 +243,7 @@ def find_pacing(packets: Packets, header_rate: Fraction | None) -> Pacing:
         if distance <= tick * rate:
             return Pacing(rate, every)
     # Where the rate varies, a header has a mean that stands for nothing: 29.83 of a phone's 30.
-    # Times in milliseconds have a median of 42 at 24 fps, which would be 23.8: hence the tick. With
-    # half of the frames missing, only the shorter steps are those of the rate.
-    likely, short = (
-        [rate for rate in _STANDARD_RATES if abs(rate - near) <= (SNAP + tick * near) * rate]
-        for near in (typical, 1 / steps[len(steps) // 10])
-    )
+    likely = _standard_rates_near(typical, tick)
     # A mean far off that of most frames shows that frames are missing, or too many.
     means = (nearest_standard_rate(mean), mean.limit_denominator(1001))
     drifting = means if abs(mean - typical) <= SNAP * typical else ()
@@ -252,6 +251,8 @@ def find_pacing(packets: Packets, header_rate: Fraction | None) -> Pacing:
     for rate in (*standard, *nearest, nearest_standard_rate(typical), *drifting):
         if all(abs(time * rate - place) < Fraction(1, 2) for place, time in enumerate(seconds)):
             return Pacing(rate, every, varies=True)
+    # With half of the frames missing, only the shorter steps are those of the rate.
+    short = _standard_rates_near(1 / steps[len(steps) // 10], tick)
     fine = [rate for rate in short if tick * rate <= FINE_TICK]
     rate = nearest_standard_rate(typical)
     for rates in (likely, fine):
@@ -273,6 +274,13 @@ def nearest_standard_rate(rate: Fraction) -> Fraction:
     """Return the standard rate that a measured one is near to, else the rate itself, simplified."""
     best = min(_STANDARD_RATES, key=lambda standard: abs(standard - rate))
     return best if abs(best - rate) <= SNAP * rate else rate.limit_denominator(1001)
+
+
+def _standard_rates_near(rate: Fraction, tick: Fraction) -> list[Fraction]:
+    """Return the standard rates for one that is measured in ticks."""
+    # Times in milliseconds have a median of 42 at 24 fps, which would be 23.8.
+    tolerance = SNAP + tick * rate
+    return [s for s in _STANDARD_RATES if abs(s - rate) <= tolerance * s]
 
 
 def first_interlaced(path: Path, packets: Packets, is_indexed: bool) -> Fraction | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -348,19 +348,20 @@ def plan_tracks(sound: Soundtrack, container: str) -> tuple[EncodedTracks, tuple
     """
     tracks = [Track(SOUND, index, codec) for index, codec in enumerate(sound.codecs)]
     tracks += [Track(SUBTITLES, index, codec) for index, codec in enumerate(sound.subtitles)]
-    encoded, remarks = [], []
+    encoded = [(track, _encoders(track, container)[0]) for track in tracks]
+    if encoded and not _can_encode(sound, encoded, container):  # rarely: else it is read once
+        choices = [(track, _choose_encoder(sound, track, container)) for track in tracks]
+        encoded = [(track, encoder) for track, encoder in choices if encoder is not None]
+    encoders, remarks = dict(encoded), []
     for track in tracks:
-        kind = "sound" if track.kind == SOUND else "subtitle"
+        kind, encoder = "sound" if track.kind == SOUND else "subtitle", encoders.get(track)
         name = f"{kind} track {track.index + 1} ({track.codec}) of {sound.path}"
-        encoder = _choose_encoder(sound, track, container)
         if encoder is None:
             fits_mov = container == "mp4" and _choose_encoder(sound, track, "mov") is not None
             better = "; a video named .mov can hold it" if fits_mov else ""
             why = "as it cannot be copied or encoded again"
             remarks.append(f"{name} is left out of the video, {why}{better}")
-            continue
-        encoded.append((track, encoder))
-        if track.kind == SUBTITLES and track.codec in STYLED_SUBTITLES:
+        elif track.kind == SUBTITLES and track.codec in STYLED_SUBTITLES:
             remarks.append(f"{name} keeps its text alone")
         elif track.kind == SOUND and encoder != (_COPY,):
             is_usual = track.codec in COPIED_AUDIO[container]
@@ -369,20 +370,29 @@ def plan_tracks(sound: Soundtrack, container: str) -> tuple[EncodedTracks, tuple
     return encoded, tuple(remarks)
 
 
+def _encoders(track: Track, container: str) -> list[tuple[str, ...]]:
+    """Return the encoders to try, the best first."""
+    if track.kind == SUBTITLES:
+        return [("mov_text",)]
+    copied = [(_COPY,)] if track.codec in COPIED_AUDIO[container] else []
+    # AAC has 8 channels at most here; PCM has any number, but is not usual in MP4.
+    pcm = [("pcm_s24le",)] if container == "mov" else []
+    return [*copied, ("aac", "256k"), *pcm]
+
+
 def _choose_encoder(sound: Soundtrack, track: Track, container: str) -> tuple[str, ...] | None:
-    """Return the best encoder with which ffmpeg writes a track to nowhere; None without."""
-    encoders: list[tuple[str, ...]] = [("mov_text",)]
-    if track.kind == SOUND:
-        copied = [(_COPY,)] if track.codec in COPIED_AUDIO[container] else []
-        # AAC has 8 channels at most here; PCM has any number, but is not usual in MP4.
-        pcm = [("pcm_s24le",)] if container == "mov" else []
-        encoders = [*copied, ("aac", "256k"), *pcm]
-    for encoder in encoders:
-        options = (*sound.input_options, *_track_options([(track, encoder)], 0))
-        with suppress(ffmpeg.FfmpegError):
-            ffmpeg.run_ffmpeg([*options, "-f", container, f"file:{os.devnull}"])
-            return encoder
-    return None
+    encoders = _encoders(track, container)
+    return next((e for e in encoders if _can_encode(sound, [(track, e)], container)), None)
+
+
+def _can_encode(sound: Soundtrack, tracks: EncodedTracks, container: str) -> bool:
+    """Write tracks to nowhere, and return True if that succeeds."""
+    options = (*sound.input_options, *_track_options(tracks, 0))
+    try:
+        ffmpeg.run_ffmpeg([*options, "-f", container, f"file:{os.devnull}"])
+    except ffmpeg.FfmpegError:
+        return False
+    return True
 
 
 def _track_options(tracks: EncodedTracks, source: int) -> list[str]:

@@ -228,8 +228,12 @@ class ExrFile(AbstractContextManager["ExrFile"]):
             display = Window(spec.full_x, spec.full_y, spec.full_width, spec.full_height)
             types = [str(t) for t in spec.channelformats] or [str(spec.format)] * spec.nchannels
             channels = zip(spec.channelnames, types, strict=True)
-            kind = len(specs) > 1, bool(spec.deep), spec.tile_width > 0
-            parts.append(describe_part(index, own, (data, display), channels, *kind))
+            is_deep, is_tiled, is_multipart = bool(spec.deep), spec.tile_width > 0, len(specs) > 1
+            parts.append(
+                describe_part(
+                    index, own, (data, display), channels, is_multipart, is_deep, is_tiled
+                )
+            )
         if any(spec.getattribute("textureformat") == "CubeFace Environment" for spec in specs):
             # OpenImageIO gives a cube map with smaller levels the window of a single face.
             if raw is None:

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import accumulate
 from threading import Lock
 from typing import BinaryIO, TypeAlias
@@ -241,7 +240,15 @@ def read_blocks(
         step = max(1, RUN_BYTES // (layout.lines * layout.window.width * sum(layout.sizes)))
         for first in range(0, len(order), step):
             runs.append((layout, members, order[first : first + step]))
-    decode, are_sound = partial(_decode_blocks, FileBytes(file)), list[bool]()
+    file_bytes = FileBytes(file)
+    broken: set[int | None] = set()  # numbers of the parts that could not be decoded
+
+    def decode(run: tuple[ChunkLayout, list[_Destination], I64]) -> None:
+        # A part that fails is left at once: each further read of a bad share may take a minute.
+        with cores.hold_cores():
+            if run[0].number not in broken and not _decode_blocks(file_bytes, *run):
+                broken.add(run[0].number)
+
     threads = min(cores.count(), len(runs))
     if threads > 1:
         # No thread can be started when the interpreter ends, or the system has no more.
@@ -249,10 +256,10 @@ def read_blocks(
             # A pool of its own: starting one takes a thousandth of a frame's time.
             results = executor.map(decode, runs)
             with cores.release_cores():
-                are_sound = list(results)
-    are_sound = are_sound or [decode(run) for run in runs]
-    # Numbers of the parts that could not be decoded.
-    broken = {run[0].number for run, sound in zip(runs, are_sound, strict=True) if not sound}
+                list(results)
+            runs = []
+    for run in runs:
+        decode(run)
     return [
         None
         if out is None or layout.number in broken
@@ -261,12 +268,12 @@ def read_blocks(
     ]
 
 
-@cores.hold_cores()
-def _decode_blocks(file: FileBytes, run: tuple[ChunkLayout, list[_Destination], I64]) -> bool:
+def _decode_blocks(
+    file: FileBytes, layout: ChunkLayout, destinations: Sequence[_Destination], chunks: I64
+) -> bool:
     """Decode blocks of a part; False when one of them is not what it should be."""
     from exwarp_cli.kernels import exr_filters  # numba: not for what reads no pixels
 
-    layout, destinations, chunks = run
     # Before each block: the part's number, the first line, the bytes.
     leader = struct.Struct("<2i" if layout.number is None else "<3i")
     line_size = layout.window.width * sum(layout.sizes)
