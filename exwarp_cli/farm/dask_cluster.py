@@ -20,7 +20,7 @@ import warnings
 from collections import Counter, deque
 from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing import resource_tracker
 from typing import Any, NamedTuple
@@ -33,7 +33,6 @@ from exwarp_cli.domain.wording import first_line, pluralise
 from exwarp_cli.errors import ClusterError, MissingExtraError, UsageError
 from exwarp_cli.farm.dask_worker import (
     Chunk,
-    ChunkResult,
     SharedWatcher,
     WorkerRequirements,
     check_worker,
@@ -49,14 +48,8 @@ from exwarp_cli.pipeline.messages import announce_skipped
 from exwarp_cli.pipeline.progress import ANY, Progress, kind_of
 from exwarp_cli.pipeline.run import make_writer
 from exwarp_cli.pipeline.scheduling import AsyncWriter
+from exwarp_cli.runtime import stop
 from exwarp_cli.runtime.machine import processors
-from exwarp_cli.runtime.stop import (
-    block_signals,
-    check_stop,
-    clean_up_after,
-    note_progress,
-    scratch_folder,
-)
 
 CONNECT_S = 10.0  # seconds that a scheduler has to answer
 STOP_S = 6.0  # seconds that processes have to end before they are killed
@@ -70,6 +63,14 @@ PATIENCE_S = 180.0  # seconds to wait for a first worker: batch systems take min
 ATTEMPTS = 4  # a chunk that ends its worker every time would end them all
 RESULT_S = 60.0  # seconds that the records of a finished chunk may take to arrive
 CANCEL_S = 10.0  # seconds to wait for cancelled chunks, which stop at their next frame
+
+VIDEO_ALONE = (
+    "-o {} is a video alone, and workers write frames; name a folder in -o and the video in "
+    "--video, or leave out --workers and --cluster"
+)
+
+# What `render_chunk` returns
+ChunkResult = tuple[RunOutcome, SharedWatcher | None]
 
 DASK_SETTINGS = {
     "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
@@ -158,11 +159,11 @@ def _local_cluster(distributed: Any, workers: int, threads: int | None) -> Itera
         # It would unblock SIGINT below where the first process starts it.
         resource_tracker.ensure_running()
     with ExitStack() as stack:
-        folder = str(stack.enter_context(scratch_folder()))
+        folder = str(stack.enter_context(stop.scratch_folder()))
         # Some parts of Dask otherwise make a folder for all runs, which is never removed.
         stack.enter_context(dask.config.set({"temporary-directory": folder}))
         try:
-            with block_signals(signal.SIGINT):  # this process ends its workers itself
+            with stop.block_signals(signal.SIGINT):  # this process ends its workers itself
                 cluster = distributed.LocalCluster(
                     n_workers=workers,
                     threads_per_worker=threads_per_worker(workers, threads),
@@ -180,14 +181,14 @@ def _local_cluster(distributed: Any, workers: int, threads: int | None) -> Itera
                 "use fewer --workers, or none"
             ) from error
         # Listed now: a cluster that is being closed lists them no more.
-        stack.enter_context(clean_up_after(partial(_kill, tuple(cluster.workers.values()))))
+        stack.enter_context(stop.clean_up_after(partial(_kill, tuple(cluster.workers.values()))))
         stack.callback(_close, cluster)
         yield cluster
 
 
 def _close(connection: Any) -> None:
     """Close a client or a local cluster. Processes that do not end are killed afterwards."""
-    note_progress()
+    stop.note_progress()
     with suppress(OSError, RuntimeError):
         connection.close(timeout=STOP_S)
 
@@ -210,7 +211,8 @@ def run_on_cluster(
     ClusterError: the cluster cannot be reached, cannot do the work, or loses its workers.
     ExwarpError: as `pipeline.run.upsample` raises; frames written until then are complete.
     """
-    _require_frames(job)
+    if job.targets.frames is None:
+        raise UsageError(VIDEO_ALONE.format(job.settings.output))
     job.refuse()
     with ExitStack() as stack:
         for folder in job.targets.folders:  # of lost workers, once the others have ended
@@ -240,7 +242,17 @@ def run_on_cluster(
                 video = work.enter_context(VideoFromFrames(job))
                 for text in video.remarks:
                     progress.message(text)
-            chunks = _make_chunks(job, where, divided, watcher)
+            # The coordinator chooses the key frames, makes the video, and has looked for existing
+            # frames. A worker of this machine was started with its share of threads.
+            settings = replace(absolute(job.settings), frames=None, video=None)
+            if where.address is None:
+                settings = replace(settings, threads=None)
+            run, timeline, chunks = f"exwarp-{uuid.uuid4().hex}", job.source.timeline, []
+            for index, keys in enumerate(divided):
+                slots = [slot for key in keys for slot in timeline.slots_of(key)]
+                frames = ranges([timeline.number(slot) for slot in slots])
+                shared = None if watcher is None else watcher.share()
+                chunks.append(Chunk(run, index, settings, keys, frames, shared, job.reported))
             outcomes = _collect(dispatcher, chunks, progress, watcher, video)
         seconds = time.perf_counter() - begin
         outcome = RunOutcome.joined(outcomes)
@@ -260,12 +272,12 @@ def _collect(
     outcomes: dict[int, RunOutcome] = {}
     filmed = 0
     with closing(dispatcher.render(chunks)) as finished:
-        for chunk, result in finished:
-            outcomes[chunk.index] = result.outcome
-            for skipped in result.outcome.left_out:
+        for chunk, (outcome, part) in finished:
+            outcomes[chunk.index] = outcome
+            for skipped in outcome.left_out:
                 announce_skipped(progress, skipped)
-            if watcher is not None and result.watcher is not None:
-                watcher.adopt(result.watcher)
+            if watcher is not None and part is not None:
+                watcher.adopt(part)
             while video is not None and filmed in outcomes:  # in order, as far as complete
                 skips = outcomes[filmed].left_out
                 video.append(chunks[filmed].keys, [n for skip in skips for n in skip.frames])
@@ -278,7 +290,8 @@ def foresee_on_cluster(job: Job, where: ClusterSettings, dry_run: DryRun) -> Dry
 
     ClusterError: the cluster cannot be reached, or cannot do the work.
     """
-    _require_frames(job)
+    if job.targets.frames is None:
+        raise UsageError(VIDEO_ALONE.format(job.settings.output))
     require_dask()
     if where.address is None:
         workers = where.workers or 1
@@ -310,33 +323,7 @@ def _spread(where: ClusterSettings, workers: int, threads: int | None) -> str:
     return f"{pluralise(workers, 'worker')} on this machine, {each} each"
 
 
-def _require_frames(job: Job) -> None:
-    if job.targets.frames is None:
-        raise UsageError(
-            f"-o {job.settings.output} is a video alone, and workers write frames; name a folder "
-            "in -o and the video in --video, or leave out --workers and --cluster"
-        )
-
-
-def _make_chunks(
-    job: Job,
-    where: ClusterSettings,
-    divided: Sequence[tuple[int, ...]],
-    watcher: SharedWatcher | None,
-) -> list[Chunk]:
-    # The coordinator chooses the key frames, makes the video, and has looked for existing frames.
-    settings = replace(absolute(job.settings), frames=None, video=None)
-    if where.address is None:
-        settings = replace(settings, threads=None)  # a worker was started with its share
-    run, timeline = f"exwarp-{uuid.uuid4().hex}", job.source.timeline
-    chunks = []
-    for index, keys in enumerate(divided):
-        frames = ranges([timeline.number(slot) for key in keys for slot in timeline.slots_of(key)])
-        shared = None if watcher is None else watcher.share()
-        chunks.append(Chunk(run, index, settings, keys, frames, shared, job.reported))
-    return chunks
-
-
+@dataclass(eq=False)
 class VideoFromFrames(ResourceOwner):
     """Appends finished key intervals to a job's video, in order, on a thread of its own.
 
@@ -344,17 +331,16 @@ class VideoFromFrames(ResourceOwner):
     loses something. The job must have frames and a video among its outputs.
     """
 
-    def __init__(self, job: Job) -> None:
-        self._job = job
+    job: Job
 
     def _open(self, stack: ExitStack) -> None:
-        self._frames = stack.enter_context(make_writer(self._job))
+        self._frames = stack.enter_context(make_writer(self.job))
         self.remarks = self._frames.remarks  # what a user has to know about the video
-        self._writer = stack.enter_context(AsyncWriter(1, len(self._job.slots)))
+        self._writer = stack.enter_context(AsyncWriter(1, len(self.job.slots)))
 
     def append(self, keys: Iterable[int], missing: Collection[int] = ()) -> None:
         """Append the frames of key intervals; of `missing` output numbers, the frame before."""
-        timeline = self._job.source.timeline
+        timeline = self.job.source.timeline
         for slot in (slot for key in keys for slot in timeline.slots_of(key)):
             is_missing = timeline.number(slot) in missing
             self._writer.submit(
@@ -362,7 +348,7 @@ class VideoFromFrames(ResourceOwner):
             )
 
     def _show(self, slot: Slot) -> None:
-        source, frames = self._job.source, self._job.targets.frames
+        source, frames = self.job.source, self.job.targets.frames
         assert frames is not None
         if slot.index:
             number = source.timeline.number(slot)
@@ -379,6 +365,7 @@ class _Task(NamedTuple):
     worker: str
 
 
+@dataclass(eq=False)
 class ChunkDispatcher:
     """Gives one chunk at a time to each worker that can do the job; repeats those of lost workers.
 
@@ -387,19 +374,21 @@ class ChunkDispatcher:
     `distributed.Client`; the progress receives each frame once, and messages.
     """
 
-    def __init__(self, client: Any, requirements: WorkerRequirements, progress: Progress) -> None:
-        self._client, self._requirements, self._progress = client, requirements, progress
-        self._fit: set[str] = set()
-        self._unfit: dict[str, str] = {}
-        self._waiting: deque[Chunk] = deque()
-        self._tasks: dict[str, _Task] = {}  # by worker
-        self._begun: set[int] = set()  # chunks that workers are at
-        self._losses: Counter[int] = Counter()  # by chunk
-        self._frames: set[int] = set()
-        self._news: queue.SimpleQueue[Any] = queue.SimpleQueue()  # futures and events
-        self._looked_at = -math.inf
-        self._unfit_since = math.inf  # since when no worker can do the job
-        self._busy_from = math.inf
+    client: Any
+    requirements: WorkerRequirements
+    progress: Progress
+    _fit: set[str] = field(default_factory=set)
+    _unfit: dict[str, str] = field(default_factory=dict)
+    _waiting: deque[Chunk] = field(default_factory=deque)
+    _tasks: dict[str, _Task] = field(default_factory=dict)  # by worker
+    _begun: set[int] = field(default_factory=set)  # chunks that workers are at
+    _losses: Counter[int] = field(default_factory=Counter)  # by chunk
+    _frames: set[int] = field(default_factory=set)
+    # Futures that are done, and events: pairs of their time and content
+    _news: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
+    _looked_at: float = -math.inf
+    _unfit_since: float = math.inf  # since when no worker can do the job
+    _busy_from: float = math.inf
 
     def await_workers(self) -> int:
         """Wait until there are workers that can do the job, and return how many.
@@ -407,7 +396,7 @@ class ChunkDispatcher:
         ClusterError: no worker comes, or all that are there cannot do the job.
         """
         while not self._fit:
-            check_stop()
+            stop.check_stop()
             self._look()
             if self._unfit and not self._fit:
                 worker, reason = min(self._unfit.items())
@@ -424,10 +413,11 @@ class ChunkDispatcher:
         """
         self._waiting.extend(chunks)
         self._busy_from = time.monotonic() + ANSWER_S
-        self._subscribe()
+        for run in {chunk.run for chunk in self._waiting}:
+            self._call("subscribe_topic", run, self._news.put)
         try:
             while self._waiting or self._tasks:
-                check_stop()
+                stop.check_stop()
                 self._look()
                 for worker in sorted(self._fit - self._tasks.keys())[: len(self._waiting)]:
                     chunk = self._waiting.popleft()
@@ -437,17 +427,26 @@ class ChunkDispatcher:
                     )
                     self._tasks[worker] = _Task(chunk, future, worker)
                     future.add_done_callback(self._news.put)  # called in another thread
-                yield from self._receive()
+                timeout = POLL_S  # for the first news; then those that are there are taken in
+                with suppress(queue.Empty):
+                    while True:
+                        news = self._news.get(timeout=timeout)
+                        timeout = 0.0
+                        task = next((t for t in self._tasks.values() if t.future is news), None)
+                        if isinstance(news, tuple):
+                            self._note(news[1])
+                        elif task is not None and (result := self._result_of(task)) is not None:
+                            yield task.chunk, result
         finally:
             self._cancel_all()
 
     def _call(self, method: str, *args: Any, **kwargs: Any) -> Any:
         """Call a method of the client; ClusterError where there is no scheduler any more."""
         try:
-            return getattr(self._client, method)(*args, **kwargs)
+            return getattr(self.client, method)(*args, **kwargs)
         except Exception as error:
             # How a closed client fails differs between methods and versions of Dask.
-            if not isinstance(error, OSError) and self._client.status == "running":
+            if not isinstance(error, OSError) and self.client.status == "running":
                 raise
             raise ClusterError(
                 "the Dask scheduler went away; frames written so far are whole, and "
@@ -475,7 +474,7 @@ class ChunkDispatcher:
         elif self._unfit_since == math.inf:
             self._unfit_since = now
             if not workers and not self._losses:
-                self._progress.message("waiting for a worker to join the cluster")
+                self.progress.message("waiting for a worker to join the cluster")
         elif now - self._unfit_since > PATIENCE_S:
             raise ClusterError(
                 f"the cluster has had no worker that can do this for {PATIENCE_S:g} seconds; start "
@@ -483,12 +482,12 @@ class ChunkDispatcher:
             )
         if now > self._busy_from:
             self._busy_from = math.inf
-            self._progress.message("waiting for a worker to be free: none has answered yet")
+            self.progress.message("waiting for a worker to be free: none has answered yet")
 
     def _check(self, workers: list[str]) -> None:
         # Not as a task: the answer of a busy worker would have to wait for a free thread.
         answers = self._call(
-            "run", check_worker, self._requirements, workers=workers, on_error="return"
+            "run", check_worker, self.requirements, workers=workers, on_error="return"
         )
         unfit = {}
         for worker, answer in answers.items():
@@ -498,42 +497,28 @@ class ChunkDispatcher:
                 unfit[worker] = answer
             elif not isinstance(answer, OSError):  # else it is asked again
                 unfit[worker] = (
-                    f"cannot run ExWarp {self._requirements.version} ({answer}); install the same "
+                    f"cannot run ExWarp {self.requirements.version} ({answer}); install the same "
                     "on all"
                 )
         self._unfit |= unfit
         if self._fit:
             for worker, reason in sorted(unfit.items()):
-                self._progress.message(f"worker {worker} is left out: it {reason}")
+                self.progress.message(f"worker {worker} is left out: it {reason}")
 
-    def _subscribe(self) -> None:
-        for run in {chunk.run for chunk in self._waiting}:
-            self._call("subscribe_topic", run, lambda event: self._news.put(event[1]))
-
-    def _receive(self) -> Iterator[tuple[Chunk, ChunkResult]]:
-        """Take in all news, waiting for some; yield what ended."""
-        timeout = POLL_S
-        with suppress(queue.Empty):
-            while True:
-                news = self._news.get(timeout=timeout)
-                timeout = 0.0
-                if isinstance(news, dict):
-                    if "frame" in news:
-                        self._count(news["frame"], news["note"], news["kind"], news["made"])
-                    elif "begin" in news:
-                        self._begun.add(news["chunk"])
-                        self._busy_from = math.inf
-                    else:
-                        self._begun.discard(news["chunk"])
-                    continue
-                task = next((t for t in self._tasks.values() if t.future is news), None)
-                if task is not None and (result := self._result_of(task)) is not None:
-                    yield task.chunk, result
+    def _note(self, event: dict[str, Any]) -> None:
+        """Take in an event of a worker."""
+        if "frame" in event:
+            self._count(event["frame"], event["note"], event["kind"], event["made"])
+        elif "begin" in event:
+            self._begun.add(event["chunk"])
+            self._busy_from = math.inf
+        else:
+            self._begun.discard(event["chunk"])
 
     def _count(self, frame: int, note: str | None, kind: str, made: bool) -> None:
         if frame not in self._frames:
             self._frames.add(frame)
-            self._progress.advance(frame, note, kind, made)
+            self.progress.advance(frame, note, kind, made)
 
     def _result_of(self, task: _Task) -> ChunkResult | None:
         """Return what a task came to; None if its worker was lost."""
@@ -548,12 +533,12 @@ class ChunkDispatcher:
         task.future.release()
         if isinstance(result, BaseException):
             raise result
-        assert isinstance(result, ChunkResult)
-        for record in result.outcome.frames:  # events may come later than the result
+        outcome: RunOutcome = result[0]
+        for record in outcome.frames:  # events may come later than the result
             self._count(record.number, record.method, kind_of(record.slot), made=False)
-        for number in (number for skip in result.outcome.left_out for number in skip.frames):
+        for number in (number for skip in outcome.left_out for number in skip.frames):
             self._count(number, "left out", ANY, made=False)
-        return result
+        return outcome, result[1]
 
     def _repeat(self, task: _Task) -> None:
         """Put back the chunk of a lost worker; ClusterError after several losses."""
@@ -566,9 +551,10 @@ class ChunkDispatcher:
                 "end it; try --frames with a part of them alone, fewer workers, or more memory "
                 "for each"
             )
-        self._progress.message(f"worker {task.worker} was lost; frames {frames} are done again")
+        self.progress.message(f"worker {task.worker} was lost; frames {frames} are done again")
         self._waiting.appendleft(chunk)
-        self._subscribe()  # again, as a restarted scheduler has forgotten it
+        # Again, as a restarted scheduler has forgotten it.
+        self._call("subscribe_topic", chunk.run, self._news.put)
         self._call("cancel", [task.future])
 
     def _cancel_all(self) -> None:
@@ -584,8 +570,8 @@ class ChunkDispatcher:
             return
         deadline = time.monotonic() + CANCEL_S
         while begun and time.monotonic() < deadline:
-            note_progress()
+            stop.note_progress()
             with suppress(queue.Empty):
                 news = self._news.get(timeout=POLL_S)
-                if isinstance(news, dict) and "end" in news:
-                    begun.discard(news["chunk"])
+                if isinstance(news, tuple) and "end" in news[1]:
+                    begun.discard(news[1]["chunk"])

@@ -59,14 +59,6 @@ class Chunk:
     reported: bool = False  # as in `Job`
 
 
-@dataclass(frozen=True)
-class ChunkResult:
-    """The outcome of a chunk, and its watcher with what it was shown."""
-
-    outcome: RunOutcome
-    watcher: SharedWatcher | None
-
-
 class ChunkCancelled(Exception):
     """The coordinator does not want the chunk any more."""
 
@@ -113,8 +105,11 @@ _opened: tuple[str, Job] | None = None  # the name of a run, and its job
 _closing: threading.Timer | None = None
 
 
-def render_chunk(chunk: Chunk) -> ChunkResult | BaseException:
-    """Do a chunk. Errors are returned, because Dask logs those that are raised."""
+def render_chunk(chunk: Chunk) -> tuple[RunOutcome, SharedWatcher | None] | BaseException:
+    """Do a chunk; return its outcome, and its watcher with what it was shown.
+
+    Errors are returned, because Dask logs those that are raised.
+    """
     global _closing, _opened
     progress = ChunkProgress(chunk)
     with _lock:
@@ -129,7 +124,7 @@ def render_chunk(chunk: Chunk) -> ChunkResult | BaseException:
                 threads = chunk.settings.threads or progress.threads
                 _opened = chunk.run, open_job(replace(chunk.settings, threads=threads))
             job = replace(_opened[1], keys=chunk.keys, reported=chunk.reported)
-            return ChunkResult(write_intervals(job, progress, chunk.watcher), chunk.watcher)
+            return write_intervals(job, progress, chunk.watcher), chunk.watcher
         except Exception as error:
             return error
         finally:

@@ -71,7 +71,6 @@ PATH_ROLES: Mapping[str, PathRole] = {
     "report_folder": PathRole("Report", "Report", ValueKind.FOLDER, is_written=True),
     "video": PathRole("Video", "Video", ValueKind.FILE, is_written=True),
 }
-NETWORKS = ("extrapolator", "interpolator")  # of these the ONNX models
 
 
 def names_files(parameter: str, value: object) -> bool:
@@ -115,62 +114,51 @@ def locate(parameter: str, text: str) -> PathOption:
 
     InputError: the path is no text that a job can hold.
     """
-    option = _parse(parameter, text)
-    # Absolute paths are checked, because the current folder becomes a part of them.
-    for path in (option.text, *map(str, option.companions.values())):
-        try:
-            path.encode("utf-8")
-        except UnicodeEncodeError as error:
-            raise InputError(
-                f"the path {path!r} holds bytes that are no UTF-8, which no job can carry; "
-                "rename it"
-            ) from error
-    return option
-
-
-def _parse(parameter: str, text: str) -> PathOption:
     role = PATH_ROLES[parameter]
+    option = PathOption(role, role.name, role.label, Path(text).absolute())
+    path = option.path
     if role.kind is ValueKind.AOV:
         (aov,) = parse_aovs([text])
-        folder, pattern = _split_existing(Path(aov.pattern).absolute())
-        name = "".join(word.capitalize() for word in aov.role.value.split("_"))
-        return PathOption(
+        option = PathOption(
             role,
-            f"{role.name}{name}",
+            role.name + "".join(word.capitalize() for word in aov.role.value.split("_")),
             f"{role.label} {aov.role.value}",
-            folder,
-            pattern=pattern,
+            Path(aov.pattern).absolute(),
             before=f"{aov.role.value}=",
             after=aov.chosen,
         )
-    option = PathOption(role, role.name, role.label, Path(text).absolute())
-    path = option.path
-    if role.kind is ValueKind.FOLDER:
-        return option
-    if role.kind is ValueKind.FILE:
+    elif role.kind is ValueKind.FILE:
         companions = {}
         if parameter == "interpolator" and (card := path.with_suffix(".json")).is_file():
             companions["Card"] = card
-        if parameter in NETWORKS and path.is_file():
+        if parameter in ("extrapolator", "interpolator") and path.is_file():
             _, files = embed_weights(path, read_file_bytes(path))
             for number, file in enumerate(files, start=1):
                 companions[f"Weights{number}"] = file
-        return replace(option, is_file=True, companions=companions)
-    if role.is_written:  # as `upsample` does; the folder need not exist
+        option = replace(option, is_file=True, companions=companions)
+    elif role.kind is ValueKind.SEQUENCE and role.is_written:
+        # As `upsample` does; the folder need not exist.
         is_folder = text.endswith(("/", os.sep)) or path.is_dir()
-        if is_folder or NamePattern.parse(path.name) is None:
-            return option
-        return replace(option, path=path.parent, pattern=path.name)
-    if is_clip(text) and path.is_file():
-        return replace(option, is_file=True)
-    folder, pattern = _split_existing(path)
-    return replace(option, path=folder, pattern=pattern)
-
-
-def _split_existing(path: Path) -> tuple[Path, str]:
-    """Split a path into a folder that exists, and the rest: ``%V`` may also stand for a folder."""
-    folder = next(parent for parent in (path, *path.parents) if parent.is_dir())
-    return folder, "" if folder == path else path.relative_to(folder).as_posix()
+        if not is_folder and NamePattern.parse(path.name) is not None:
+            option = replace(option, path=path.parent, pattern=path.name)
+    elif role.kind is ValueKind.SEQUENCE and is_clip(text) and path.is_file():
+        option = replace(option, is_file=True)
+    if not (role.is_written or option.is_file):
+        # A folder that exists, and the rest: ``%V`` may also stand for a folder.
+        path = option.path
+        folder = next(parent for parent in (path, *path.parents) if parent.is_dir())
+        pattern = "" if folder == path else path.relative_to(folder).as_posix()
+        option = replace(option, path=folder, pattern=pattern)
+    # Absolute paths are checked, because the current folder becomes a part of them.
+    for name in (option.text, *map(str, option.companions.values())):
+        try:
+            name.encode("utf-8")
+        except UnicodeEncodeError as error:
+            raise InputError(
+                f"the path {name!r} holds bytes that are no UTF-8, which no job can carry; "
+                "rename it"
+            ) from error
+    return option
 
 
 def absolute(settings: Settings) -> Settings:

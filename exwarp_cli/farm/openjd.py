@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 import os.path
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -23,18 +22,9 @@ import yaml
 from exwarp_cli import __version__
 from exwarp_cli.domain.wording import pluralise, printable
 from exwarp_cli.errors import OutputExistsError, UsageError
-from exwarp_cli.farm.farm_job import (
-    Argument,
-    FarmJob,
-    PathOption,
-    Placeholder,
-    frames_text,
-    split,
-)
+from exwarp_cli.farm.farm_job import FarmJob, PathOption, Placeholder, frames_text, split
 from exwarp_cli.io.files import atomic_write_text, make_folder, path_exists
 
-SPECIFICATION = "jobtemplate-2023-09"
-CHUNKING = "TASK_CHUNKING"
 MOST_TASKS = 1024  # values that a task parameter's list may have
 LONGEST = 1024  # characters that a parameter's value may have
 LONGEST_NAME = 128
@@ -86,20 +76,32 @@ def job_template(job: FarmJob, workers: Workers, folder: Path | None) -> JobTemp
         if isinstance(option.value, PathOption):
             parameters.add_argument(option.value)
     all_frames = frames_text(job.numbers)
+    ranges, culprit = [all_frames], "--frames"
     if workers.plain:
-        frames = [
-            _require_short(frames_text(chunk), "--chunk-size") for chunk in split(job.numbers, size)
-        ]
-        space: Data = {"name": "Frames", "type": "STRING", "range": frames}
-    else:
+        ranges = [frames_text(chunk) for chunk in split(job.numbers, size)]
+        culprit = "--chunk-size"
+    for frames in ranges:
+        if len(frames) > LONGEST:
+            raise UsageError(
+                f"the key frames {frames[:40]}… take {len(frames)} characters, and Open Job "
+                f"Description allows {LONGEST}; choose fewer with {culprit}, or take 'exwarp farm "
+                "commands'"
+            )
+    space: Data = {"name": "Frames", "type": "STRING", "range": ranges}
+    if not workers.plain:
         all_frames, space = _chunked_frames(job, workers, parameters)
     steps = _steps(job, workers, parameters, all_frames, space)
+    # Without control characters, and without what would be filled in.
+    name = "".join(c if c.isprintable() else " " for c in job.title)
+    for pair in BRACES:
+        while pair in name:
+            name = name.replace(pair, " ".join(pair))
     chunks = pluralise(len(split(job.numbers, size)), "chunk")
     frame_count = pluralise(len(job.numbers), "key frame")
     document = {
-        "specificationVersion": SPECIFICATION,
-        **({} if workers.plain else {"extensions": [CHUNKING]}),
-        "name": _name(job.title),
+        "specificationVersion": "jobtemplate-2023-09",
+        **({} if workers.plain else {"extensions": ["TASK_CHUNKING"]}),
+        "name": name[:LONGEST_NAME].strip() or "exwarp",
         "description": f"{frame_count} upsampled in {chunks}, as ExWarp {__version__} wrote it.",
         "parameterDefinitions": parameters.definitions,
         "steps": steps,
@@ -145,17 +147,32 @@ class _Parameters:
         if word in self._formats:
             return self._formats[word]
         if isinstance(word, PathOption):
+            group, flow = ("Output", "OUT") if word.role.is_written else ("Input", "IN")
             name = f"{word.name}{'File' if word.is_file else 'Folder'}"
-            reference = self._add_path(name, word.path, word, word.label)
+            paths = {name: (word.path, word.label)}
             for kind, path in word.companions.items():
-                self._add_path(f"{word.name}{kind}", path, word, f"{word.label}: {kind.lower()}")
+                paths[f"{word.name}{kind}"] = path, f"{word.label}: {kind.lower()}"
+            for parameter, (path, label) in paths.items():
+                definition: Data = {
+                    "name": parameter,
+                    "type": "PATH",
+                    "objectType": "FILE" if word.is_file else "DIRECTORY",
+                    "dataFlow": flow,
+                    "userInterface": {"label": label, "groupLabel": group},
+                }
+                normal = Path(os.path.normpath(path))
+                if self.folder is not None and normal.is_relative_to(self.folder):
+                    definition["default"] = normal.relative_to(self.folder).as_posix()
+                else:
+                    self.values[parameter] = str(path)
+                _require_length(str(path), label)
+                self.definitions.append(definition)
             if word.pattern:
                 pattern, label = f"{word.pattern}{word.after}", f"{word.label}: names"
-                group = "Output" if word.role.is_written else "Input"
                 remainder = "/" + self.add(f"{word.name}Pattern", "STRING", pattern, label, group)
             else:
                 remainder = self.add_argument(word.remainder)
-            text = f"{word.before}{reference}{remainder}"
+            text = f"{word.before}{{{{Param.{name}}}}}{remainder}"
         elif any(pair in word for pair in BRACES):
             name = f"Text{len(self.definitions)}"
             text = self.add(name, "STRING", word, name, "ExWarp", hidden=True)
@@ -164,31 +181,13 @@ class _Parameters:
         self._formats[word] = text
         return text
 
-    def _add_path(self, name: str, path: Path, option: PathOption, label: str) -> str:
-        is_written = option.role.is_written
-        definition: Data = {
-            "name": name,
-            "type": "PATH",
-            "objectType": "FILE" if option.is_file else "DIRECTORY",
-            "dataFlow": "OUT" if is_written else "IN",
-            "userInterface": {"label": label, "groupLabel": "Output" if is_written else "Input"},
-        }
-        normal = Path(os.path.normpath(path))
-        if self.folder is not None and normal.is_relative_to(self.folder):
-            definition["default"] = normal.relative_to(self.folder).as_posix()
-        else:
-            self.values[name] = str(path)
-        _require_length(str(path), label)
-        self.definitions.append(definition)
-        return f"{{{{Param.{name}}}}}"
-
 
 def _chunked_frames(job: FarmJob, workers: Workers, parameters: _Parameters) -> tuple[str, Data]:
     """Return all frames, and a task parameter that the engine divides, by parameters of the job."""
     all_frames = parameters.add(
         "Frames",
         "STRING",
-        _require_short(frames_text(job.numbers), "--frames"),
+        frames_text(job.numbers),
         "Frames",
         "Chunks",
         description="By their numbers, such as 1001-1100, 10-90:4 or 1,5,9-12.",
@@ -228,7 +227,19 @@ def _steps(
     )
     references = {Placeholder.FRAMES: "{{Task.Param.Frames}}", Placeholder.ALL_FRAMES: all_frames}
 
-    def step(name: str, command: Sequence[Argument], more: Data, requires: Data) -> Data:
+    memory = None if workers.memory_gib is None else math.ceil(workers.memory_gib * 1024)
+    least = {"vcpu": workers.vcpus, "memory": memory, "gpu": workers.gpus}
+    amounts = [
+        {"name": f"amount.worker.{name}", "min": value} for name, value in least.items() if value
+    ]
+    requires: Data = {"hostRequirements": {"amounts": amounts}} if amounts else {}
+    after: Data = {"dependencies": [{"dependsOn": "Upsample"}]}
+    tasks = {"parameterSpace": {"taskParameterDefinitions": [space]}}
+    steps = []
+    for name, command in {"Upsample": job.chunk, **job.afterwards}.items():
+        more = tasks if name == "Upsample" else after
+        if name != "Report":
+            more = more | requires
         args = [
             references[word] if isinstance(word, Placeholder) else parameters.add_argument(word)
             for word in command
@@ -239,23 +250,8 @@ def _steps(
             # SIGTERM first: upsample then ends with complete frames and removes its temporaries.
             "cancelation": {"mode": "NOTIFY_THEN_TERMINATE"},
         }
-        return {"name": name, **more, **requires, "script": {"actions": {"onRun": action}}}
-
-    memory = None if workers.memory_gib is None else math.ceil(workers.memory_gib * 1024)
-    least = {"vcpu": workers.vcpus, "memory": memory, "gpu": workers.gpus}
-    amounts = [
-        {"name": f"amount.worker.{name}", "min": value} for name, value in least.items() if value
-    ]
-    requires: Data = {"hostRequirements": {"amounts": amounts}} if amounts else {}
-    after: Data = {"dependencies": [{"dependsOn": "Upsample"}]}
-    tasks = {"parameterSpace": {"taskParameterDefinitions": [space]}}
-    return [
-        step("Upsample", job.chunk, tasks, requires),
-        *(
-            step(name, command, after, {} if name == "Report" else requires)
-            for name, command in job.afterwards.items()
-        ),
-    ]
+        steps.append({"name": name, **more, "script": {"actions": {"onRun": action}}})
+    return steps
 
 
 def _require_length(value: str, label: str) -> None:
@@ -264,26 +260,6 @@ def _require_length(value: str, label: str) -> None:
             f"the value of {label!r} has {len(value)} characters, and Open Job Description takes "
             f"{LONGEST} at most; shorten it, or take 'exwarp farm commands'"
         )
-
-
-def _require_short(frames: str, option: str) -> str:
-    """Return key frames; UsageError where they take too many characters, without a range."""
-    if len(frames) > LONGEST:
-        raise UsageError(
-            f"the key frames {frames[:40]}… take {len(frames)} characters, and Open Job "
-            f"Description allows {LONGEST}; choose fewer with {option}, or take 'exwarp farm "
-            "commands'"
-        )
-    return frames
-
-
-def _name(title: str) -> str:
-    """Return a job's name: no control characters, and nothing that would be filled in."""
-    name = "".join(c if c.isprintable() else " " for c in title)
-    for pair in BRACES:
-        while pair in name:
-            name = name.replace(pair, " ".join(pair))
-    return name[:LONGEST_NAME].strip() or "exwarp"
 
 
 class _Dumper(yaml.SafeDumper):

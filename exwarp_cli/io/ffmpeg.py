@@ -17,6 +17,7 @@ import re
 import subprocess
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
@@ -59,6 +60,10 @@ MIN_SIDE = 16  # pixels; minterpolate makes nothing of smaller frames
 KEY_TOLERANCE = 4  # steps of 8 bits by which its YUV may change a frame that it passes through
 
 _VIDEOS = ("reference.mp4", "test.mp4")
+
+_NO_VMAF = (
+    "cannot take VMAF: {}; reinstall the package imageio-ffmpeg, or leave vmaf out of --metrics"
+)
 
 _RATE_IN = 30  # only its ratio to the output rate matters
 
@@ -104,14 +109,15 @@ def run_ffmpeg(options: Sequence[str], data: bytes | None = None) -> tuple[bytes
     return process.stdout, process.stderr.decode("utf-8", "replace")
 
 
+@dataclass(eq=False)
 class _FfmpegStream(ResourceOwner):
     """One run of ffmpeg beside this process; a context manager that ends it."""
 
+    options: Sequence[str]
+    folder: Path | None = None  # in which it runs; None for that of this process
+
     _stdin: ClassVar[int]
     _stdout: ClassVar[int]
-
-    def __init__(self, options: Sequence[str], folder: Path | None = None) -> None:
-        self._options, self._folder = options, folder
 
     def _open(self, stack: ExitStack) -> None:
         path = stack.enter_context(scratch_folder()) / "ffmpeg.log"
@@ -119,11 +125,11 @@ class _FfmpegStream(ResourceOwner):
         self._log = stack.enter_context(path.open("rb"))  # ffmpeg shares the position of `log`
         try:
             self._process = subprocess.Popen(
-                _command(self._options),
+                _command(self.options),
                 stdin=self._stdin,
                 stdout=self._stdout,
                 stderr=log,
-                cwd=self._folder,
+                cwd=self.folder,
                 process_group=0,
             )
         except (OSError, RuntimeError) as error:
@@ -145,18 +151,17 @@ class _FfmpegStream(ResourceOwner):
         return _exit_error(self._log.read(), self._process.returncode)
 
 
+@dataclass(eq=False)
 class FfmpegReader(_FfmpegStream):
     """One run of ffmpeg whose output, frames written to ``-``, is read here; a context manager.
 
     Left before the end, it ends ffmpeg. Raises FfmpegError when ffmpeg does not start.
     """
 
-    _stdin, _stdout = subprocess.DEVNULL, subprocess.PIPE
+    frame_bytes: int = field(kw_only=True)
+    _incomplete_line: bytes = b""
 
-    def __init__(self, options: Sequence[str], frame_bytes: int) -> None:
-        super().__init__(("-nostdin", *options))
-        self._frame_bytes = frame_bytes
-        self._incomplete_line = b""
+    _stdin, _stdout = subprocess.DEVNULL, subprocess.PIPE
 
     def read(self) -> bytes | None:
         """Return the next frame's bytes; None at the end, or where fewer are left.
@@ -166,8 +171,8 @@ class FfmpegReader(_FfmpegStream):
         """
         check_stop()
         assert self._process.stdout is not None
-        data = self._process.stdout.read(self._frame_bytes)
-        if len(data) == self._frame_bytes:
+        data = self._process.stdout.read(self.frame_bytes)
+        if len(data) == self.frame_bytes:
             return data
         if self._process.wait() != 0:
             raise self._error()
@@ -265,6 +270,7 @@ def compute_vmaf(reference: Iterable[UInt8], test: Iterable[UInt8]) -> list[floa
         return stream.close()
 
 
+@dataclass(eq=False)
 class VmafStream(ResourceOwner):
     """VMAF of pairs of frames as they come; a context manager.
 
@@ -272,10 +278,8 @@ class VmafStream(ResourceOwner):
     padded by repeating the last column or row, as 4:2:0 has even ones only.
     """
 
-    def __init__(self, is_encoded: bool = False) -> None:
-        self._is_encoded = is_encoded
-        self._writers: list[FfmpegWriter] = []
-        self._folder = Path()
+    is_encoded: bool = False
+    _writers: list[FfmpegWriter] = field(default_factory=list)
 
     def _open(self, stack: ExitStack) -> None:
         self._folder = stack.enter_context(scratch_folder())
@@ -283,7 +287,7 @@ class VmafStream(ResourceOwner):
     def write(self, reference: UInt8, test: UInt8) -> None:
         """Append a pair of frames; see `compute_vmaf`."""
         height, width, _ = reference.shape
-        if self._is_encoded:
+        if self.is_encoded:
             frames = [pad_to_even(reference), pad_to_even(test)]
         else:
             # Both frames go to ffmpeg as one picture, the reference above, and are cut apart there:
@@ -294,7 +298,7 @@ class VmafStream(ResourceOwner):
                 require_vmaf_size(height, width, "the frame")
                 rows, columns, _ = frames[0].shape
                 source = RAW_INPUT.format(width=columns, height=rows, rate=VMAF_RATE).split()
-                if self._is_encoded:
+                if self.is_encoded:
                     runs = [[*PUBLISHED_ENCODING.split(), video] for video in _VIDEOS]
                 else:
                     # Equal time stamps, whatever the filters before did: pairs must not slip.
@@ -310,7 +314,7 @@ class VmafStream(ResourceOwner):
             for writer, frame in zip(self._writers, frames, strict=True):
                 writer.write(frame)
         except FfmpegError as error:
-            raise _vmaf_error(error) from error
+            raise InputError(_NO_VMAF.format(error)) from error
 
     def close(self) -> list[float]:
         """Return the scores of all frames."""
@@ -319,23 +323,16 @@ class VmafStream(ResourceOwner):
         try:
             for writer in self._writers:
                 writer.close()
-            if self._is_encoded:
+            if self.is_encoded:
                 graph = f"[0:v]setpts=N[r];[1:v]setpts=N[t];[t][r]{_LIBVMAF}"
                 videos = [option for video in _VIDEOS for option in ("-i", video)]
                 options = (*videos, "-filter_complex", graph, "-f", "null", "-")
                 with FfmpegWriter(options, self._folder) as comparison:
                     comparison.close()
         except FfmpegError as error:
-            raise _vmaf_error(error) from error
+            raise InputError(_NO_VMAF.format(error)) from error
         log = json.loads((self._folder / "scores.json").read_text(encoding="utf-8"))
         return [float(frame["metrics"]["vmaf"]) for frame in log["frames"]]
-
-
-def _vmaf_error(error: FfmpegError) -> InputError:
-    return InputError(
-        f"cannot take VMAF: {error}; reinstall the package imageio-ffmpeg, or leave "
-        "vmaf out of --metrics"
-    )
 
 
 def minterpolate(older: Float32 | None, before: Float32, after: Float32) -> tuple[Float32, ...]:

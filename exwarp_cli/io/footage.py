@@ -7,6 +7,7 @@ import threading
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +21,13 @@ from exwarp_cli.io.channels import ChannelRef, Layout, Role
 from exwarp_cli.io.display_colour import primaries_of
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.exr.writer import COMPRESSIONS, PartTemplate, PlaneTemplate, Template
+from exwarp_cli.io.files import with_retries
 from exwarp_cli.io.frame_names import file_type, split_names
 from exwarp_cli.io.generated_frames import FrameTemplate, read_picture
 from exwarp_cli.io.key_file import file_digest
 from exwarp_cli.io.sequences import EXR, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot, count_nonfinite, first_usable
-from exwarp_cli.io.stills import (
-    STILLS,
-    StillTemplate,
-    has_room_for_alpha,
-    read_still_template,
-    still_size,
-)
+from exwarp_cli.io.stills import STILLS, StillTemplate, read_still_header, require_writer
 from exwarp_cli.io.video_reader import CLIPS, Clip, ClipReader, is_clip, open_clip
 from exwarp_cli.io.video_writer import VideoLook
 
@@ -54,7 +50,7 @@ class ClipSequence(Sequence):
 
     clip: Clip = field(compare=False, repr=False)
     # By thread, as each decodes for itself; sequences of other numbers share them
-    _readers: dict[int, ClipReader] = field(default_factory=dict, compare=False, repr=False)
+    readers: dict[int, ClipReader] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def pattern(self) -> str:
@@ -62,17 +58,17 @@ class ClipSequence(Sequence):
         return str(self.folder)
 
     def image(self, number: int) -> Image:
-        """Decode a frame, cheaply as long as numbers grow; raises DamagedFileError."""
-        thread = threading.get_ident()
-        if thread not in self._readers:
-            self._readers[thread] = ClipReader(self.clip)
-        window = read_display_window(self, number)
-        return Image(self._readers[thread].read(number - 1), window, window)
+        """Decode a frame, cheaply as long as numbers grow.
 
-    def close(self) -> None:
-        """Stop decoding; a later call begins again."""
-        for thread in list(self._readers):
-            self._readers.pop(thread).close()
+        Raises DamagedFileError when damage affects it, or the video ends early. Raises
+        UnreadableError when the system does not let it through.
+        """
+        thread = threading.get_ident()
+        if thread not in self.readers:
+            self.readers[thread] = ClipReader(self.clip)
+        window = read_display_window(self, number)
+        read = partial(self.readers[thread].read, number - 1)
+        return Image(with_retries(self.clip.path, read), window, window)
 
 
 def find_frames(spec: str, gaps: bool = False, scan: str = SourceSettings.scan) -> Sequence:
@@ -134,7 +130,7 @@ def make_shot(sequence: Sequence, keep_going: bool = False) -> Shot:
             path = sequence.files[number]
             if keep_going:
                 read_picture(path)
-            has_alpha = read_still_template(path).has_alpha
+            has_alpha = read_still_header(path)[0].has_alpha
             producer = f"{sequence.type.lstrip('.').upper()} images"
         colour = tuple(ChannelRef("", name) for name in ("RGBA" if has_alpha else "RGB"))
         layout = Layout({Role.COLOUR: colour}, producer=producer)
@@ -178,7 +174,7 @@ def read_display_window(sequence: Sequence, number: int) -> Window:
         return Window(0, 0, sequence.clip.width, sequence.clip.height)
     path = sequence.files[number]
     if is_plain(sequence):
-        return Window(0, 0, *still_size(path))
+        return read_still_header(path)[1]
     with ExrFile(path) as file:
         return file.parts[0].display_window
 
@@ -210,7 +206,7 @@ def make_frame_template(shot: Shot, number: int, suffix: str) -> FrameTemplate:
         clip = shot.sequence.clip
         dtype, channels = np.dtype(np.uint16 if clip.deep else np.uint8), 3 + clip.has_alpha
         return StillTemplate((), dtype, 8 * dtype.itemsize, channels, SRGB, premultiplied=False)
-    return read_still_template(shot.sequence.files[number])
+    return read_still_header(shot.sequence.files[number])[0]
 
 
 def clip_rate(sequence: Sequence) -> Fraction | None:
@@ -273,7 +269,7 @@ def describe_footage(sequence: Sequence) -> dict[str, Any]:
             "pixel_aspect": float(clip.look.pixel_aspect),
             "sound": list(clip.look.sound.codecs if clip.look.sound else ()),
         }
-    template = read_still_template(next(iter(sequence.files.values())))
+    template, _ = read_still_header(next(iter(sequence.files.values())))
     return {
         "kind": "stills",
         "bits": template.bits,
@@ -287,11 +283,12 @@ def describe_footage(sequence: Sequence) -> dict[str, Any]:
 def lost_alpha_message(shot: Shot, suffix: str) -> str | None:
     """Return the message that frames lose the alpha of footage; None if they do not."""
     has_alpha = is_plain(shot.sequence) and len(shot.layout.roles[Role.COLOUR]) > 3
-    if not has_alpha or file_type(suffix) in EXR or has_room_for_alpha(file_type(suffix)):
+    kind = file_type(suffix)
+    if not has_alpha or kind in EXR or require_writer(Path(f"frame{kind}")).supports("alpha"):
         return None
     return (
-        f"the alpha of {shot.sequence.pattern} is left out, as {file_type(suffix)} files have "
-        "none; name frames as .png or .exr to keep it"
+        f"the alpha of {shot.sequence.pattern} is left out, as {kind} files have none; name frames "
+        "as .png or .exr to keep it"
     )
 
 
@@ -307,7 +304,8 @@ def uneven_rate_message(sequence: Sequence) -> str | None:
 
 
 def close_sequences(*sequences: Sequence) -> None:
-    """Close the videos among some sequences."""
+    """Stop decoding the videos among some sequences; reading one again begins anew."""
     for sequence in sequences:
         if isinstance(sequence, ClipSequence):
-            sequence.close()
+            for thread in list(sequence.readers):
+                sequence.readers.pop(thread).close()

@@ -26,18 +26,10 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.colour import FILM, LINEAR, SRGB, TransferCurve
 from exwarp_cli.domain.frame import Float32, Image, Window, require_size
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
+from exwarp_cli.io import files
 from exwarp_cli.io.display_colour import HALF_MAX
 from exwarp_cli.io.exr.header import MAGIC, PNG
 from exwarp_cli.io.exr.writer import Buffer
-from exwarp_cli.io.files import (
-    CHECKSUM_DIGITS,
-    CHECKSUM_NAME,
-    CHECKSUM_ZEROS,
-    atomic_path,
-    compute_checksum,
-    output_error,
-    with_retries,
-)
 from exwarp_cli.runtime.read_registry import report_reading
 
 # Suffixes of the sequences that are found beside EXR, in lower case.
@@ -59,7 +51,7 @@ _DPX_NAME = 36
 _DPX_TEXTS = ((36, 136), (136, 160), (160, 260), (260, 460), (460, 660))  # SMPTE 268M
 _NO_DATE = "1970:01:01 00:00:00"
 
-_SEAL_MARK = f"exwarp:{CHECKSUM_NAME}=".encode()
+_SEAL_MARK = f"exwarp:{files.CHECKSUM_NAME}=".encode()
 
 _UPRIGHT = 1  # the EXIF orientation of pixels that are shown as they are stored
 _RIFF_HEADER = 12  # bytes: "RIFF", the size of the rest, "WEBP"
@@ -101,21 +93,15 @@ def read_still(path: Path) -> tuple[Image, StillTemplate]:
     LayoutError when it has other channels than grey or RGB, with or without alpha. Raises
     UnreadableError when the system does not let it through.
     """
-    template, codes = with_retries(path, lambda: _read_file(path))
-    height, width = codes.shape[:2]
-    window = Window(0, 0, width, height)
+    template, codes = files.with_retries(path, lambda: _read_file(path))
+    window = Window(0, 0, codes.shape[1], codes.shape[0])
     return Image(_to_light(codes, template), window, window), template
 
 
-def read_still_template(path: Path) -> StillTemplate:
-    """Read the header of an image alone; raises what `read_still` does."""
-    return with_retries(path, lambda: _read_file(path, pixels=False)[0])
-
-
-def still_size(path: Path) -> tuple[int, int]:
-    """Return width and height of an image; raises what `read_still` does."""
-    height, width = with_retries(path, lambda: _read_file(path, pixels=False)[1]).shape[:2]
-    return width, height
+def read_still_header(path: Path) -> tuple[StillTemplate, Window]:
+    """Read the template and the window of an image alone; raises what `read_still` does."""
+    template, codes = files.with_retries(path, lambda: _read_file(path, pixels=False))
+    return template, Window(0, 0, codes.shape[1], codes.shape[0])
 
 
 def require_writer(path: Path) -> Any:
@@ -128,12 +114,6 @@ def require_writer(path: Path) -> Any:
             f"{path.stem}.####.png"
         )
     return writer
-
-
-def has_room_for_alpha(suffix: str) -> bool:
-    """Return whether the format of a suffix can be written with alpha."""
-    writer = oiio.ImageOutput.create(suffix.lstrip("."))
-    return writer is not None and bool(writer.supports("alpha"))
 
 
 def quantise_still(pixels: Float32, template: StillTemplate) -> Float32:
@@ -177,17 +157,17 @@ def write_still(
     software = f"ExWarp {__version__}"
     if suffix in SEALED:  # other formats cut such texts off
         facts = json.dumps(dict(attributes), sort_keys=True, ensure_ascii=True)
-        software = f"{software} {_SEAL_MARK.decode()}{CHECKSUM_ZEROS} {facts}"
+        software = f"{software} {_SEAL_MARK.decode()}{files.CHECKSUM_ZEROS} {facts}"
     spec.attribute("Software", software)
-    with atomic_path(path) as temporary:
+    with files.atomic_path(path) as temporary:
         temporary.touch()  # a bad folder shows here, with its reason
         is_written = writer.open(str(temporary), spec) and writer.write_image(codes)
         if not (is_written and writer.close()):
-            raise output_error(path, OSError(writer.geterror().strip() or "the format refuses it"))
-        data = _clean_dpx_header(temporary.read_bytes(), path.name)
-        if suffix == ".webp":  # OpenImageIO reads its EXIF, but writes none
-            data = _add_webp_orientation(data, spec.get_int_attribute("Orientation", _UPRIGHT))
-        sealed = seal_still(data)
+            raise files.output_error(
+                path, OSError(writer.geterror().strip() or "the format refuses it")
+            )
+        orientation = spec.get_int_attribute("Orientation", _UPRIGHT)
+        sealed = seal_still(_mend_header(temporary.read_bytes(), path.name, orientation))
         temporary.write_bytes(sealed)
     return [sealed]
 
@@ -278,7 +258,7 @@ def _to_light(codes: np.ndarray, template: StillTemplate) -> Float32:
         values /= np.float32(np.iinfo(codes.dtype).max)
     colour, alpha = np.split(values, [values.shape[-1] - template.has_alpha], axis=-1)
     if template.is_divided and template.premultiplied:
-        colour = _unpremultiply(colour, alpha)
+        colour = np.divide(colour, alpha, out=np.zeros_like(colour), where=alpha > 0)
     light = template.curve.to_linear(colour)
     if template.is_divided:
         light = light * alpha
@@ -306,8 +286,9 @@ def _to_codes(pixels: Float32, template: StillTemplate) -> np.ndarray:
     finite = np.nan_to_num(pixels, nan=0.0, posinf=HALF_MAX, neginf=0.0)
     colour: Float32 = finite[..., : 3 if template.channels > 2 else 1]
     alpha = finite[..., 3:4] if pixels.shape[-1] > 3 else np.ones_like(finite[..., :1])
-    values = _unpremultiply(colour, alpha) if template.is_divided else colour
-    values = template.curve.to_code(values)
+    if template.is_divided:
+        colour = np.divide(colour, alpha, out=np.zeros_like(colour), where=alpha > 0)
+    values = template.curve.to_code(colour)
     if template.is_divided and template.premultiplied:
         values = values * alpha
     if template.has_alpha:
@@ -324,30 +305,20 @@ def _to_codes(pixels: Float32, template: StillTemplate) -> np.ndarray:
     return codes.astype(template.dtype)
 
 
-def _unpremultiply(colour: Float32, alpha: Float32) -> Float32:
-    """Divide by alpha; 0 where alpha is 0."""
-    return np.divide(colour, alpha, out=np.zeros_like(colour), where=alpha > 0)
-
-
-def _clean_dpx_header(data: bytes, name: str) -> bytes:
-    """Clear DPX's text fields behind their ends, and replace the temporary's name."""
-    if data[:4] not in (b"SDPX", b"XPDS"):
-        return data
-    clean = bytearray(data)
-    for begin, end in _DPX_TEXTS:
-        text = clean[begin:end].partition(b"\0")[0]
-        if begin == _DPX_NAME:
-            text = bytearray(name.encode()[: end - begin - 1])
-        clean[begin:end] = text.ljust(end - begin, b"\0")
-    return bytes(clean)
-
-
-def _add_webp_orientation(data: bytes, orientation: int) -> bytes:
-    """Add an EXIF orientation, 1 to 8, to a lossless WebP file of one chunk ``VP8L``.
-
-    https://developers.google.com/speed/webp/docs/container_specification
-    """
-    if orientation == _UPRIGHT or data[_RIFF_HEADER : _RIFF_HEADER + 4] != b"VP8L":
+def _mend_header(data: bytes, name: str, orientation: int) -> bytes:
+    """Write what OpenImageIO does not: clean text in DPX, the orientation, 1 to 8, in WebP."""
+    if data[:4] in (b"SDPX", b"XPDS"):
+        # Behind the ends of texts is what the memory held, and the name is that of the temporary.
+        clean = bytearray(data)
+        for begin, end in _DPX_TEXTS:
+            text = clean[begin:end].partition(b"\0")[0]
+            if begin == _DPX_NAME:
+                text = bytearray(name.encode()[: end - begin - 1])
+            clean[begin:end] = text.ljust(end - begin, b"\0")
+        return bytes(clean)
+    # OpenImageIO reads WebP's EXIF, but writes none. The file has one chunk, as it is lossless:
+    # https://developers.google.com/speed/webp/docs/container_specification
+    if orientation == _UPRIGHT or data[_RIFF_HEADER - 4 : _RIFF_HEADER + 4] != b"WEBPVP8L":
         return data
     # A signature byte, then width - 1 and height - 1 in 14 bits each, then the bit for alpha.
     (bits,) = struct.unpack_from("<I", data, _RIFF_HEADER + 9)
@@ -367,14 +338,23 @@ def _add_webp_orientation(data: bytes, orientation: int) -> bytes:
 def seal_still(data: bytes) -> bytes:
     """Put the checksum into an encoded file; unchanged where the format dropped its place."""
     start = data.find(_SEAL_MARK) + len(_SEAL_MARK)
-    end = start + CHECKSUM_DIGITS
+    end = start + files.CHECKSUM_DIGITS
     if _SEAL_MARK not in data or end > len(data):
         return data
+    # The chunk of a PNG that holds the checksum has a CRC behind it; other formats have none.
+    chunk, begin = slice(0), len(PNG)
+    while data.startswith(PNG) and begin + 12 <= len(data) and not chunk.stop:
+        stop = begin + 8 + int.from_bytes(data[begin : begin + 4], "big")
+        if begin <= start < stop <= len(data) - 4:
+            chunk = slice(begin + 4, stop)
+        begin = stop + 4
     sealed = bytearray(data)
-    sealed[start:end] = CHECKSUM_ZEROS.encode()
-    _renew_png_crc(sealed, start)
-    sealed[start:end] = compute_checksum([sealed]).encode()
-    _renew_png_crc(sealed, start)
+    for is_complete in (False, True):
+        digits = files.compute_checksum([sealed]) if is_complete else files.CHECKSUM_ZEROS
+        sealed[start:end] = digits.encode()
+        if chunk.stop:
+            crc = zlib.crc32(sealed[chunk])
+            sealed[chunk.stop : chunk.stop + 4] = crc.to_bytes(4, "big")
     return bytes(sealed)
 
 
@@ -385,7 +365,7 @@ def still_facts(path: Path) -> dict[str, Any] | None:
     file is there and cannot be read.
     """
     try:
-        data = with_retries(path, path.read_bytes)
+        data = files.with_retries(path, path.read_bytes)
     except FileNotFoundError:
         return None
     except OSError as error:
@@ -405,18 +385,7 @@ def parse_still_facts(data: bytes) -> tuple[bool, dict[str, Any] | None]:
         return False, None
     facts = None
     if seal_still(data) == data:
-        end = data.find(_SEAL_MARK) + len(_SEAL_MARK) + CHECKSUM_DIGITS
+        end = data.find(_SEAL_MARK) + len(_SEAL_MARK) + files.CHECKSUM_DIGITS
         with suppress(ValueError):  # there is no text, or it is cut off
             facts, _ = json.JSONDecoder().raw_decode(data[end:].decode("latin-1").lstrip())
     return (True, facts) if isinstance(facts, dict) else (False, {})
-
-
-def _renew_png_crc(data: bytearray, place: int) -> None:
-    """Renew the CRC behind the chunk of a PNG that holds a place; other formats have none."""
-    begin = len(PNG)
-    while data.startswith(PNG) and begin + 12 <= len(data):
-        end = begin + 8 + int.from_bytes(data[begin : begin + 4], "big")
-        if begin <= place < end <= len(data) - 4:
-            data[end : end + 4] = zlib.crc32(data[begin + 4 : end]).to_bytes(4, "big")
-            return
-        begin = end + 4

@@ -21,20 +21,10 @@ import numpy as np
 from exwarp_cli.domain.frame import Float32, require_size
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.io import video_timing
 from exwarp_cli.io.display_colour import MATRICES, VideoColour, from_display
 from exwarp_cli.io.ffmpeg import EXACT_SCALING, FfmpegError, FfmpegReader, run_ffmpeg
 from exwarp_cli.io.files import system_failure, with_retries
-from exwarp_cli.io.video_timing import (
-    IN_ORDER,
-    ON_DAMAGE,
-    Pacing,
-    Packets,
-    find_pacing,
-    first_interlaced,
-    frame_info,
-    intact_frames,
-    read_packets,
-)
 from exwarp_cli.io.video_writer import Soundtrack, Timecode, VideoLook
 
 # Suffixes of the videos that are read, in lower case.
@@ -58,6 +48,7 @@ _REBASED = "mpeg"  # program and transport streams: ffmpeg starts what it reads 
 _ALPHA = re.compile(r"(yuva|gbra|rgba|bgra|argb|abgr|ya)[0-9a-z]*")
 _RGB = re.compile(r"gbr|rgb|bgr|argb|abgr|0rgb|0bgr|pal8|x2rgb|x2bgr")
 _DEEP = re.compile(r"(9|10|12|14|16|32|48|64)(le|be)")
+_OUTPUT = re.compile("Stream mapping:|Output #0")  # where ffmpeg has printed all about the input
 
 
 @dataclass(frozen=True)
@@ -68,11 +59,12 @@ class Clip:
     # Of its frames as players show them, turned upright, in pixels
     width: int
     height: int
-    pacing: Pacing  # frame rate, and which of the file's frames is shown at each instant of it
+    # Frame rate, and which of the file's frames is shown at each instant of it
+    pacing: video_timing.Pacing
     look: VideoLook  # its colour, pixel aspect and sound, for a video made of it
     has_alpha: bool  # whether it has an alpha channel
     deep: bool  # whether it has more than 8 bits a channel; then 16 are decoded
-    _packets: Packets
+    packets: video_timing.Packets  # of the file
     _is_indexed: bool
     _decoder: tuple[str, ...] = ()
     is_deinterlaced: bool = False  # whether frames are made of two fields
@@ -112,52 +104,42 @@ class Clip:
         None stands for a frame that damage affects: for one that cannot be decoded, and for those
         after it up to the next key frame. Raises DamagedFileError when ffmpeg does not start.
         """
-        shown = self.pacing.shown[start:]
+        shown, packets = self.pacing.shown[start:], self.packets
         if not shown:
             return
-        begin = self._key_before(shown[0])
-        try:
-            with self._decoder_from(begin) as ffmpeg:
-                intact = intact_frames(ffmpeg, self._packets, begin, self.rate)
-                decoded, data = -1, b""
-                for source in shown:
-                    while decoded < source:
-                        decoded, data = next(intact, (self.pacing.shown[-1] + 1, b""))
-                    yield None if decoded > source else self._to_light(data)
-        except FfmpegError as error:
-            raise damaged_clip(self.path, str(error)) from error
-
-    def _key_before(self, source: int) -> int:
-        """Return the key frame at which decoding starts for a frame of the file; 0 for its start.
-
-        What is shown before a key frame but comes after it in the file, an open group of pictures,
-        needs the key frame before; by the order of showing it is behind that one.
-        """
-        packets = self._packets
-        first = (packets.cut(source) or 0) - self.is_deinterlaced  # fields need the frame before
-        before = bisect_right(packets.keys, first) - 1
-        if not self._is_indexed or before < 1 or packets.least_step <= 0:
-            return 0
-        return packets.keys[before]
-
-    def _decoder_from(self, begin: int) -> FfmpegReader:
-        """Return an ffmpeg that decodes from a key frame on, and writes full-range RGB."""
-        names = ("rgb48le", "rgba64le") if self.deep else ("rgb24", "rgba")
-        pixels = names[self.has_alpha]
-        seek = ["-ss", f"{float(self._packets.time(begin)):.6f}"] if begin else []
+        # Decoding starts at a key frame that its time identifies: past a mended time, ffmpeg may
+        # derive others than those of the file. What is shown before a key frame but comes after it
+        # in the file, an open group of pictures, needs the key frame before; by the order of
+        # showing it is behind that one.
+        first = shown[0] if packets.mended is None else min(shown[0], packets.mended - 1)
+        first -= self.is_deinterlaced  # fields need the frame before
+        key = bisect_right(packets.keys, first) - 1
+        can_seek = self._is_indexed and key > 0 and packets.least_step > 0
+        begin = packets.keys[key] if can_seek else 0
+        pixels = (("rgb24", "rgba"), ("rgb48le", "rgba64le"))[self.deep][self.has_alpha]
+        seek = ["-ss", f"{float(packets.time(begin)):.6f}"] if begin else []
         fields = f"{DEINTERLACE}," if self.is_deinterlaced else ""
         conversion = (
             f"scale={self.width}:{self.height}:in_color_matrix={MATRICES[self.look.colour.matrix]}:"
             f"out_range=pc:{EXACT_SCALING},format={pixels}"
         )
         options = [
-            *(*ON_DAMAGE, *seek, *IN_ORDER, *self._decoder),
+            *("-nostdin", *video_timing.ON_DAMAGE, *seek, *video_timing.IN_ORDER, *self._decoder),
             *("-i", f"file:{self.path}", "-map", "0:V:0"),
             *("-vf", f"{fields}{conversion}", "-fps_mode", "passthrough"),
             *("-f", "rawvideo", "-pix_fmt", pixels, "-"),
         ]
         frame_bytes = self.width * self.height * (3 + self.has_alpha) * (1 + self.deep)
-        return FfmpegReader(options, frame_bytes)
+        try:
+            with FfmpegReader(options, frame_bytes=frame_bytes) as ffmpeg:
+                intact = video_timing.intact_frames(ffmpeg, packets, begin, self.rate)
+                decoded, data = -1, b""
+                for source in shown:
+                    while decoded < source:
+                        decoded, data = next(intact, (shown[-1] + 1, b""))
+                    yield None if decoded > source else self._to_light(data)
+        except FfmpegError as error:
+            raise damaged_clip(self.path, str(error)) from error
 
     def _to_light(self, data: bytes) -> Float32:
         """Turn sRGB codes into scene-linear light, premultiplied if there is alpha."""
@@ -170,26 +152,22 @@ class Clip:
         return np.concatenate([light * alpha, alpha], axis=-1)
 
 
+@dataclass(eq=False)
 class ClipReader:
     """Frames of a video by their index, cheaply as long as that grows; `close` ends ffmpeg."""
 
-    def __init__(self, clip: Clip) -> None:
-        self._clip = clip
-        self._frames: Generator[Float32 | None, None, None] | None = None
-        self._index = -1
-        self._frame: Float32 | None = None  # that was decoded last; None if it is damaged
+    clip: Clip
+    _frames: Generator[Float32 | None, None, None] | None = None
+    _index: int = -1
+    _frame: Float32 | None = None  # that was decoded last; None if it is damaged
 
     def read(self, index: int) -> Float32:
         """Return a frame as `Clip.frames` yields it.
 
-        Raises DamagedFileError when damage affects it, or the video ends early. Raises
-        UnreadableError when the system does not let it through.
+        It is decoded on from the last one, or from the key frame before. Raises DamagedFileError
+        when damage affects it, or the video ends early.
         """
-        return with_retries(self._clip.path, partial(self._read, index))
-
-    def _read(self, index: int) -> Float32:
-        """Return a frame, decoded on from the last one or from the key frame before."""
-        clip = self._clip
+        clip = self.clip
         damage = damaged_clip(
             clip.path, f"frame {index + 1} of {clip.count} is damaged, or builds on a damaged one"
         )
@@ -244,13 +222,8 @@ def open_clip(path: Path, scan: str = SourceSettings.scan) -> Clip:
 def _open_clip(path: Path, scan: str) -> Clip:
     if not path.is_file():
         raise InputError(f"there is no video {path}; check the path")
-    try:
-        packets = read_packets(path)
-        decoder, info = _first_frame_info(path)
-    except FfmpegError as error:
-        _require_picture(path)
-        raise damaged_clip(path, str(error)) from error
-    input_info = _input_part(info)
+    packets, decoder, info = _probe(path)
+    input_info = _OUTPUT.split(info)[0]
     container = re.search(r"^Input #0, (\S+), from", info, re.MULTILINE)
     frame = re.search(
         r"showinfo.* fmt:(?P<fmt>\S+) .*sar:(?P<sar>\d+/\d+) s:(?P<w>\d+)x(?P<h>\d+) "
@@ -264,7 +237,11 @@ def _open_clip(path: Path, scan: str) -> Clip:
     is_indexed = container[1].startswith(_INDEXED)
     if scan == "auto":
         is_interlaced = frame["scan"] in "TB"
-        since = Fraction(0) if is_interlaced else first_interlaced(path, packets, is_indexed)
+        since = (
+            Fraction(0)
+            if is_interlaced
+            else video_timing.first_interlaced(path, packets, is_indexed)
+        )
         if since is not None:
             begin = f" from {float(since):.2f} s on" if since else ""
             raise InputError(
@@ -275,7 +252,9 @@ def _open_clip(path: Path, scan: str) -> Clip:
     require_size(path, height, width)
     sound = _find_soundtrack(path, container[1], input_info, packets.time(0))
     rate = re.search(r"showinfo.*frame_rate: (\d+)/([1-9]\d*)", info)
-    pacing = find_pacing(packets, Fraction(int(rate[1]), int(rate[2])) if rate else None)
+    pacing = video_timing.find_pacing(
+        packets, Fraction(int(rate[1]), int(rate[2])) if rate else None
+    )
     code = re.search(r"^\s*timecode\s*: (\S+)", input_info, re.MULTILINE | re.IGNORECASE)
     timecode = None if code is None else Timecode(code[1], pacing.rate)
     num, den = map(int, frame["sar"].split("/"))
@@ -305,34 +284,38 @@ def damaged_clip(path: Path, why: str) -> DamagedFileError:
     return DamagedFileError(f"cannot read the video {path}: {why}; export it again")
 
 
-def _require_picture(path: Path) -> None:
-    """Refuse a file of sound alone; raises InputError."""
-    with suppress(FfmpegError):
-        _, info = run_ffmpeg(["-v", "info", "-i", f"file:{path}", "-f", "ffmetadata", "-"])
-        streams = re.findall(r"^\s*Stream #0:.*", _input_part(info), re.MULTILINE)
-        # A cover is no video.
-        has_video = any(": Video: " in line and "(attached pic)" not in line for line in streams)
-        if streams and not has_video:
-            raise InputError(f"{path} holds no picture, only sound; name a video or frames")
+def _probe(path: Path) -> tuple[video_timing.Packets, tuple[str, ...], str]:
+    """Return packets, options that choose a decoder, and ffmpeg's text on the first frame.
 
-
-def _first_frame_info(path: Path) -> tuple[tuple[str, ...], str]:
-    """Return the options that choose a decoder, and what ffmpeg prints about the first frame."""
-    info = frame_info(path, "-frames:v", "1")
-    video = re.search(r"Stream #0:.*?: Video: (\w+)", info)
-    name = _ALPHA_DECODERS.get(video[1]) if video else None
-    if name is None or not re.search(r"^\s*alpha_mode\s*: 1", _input_part(info), re.MULTILINE):
-        return (), info
-    decoder = ("-c:v", name)
+    Raises InputError for a file of sound alone, DamagedFileError for one that is no video.
+    """
+    decoder: tuple[str, ...] = ()
     try:
-        return decoder, frame_info(path, "-frames:v", "1", input_options=decoder)
+        copy = ("-map", "0:V:0", "-c", "copy", "-f", "framecrc", "-")  # nothing is decoded
+        listed, _ = run_ffmpeg(["-i", f"file:{path}", *copy])
+        packets = video_timing.parse_packets(listed.decode("ascii", "replace"))
+        info = video_timing.frame_info(path, "-frames:v", "1")
+        video = re.search(r"Stream #0:.*?: Video: (\w+)", info)
+        name = _ALPHA_DECODERS.get(video[1]) if video else None
+        has_alpha = re.search(r"^\s*alpha_mode\s*: 1", _OUTPUT.split(info)[0], re.MULTILINE)
+        if name is not None and has_alpha:
+            decoder = ("-c:v", name)
+            info = video_timing.frame_info(path, "-frames:v", "1", input_options=decoder)
     except FfmpegError as error:
-        raise FfmpegError(f"its alpha needs ffmpeg with the decoder {name}") from error
-
-
-def _input_part(info: str) -> str:
-    """Return what ffmpeg prints about the input, without the output."""
-    return info.partition("Stream mapping:")[0].partition("Output #0")[0]
+        if decoder:
+            why = f"its alpha needs ffmpeg with the decoder {decoder[1]}"
+            raise damaged_clip(path, why) from error
+        with suppress(FfmpegError):
+            _, info = run_ffmpeg(["-v", "info", "-i", f"file:{path}", "-f", "ffmetadata", "-"])
+            streams = re.findall(r"^\s*Stream #0:.*", _OUTPUT.split(info)[0], re.MULTILINE)
+            # A cover is no video.
+            pictures = [s for s in streams if ": Video: " in s and "(attached pic)" not in s]
+            if streams and not pictures:
+                raise InputError(
+                    f"{path} holds no picture, only sound; name a video or frames"
+                ) from error
+        raise damaged_clip(path, str(error)) from error
+    return packets, decoder, info
 
 
 def _find_soundtrack(

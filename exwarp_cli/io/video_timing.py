@@ -99,23 +99,6 @@ class Packets:
             return None
         return index
 
-    def is_decoded_before(self, index: int, reference: int) -> bool:
-        """Return whether a frame is known to be decoded before another one."""
-        return bool(self.positions) and self.positions[index] < self.positions[reference]
-
-    def last_needed(self, index: int) -> int:
-        """Return the last frame in the order of showing that one may build on, or itself."""
-        ahead = range(min(index + MAX_REORDERED, self.count - 1), index, -1)
-        return next((i for i in ahead if self.is_decoded_before(i, index)), index)
-
-    def cut(self, index: int) -> int | None:
-        """Return the last frame, up to this one, that its time identifies; None if none does.
-
-        Past a mended time, ffmpeg may derive others than those of the file.
-        """
-        last = index if self.mended is None else min(index, self.mended - 1)
-        return last if self.times and last >= 0 else None
-
 
 @dataclass(frozen=True)
 class Pacing:
@@ -145,17 +128,6 @@ class _Packet:
     is_key: bool
     is_hidden: bool
     is_certain: bool = True
-
-
-def read_packets(path: Path) -> Packets:
-    """List the packets of a file's first video stream, without decoding.
-
-    Raises FfmpegError when there is none, or the file cannot be read.
-    """
-    listed, _ = run_ffmpeg(
-        ["-i", f"file:{path}", "-map", "0:V:0", "-c", "copy", "-f", "framecrc", "-"]
-    )
-    return parse_packets(listed.decode("ascii", "replace"))
 
 
 def parse_packets(listed: str) -> Packets:
@@ -349,16 +321,6 @@ def frame_info(path: Path, *options: str, input_options: tuple[str, ...] = ()) -
     return info
 
 
-@dataclass(frozen=True)
-class _DecodedFrame:
-    """A frame that was decoded: seconds from where decoding begins, and its state."""
-
-    time: Fraction
-    is_key: bool
-    is_corrupt: bool
-    is_b_frame: bool
-
-
 def intact_frames(
     ffmpeg: FfmpegReader, packets: Packets, begin: int, rate: Fraction
 ) -> Iterator[tuple[int, bytes]]:
@@ -370,28 +332,31 @@ def intact_frames(
     the frame whose time is ffmpeg's 0; 0 for the start of the file. `rate` counts where the packets
     have no times.
     """
-    expected, is_usable, zero = begin, True, None
+    expected, is_usable, zero, places = begin, True, None, packets.positions
     # Frames that may build on frames shown after them: index, bytes, and the last frame that each
     # may build on. Without times a B-frame has None there: it waits for the next that is none.
     waiting: deque[tuple[int, bytes, int | None]] = deque()
-    for frame, data in _decoded_frames(ffmpeg):
-        zero = frame.time if zero is None else zero
+    for time, is_key, is_corrupt, is_b_frame, data in _decoded_frames(ffmpeg):
+        zero = time if zero is None else zero
         if packets.times:
             origin = packets.time(begin) if begin else Fraction(0)
-            index = packets.index(frame.time + origin, expected)
+            index = packets.index(time + origin, expected)
         else:
-            index = round((frame.time - zero) * rate)
+            index = round((time - zero) * rate)
         if index is None or index < expected:
             continue  # shown before the first frame that is wanted
-        waiting = _without_dependents(waiting, packets, range(expected, index + frame.is_corrupt))
-        is_usable = not frame.is_corrupt and (frame.is_key or (is_usable and index == expected))
+        waiting = _without_dependents(waiting, packets, range(expected, index + is_corrupt))
+        is_usable = not is_corrupt and (is_key or (is_usable and index == expected))
         expected = index + 1
         if is_usable:
-            last = None if frame.is_b_frame else index
-            waiting.append((index, data, packets.last_needed(index) if packets.times else last))
+            needed = None if is_b_frame else index
+            if places:
+                ahead = range(min(index + MAX_REORDERED, packets.count - 1), index, -1)
+                needed = next((i for i in ahead if places[i] < places[index]), index)
+            waiting.append((index, data, needed))
         while waiting:
             settled, data, needed = waiting[0]
-            if frame.is_b_frame if needed is None else needed > index:
+            if is_b_frame if needed is None else needed > index:
                 break
             waiting.popleft()
             yield settled, data
@@ -403,16 +368,21 @@ def _without_dependents(
     waiting: deque[tuple[int, bytes, int | None]], packets: Packets, damaged: range
 ) -> deque[tuple[int, bytes, int | None]]:
     """Return the waiting frames that build on no damaged one."""
+    places = packets.positions
     return deque(
         (index, data, needed)
         for index, data, needed in waiting
-        if not any(needed is None or packets.is_decoded_before(i, index) for i in damaged)
+        if not any(needed is None or (places and places[i] < places[index]) for i in damaged)
     )
 
 
-def _decoded_frames(ffmpeg: FfmpegReader) -> Iterator[tuple[_DecodedFrame, bytes]]:
-    """Yield each decoded frame with its state, up to where decoding fails for good."""
-    frames: deque[_DecodedFrame] = deque()
+def _decoded_frames(ffmpeg: FfmpegReader) -> Iterator[tuple[Fraction, bool, bool, bool, bytes]]:
+    """Yield each decoded frame, up to where decoding fails for good.
+
+    Of each: seconds from where decoding begins, True for key frames, True for corrupt ones, True
+    for B-frames, and its bytes.
+    """
+    frames: deque[tuple[Fraction, bool, bool, bool]] = deque()
     is_corrupt = False
     while True:
         try:
@@ -422,12 +392,11 @@ def _decoded_frames(ffmpeg: FfmpegReader) -> Iterator[tuple[_DecodedFrame, bytes
         for line in ffmpeg.messages():
             match = _DECODED.search(line)
             if match is not None:
-                time = int(match[1]) * Fraction(match[4])
-                is_b_frame = match[3] == _B_FRAME
-                frames.append(_DecodedFrame(time, match[2] != "0", is_corrupt, is_b_frame))
+                time, is_key = int(match[1]) * Fraction(match[4]), match[2] != "0"
+                frames.append((time, is_key, is_corrupt, match[3] == _B_FRAME))
                 is_corrupt = False
             elif _CORRUPT in line:
                 is_corrupt = True
         if data is None or not frames:
             return
-        yield frames.popleft(), data
+        yield *frames.popleft(), data

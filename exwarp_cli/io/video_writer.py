@@ -18,16 +18,8 @@ import numpy as np
 
 from exwarp_cli.domain.settings import VIDEO_CODECS
 from exwarp_cli.errors import InstallationError, OutputError, UsageError
+from exwarp_cli.io import ffmpeg
 from exwarp_cli.io.display_colour import MATRICES, Codes, Primaries, VideoColour
-from exwarp_cli.io.ffmpeg import (
-    EXACT_SCALING,
-    RAW_INPUT,
-    RAW_INPUT_16,
-    FfmpegError,
-    FfmpegWriter,
-    pad_to_even,
-    run_ffmpeg,
-)
 from exwarp_cli.io.files import ResourceOwner, atomic_path
 
 CONTAINERS = {".mp4": "mp4", ".mov": "mov"}  # ffmpeg's name of the container by file suffix
@@ -84,6 +76,10 @@ SOUND, SUBTITLES = "a", "s"  # kinds of tracks, as ffmpeg's options call them
 MAX_TIMECODE_RATE = 255  # frames per second that a timecode track of MP4 and QuickTime can count
 
 _COPY = "copy"
+_FAILED = (
+    "cannot write the video {}: {}; check the folder and the space on the disk, or run without the "
+    "video"
+)
 _TIMECODE = re.compile(r"(\d\d):(\d\d):(\d\d)([:;.])(\d+)")
 _DAY_S = 24 * 3600
 
@@ -202,11 +198,11 @@ def find_codec(name: str, path: Path) -> Codec:
         )
     if codec is CODECS[_H264]:  # which every build has
         return codec
-    source = RAW_INPUT_16.format(width=64, height=64, rate=1).split()
+    source = ffmpeg.RAW_INPUT_16.format(width=64, height=64, rate=1).split()
     encoder = ("-c:v", codec.encoder, *codec.options, "-pix_fmt", codec.pixels)
     try:
-        run_ffmpeg([*source, *encoder, "-f", "null", "-"], bytes(64 * 64 * 6))
-    except FfmpegError as error:
+        ffmpeg.run_ffmpeg([*source, *encoder, "-f", "null", "-"], bytes(64 * 64 * 6))
+    except ffmpeg.FfmpegError as error:
         raise InstallationError(
             f"ffmpeg cannot encode {codec.title} by {codec.encoder}: {error}; reinstall the "
             "package imageio-ffmpeg, unset IMAGEIO_FFMPEG_EXE, or choose --video-codec h264"
@@ -222,8 +218,8 @@ def read_video_note(path: Path) -> str | None:
     if not path.is_file():
         return None
     try:
-        metadata, _ = run_ffmpeg(["-i", f"file:{path}", "-f", "ffmetadata", "-"])
-    except FfmpegError:
+        metadata, _ = ffmpeg.run_ffmpeg(["-i", f"file:{path}", "-f", "ffmetadata", "-"])
+    except ffmpeg.FfmpegError:
         return None
     comment = re.search(r"^comment=(.*)$", metadata.decode("utf-8", "replace"), re.MULTILINE)
     return None if comment is None else re.sub(r"\\(.)", r"\1", comment[1])
@@ -260,26 +256,56 @@ class VideoWriter(ResourceOwner):
         self._look = look or VideoLook()
         self._codec = codec
         self._dtype = np.dtype(np.uint16 if codec.is_deep else np.uint8)
-        # The timecode at the video's rate; None without, and if it cannot count that rate.
-        self._timecode = self._look.timecode and self._look.timecode.convert(self._rate)
         self._count = 0
-        self._tracks: EncodedTracks = ()
         # What the video lacks, or has in another form than the input; complete once entered
         self.remarks = self._look.remarks
 
     def _open(self, stack: ExitStack) -> None:
+        look, codec = self._look, self._codec
         temporary = stack.enter_context(atomic_path(self._path))
         temporary.touch()  # a bad folder shows here, with its reason
-        if self._look.sound is not None:
-            self._tracks, remarks = plan_tracks(self._look.sound, self._container)
+        tracks: EncodedTracks = ()
+        if look.sound is not None:
+            tracks, remarks = plan_tracks(look.sound, self._container)
             self.remarks += remarks
-        if self._look.timecode is not None and self._timecode is None:
-            rate = f"{float(self._rate):g}"
-            why = f"as it cannot count {rate} frames a second"
+        # The timecode at the video's rate; None without, and if it cannot count that rate.
+        timecode = look.timecode and look.timecode.convert(self._rate)
+        if look.timecode is not None and timecode is None:
+            why = f"as it cannot count {float(self._rate):g} frames a second"
             self.remarks += (f"the timecode is left out of the video, {why}",)
+        height, width, _ = self._shape
+        colour = look.colour
+        if not codec.has_full_range:
+            colour = replace(colour, full_range=False)
+        levels = "pc" if colour.full_range else "tv"
+        source = (ffmpeg.RAW_INPUT_16 if codec.is_deep else ffmpeg.RAW_INPUT).format(
+            width=width + width % 2, height=height + height % 2, rate=self._rate
+        )
+        # Turn sRGB codes into the video's colour, and say so: the encoder labels it with that.
+        filters = (
+            f"scale=out_color_matrix={MATRICES[colour.matrix]}:out_range={levels}:"
+            f"{ffmpeg.EXACT_SCALING},setparams=range={levels}:colorspace={colour.matrix}:"
+            f"color_primaries={colour.primaries}:color_trc={colour.transfer},"
+            f"setsar={look.pixel_aspect.numerator}/{look.pixel_aspect.denominator}"
+        )
+        sound_in: list[str] = []
+        sound_out: list[str] = []
+        if look.sound is not None and tracks:
+            sound_in = look.sound.input_options
+            sound_out = ["-map", "0:v", *_track_options(tracks, 1), "-map_metadata", "1"]
+        if sound_out or timecode:  # the other video's own timecode counts its own rate
+            sound_out += ["-metadata", f"timecode={timecode or ''}"]
+        options = [
+            *source.split(),
+            *sound_in,
+            *("-vf", filters, "-c:v", codec.encoder, *codec.options, "-pix_fmt", codec.pixels),
+            *sound_out,
+            *(("-metadata", f"comment={look.note}") if look.note else ()),
+            *("-movflags", "+faststart", "-f", self._container, f"file:{temporary}"),
+        ]
         try:
-            self._ffmpeg = stack.enter_context(FfmpegWriter(self._options(temporary)))
-        except FfmpegError as error:
+            self._ffmpeg = stack.enter_context(ffmpeg.FfmpegWriter(options))
+        except ffmpeg.FfmpegError as error:
             raise OutputError(
                 f"cannot write the video {self._path}: {error}; reinstall the "
                 "package imageio-ffmpeg, or run without the video"
@@ -291,8 +317,8 @@ class VideoWriter(ResourceOwner):
             return
         try:
             self._ffmpeg.close()
-        except FfmpegError as failure:
-            raise self._write_error(failure) from failure
+        except ffmpeg.FfmpegError as failure:
+            raise OutputError(_FAILED.format(self._path, failure)) from failure
         if self._count == 0:
             raise OutputError(
                 f"the video {self._path} would have no frames; choose frames to write, or run "
@@ -309,51 +335,10 @@ class VideoWriter(ResourceOwner):
                 f"expected {self._dtype} {self._shape}, got {frame.dtype} {frame.shape}"
             )
         try:
-            self._ffmpeg.write(pad_to_even(frame))
-        except FfmpegError as error:
-            raise self._write_error(error) from error
+            self._ffmpeg.write(ffmpeg.pad_to_even(frame))
+        except ffmpeg.FfmpegError as error:
+            raise OutputError(_FAILED.format(self._path, error)) from error
         self._count += 1
-
-    def _options(self, target: Path) -> list[str]:
-        height, width, _ = self._shape
-        look, codec, colour = self._look, self._codec, self._look.colour
-        if not codec.has_full_range:
-            colour = replace(colour, full_range=False)
-        levels = "pc" if colour.full_range else "tv"
-        source = (RAW_INPUT_16 if codec.is_deep else RAW_INPUT).format(
-            width=width + width % 2, height=height + height % 2, rate=self._rate
-        )
-        # Turn sRGB codes into the video's colour, and say so: the encoder labels it with that.
-        filters = (
-            f"scale=out_color_matrix={MATRICES[colour.matrix]}:out_range={levels}:"
-            f"{EXACT_SCALING},setparams=range={levels}:colorspace={colour.matrix}:"
-            f"color_primaries={colour.primaries}:color_trc={colour.transfer},"
-            f"setsar={look.pixel_aspect.numerator}/{look.pixel_aspect.denominator}"
-        )
-        sound_in: list[str] = []
-        sound_out: list[str] = []
-        # The other video's own timecode counts its own rate.
-        timecode = ["-metadata", f"timecode={self._timecode or ''}"]
-        if look.sound is not None and self._tracks:
-            sound_in = look.sound.input_options
-            mapping = _track_options(self._tracks, 1)
-            sound_out = ["-map", "0:v", *mapping, "-map_metadata", "1", *timecode]
-        elif self._timecode:
-            sound_out = timecode
-        return [
-            *source.split(),
-            *sound_in,
-            *("-vf", filters, "-c:v", codec.encoder, *codec.options, "-pix_fmt", codec.pixels),
-            *sound_out,
-            *(("-metadata", f"comment={look.note}") if look.note else ()),
-            *("-movflags", "+faststart", "-f", self._container, f"file:{target}"),
-        ]
-
-    def _write_error(self, error: FfmpegError) -> OutputError:
-        return OutputError(
-            f"cannot write the video {self._path}: {error}; "
-            "check the folder and the space on the disk, or run without the video"
-        )
 
 
 def plan_tracks(sound: Soundtrack, container: str) -> tuple[EncodedTracks, tuple[str, ...]]:
@@ -404,8 +389,8 @@ def _can_encode(sound: Soundtrack, tracks: EncodedTracks, container: str) -> boo
     """Write tracks to nowhere, and return True if that succeeds."""
     options = (*sound.input_options, *_track_options(tracks, 0))
     try:
-        run_ffmpeg([*options, "-f", container, f"file:{os.devnull}"])
-    except FfmpegError:
+        ffmpeg.run_ffmpeg([*options, "-f", container, f"file:{os.devnull}"])
+    except ffmpeg.FfmpegError:
         return False
     return True
 

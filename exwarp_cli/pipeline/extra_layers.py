@@ -280,7 +280,7 @@ class ExtraLayers:
         `shown` is the beauty of the view that leads, `predict` makes that of another view; a path
         that made them is their method's name.
         """
-        needed = {plane.key for plane in template.planes}
+        needed = {plane.key for part in template.parts for plane in part.planes}
         leader, *further = self._views
         planes = leader.planes(slot, shown, needed)
         for view in further:

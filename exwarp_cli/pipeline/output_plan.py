@@ -9,6 +9,7 @@ is never replaced without --overwrite.
 from __future__ import annotations
 
 import errno
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -172,7 +173,8 @@ class OutputPlan:
 def frame_suffix(output: str, source: Sequence) -> str:
     """Return the suffix of the frames that ``-o`` asks for: its own, else the input's."""
     suffix = Path(output).suffix
-    named = suffix.lower() in (*EXR, *STILLS) and not Path(output).is_dir()
+    is_folder = output.endswith(("/", os.sep)) or Path(output).is_dir()
+    named = suffix.lower() in (*EXR, *STILLS) and not is_folder
     return suffix if named else source.suffix
 
 

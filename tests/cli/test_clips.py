@@ -220,6 +220,8 @@ class TestAlpha:
         said = upsample(clear, tmp_path / "a.####.jpg", *plain).err
         assert f"the alpha of {clear} is left out, as .jpg files have none" in said
         assert "alpha" not in upsample(clear, tmp_path / "a.####.png", *plain).err
+        folder = f"{tmp_path / 'new.jpg'}/"  # of PNG frames
+        assert "alpha" not in upsample(clear, folder, "--dry-run", *plain).err
 
 
 class TestFields:

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.errors import InputError
-from exwarp_cli.io import video_timing
+from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.io import video_reader, video_timing
 from exwarp_cli.io.display_colour import MATRICES, to_display
-from exwarp_cli.io.ffmpeg import EXACT_SCALING, FfmpegError
+from exwarp_cli.io.ffmpeg import EXACT_SCALING, FfmpegError, FfmpegReader
+from exwarp_cli.io.footage import ClipSequence, close_sequences, find_frames
 from exwarp_cli.io.video_reader import ClipReader, is_clip, open_clip
 from exwarp_cli.io.video_timing import (
     UNKNOWN_TIMES,
@@ -21,7 +22,6 @@ from exwarp_cli.io.video_timing import (
     find_pacing,
     nearest_standard_rate,
     parse_packets,
-    read_packets,
 )
 from exwarp_cli.io.video_writer import VideoWriter
 from tests.cli.pictures import ffmpeg
@@ -90,8 +90,7 @@ class TestPackets:
     def test_frames_before_a_bad_time_are_identified_by_theirs(self):
         packets = self.even((7, 240))
         assert packets.mended == 6 and packets.stamps[6:8] == (240, 240)
-        assert packets.cut(3) == 3 and packets.cut(20) == 5
-        assert self.even().cut(20) == 20 and self.even((1, 0)).cut(20) is None
+        assert self.even().mended is None and self.even((1, 0)).mended == 0
 
     def test_a_hidden_key_frame_makes_what_follows_decodable(self):
         hidden = ["0, -80, -80, 40, 9, 0x0, F=0x5", "0, -40, -40, 40, 9, 0x0, F=0x4"]
@@ -355,7 +354,7 @@ class TestFrames:
         for start in (1, 4, 5, 6, 24, 25, 34):
             assert np.array_equal(next(clip.frames(start)), found[start]), start
 
-    def test_a_time_that_is_there_twice_moves_nothing(self, tmp_path):
+    def test_a_time_that_is_there_twice_moves_nothing(self, tmp_path, monkeypatch):
         """Of a screen recording that pauses for 10 frames and starts 0.4 s after its sound."""
         source, path = tmp_path / "a.mkv", tmp_path / "b.mkv"
         pausing = ("-vf", "select='not(between(n,15,24))',setpts=PTS+0.4/TB")
@@ -364,12 +363,20 @@ class TestFrames:
         again = "setts=pts='if(eq(N,12),PREV_OUTPTS,PTS)':dts='if(eq(N,12),PREV_OUTDTS,DTS)'"
         ffmpeg("-i", source, "-c", "copy", "-bsf:v", again, path)
         right, clip = open_clip(source), open_clip(path)
-        assert read_packets(path).mended == 11  # the situation is there
+        assert clip.packets.mended == 11  # the situation is there
         assert clip.pacing == right.pacing and clip.rate == 25
         assert clip.look.sound is not None and clip.look.sound.start == Fraction("0.4")
-        whole = list(right.frames())
+        whole, seeks = list(right.frames()), []
+
+        def start_ffmpeg(options: list[str], frame_bytes: int) -> FfmpegReader:
+            seeks.append(options[options.index("-ss") + 1] if "-ss" in options else "")
+            return FfmpegReader(options, frame_bytes=frame_bytes)
+
+        monkeypatch.setattr(video_reader, "FfmpegReader", start_ffmpeg)
         for start in (0, 10, 11, 12, 13, 30):
             assert np.array_equal(next(clip.frames(start)), whole[start]), start
+        # From the first frame on: the other key frames come after the time that is there twice.
+        assert len(clip.packets.keys) > 1 and not any(seeks)
 
     def test_a_missing_time_before_the_first_key_frame(self, tmp_path):
         """Matroska cannot say that frames of an open group of pictures come before 0."""
@@ -407,6 +414,21 @@ class TestFrames:
                 assert np.array_equal(reader.read(index), whole[index])
             with pytest.raises(IndexError):
                 reader.read(30)
+
+    def test_a_frame_is_read_again_after_a_fault_that_passes(self, tmp_path, monkeypatch):
+        sequence = find_frames(str(make(tmp_path / "a.mp4", frames=3)))
+        assert isinstance(sequence, ClipSequence)
+        whole, faults = list(sequence.clip.frames()), [DamagedFileError("cut off")]
+        read = ClipReader.read
+
+        def fail_once(reader: ClipReader, index: int) -> np.ndarray:
+            if faults:
+                raise faults.pop()
+            return read(reader, index)
+
+        monkeypatch.setattr(ClipReader, "read", fail_once)
+        assert np.array_equal(sequence.image(2).pixels, whole[1])
+        close_sequences(sequence)
 
     @pytest.mark.parametrize("matrix", ["bt709", "smpte170m", "bt2020nc"])
     @pytest.mark.parametrize("span", ["tv", "pc"])

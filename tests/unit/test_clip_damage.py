@@ -56,7 +56,7 @@ class TestDamage:
         class Counted(FfmpegReader):
             def __init__(self, options, frame_bytes) -> None:
                 runs.append(options)
-                super().__init__(options, frame_bytes)
+                super().__init__(options, frame_bytes=frame_bytes)
 
         monkeypatch.setattr("exwarp_cli.io.video_reader.FfmpegReader", Counted)
         assert clip.count == 60

@@ -15,7 +15,6 @@ from exwarp_cli.farm import dask_cluster
 from exwarp_cli.farm.dask_cluster import ATTEMPTS, ChunkDispatcher
 from exwarp_cli.farm.dask_worker import (
     Chunk,
-    ChunkResult,
     WorkerRequirements,
     check_worker,
     render_chunk,
@@ -52,6 +51,7 @@ class Cluster:
     submitted: list[tuple[str, int]] = field(default_factory=list)
     cancelled: list[Future] = field(default_factory=list)
     handler: Any = None
+    topics: list[str] = field(default_factory=list)
     status: str = "running"
 
     def nthreads(self) -> dict[str, int]:
@@ -78,6 +78,7 @@ class Cluster:
 
     def subscribe_topic(self, topic: str, handler: Any) -> None:
         self.handler = handler
+        self.topics.append(topic)
 
 
 class Progress(Reporter):
@@ -93,7 +94,7 @@ class Progress(Reporter):
         self.messages.append(text)
 
 
-DONE = ChunkResult(RunOutcome(), None)
+DONE = (RunOutcome(), None)
 
 
 @pytest.fixture(autouse=True)
@@ -138,6 +139,7 @@ class TestWork:
                 cluster.workers.remove("a")  # whose task never ends
         assert sorted(indices) == [0, 1, 2]
         assert progress.messages == ["worker a was lost; frames of chunk 0 are done again"]
+        assert cluster.topics == ["run", "run"], "a restarted scheduler has forgotten the first"
 
     def test_the_first_error_cancels_the_others(self):
         error = OutputError("cannot write it")

@@ -53,7 +53,7 @@ def rewritten(source: Path, out: Path, *wanted: ViewLayers) -> Path:
     image = Image(np.ones((3, 4, 4), np.float32), Window(0, 0, 4, 3), Window(0, 0, 4, 3))
     image_planes = {plane.key for plane in kept.colour}
     blank = generated_frames.Plane(np.zeros((3, 4), np.float32), image.data_window)
-    beside = {p.key: blank for p in kept.planes if p.key not in image_planes}
+    beside = {p.key: blank for part in kept.parts for p in part.planes if p.key not in image_planes}
     generated_frames.write_picture(out, image, kept, {generated_frames.FINGERPRINT: "abc"}, beside)
     return out
 

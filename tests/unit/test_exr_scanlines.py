@@ -168,6 +168,22 @@ class TestWhatIsRead:
         pixels = [(start, size) for start, size in taken if start >= z.starts.min()]
         assert sum(size for _, size in pixels) == (z.ends - z.starts).sum()
 
+    def test_a_share_that_fails_is_not_read_on(self, tmp_path, monkeypatch):
+        """Each read of it may take a minute."""
+        monkeypatch.setattr(scanlines, "RUN_BYTES", 10_000)
+        path, tries = write_single(tmp_path / "a.exr", rgba(300, 60)), []
+
+        def fail(_: object, start: int, size: int) -> np.ndarray:
+            tries.append(start)
+            raise TimeoutError
+
+        monkeypatch.setattr(scanlines.FileBytes, "read_padded", fail)
+        cores.set_count(1, 8)
+        with ExrFile(path) as file, path.open("rb", buffering=0) as opened:
+            request = file.header.layouts[0], list(file.parts[0].channels)
+            assert scanlines.read_blocks(opened, [request]) == [None]
+        assert len(tries) == 1
+
     def test_groups_are_joined_without_a_copy(self, tmp_path):
         path = write_single(tmp_path / "a.exr", rgba(5, 6) | {c: plane(5, 6, 1) for c in "XYZ"})
 

@@ -59,7 +59,7 @@ class TestParts:
     def planes(kept: Template, window: Window, seed: int = 0) -> dict[PlaneKey, Plane]:
         rng = np.random.default_rng(seed)
         made = {}
-        for wanted in kept.planes:
+        for wanted in (target for part in kept.parts for target in part.planes):
             high = 2**32 if wanted.dtype == np.uint32 else 9
             values = rng.integers(1, high, window.shape, np.uint32)
             made[wanted.key] = Plane(values.astype(wanted.dtype), window)
@@ -118,7 +118,8 @@ class TestParts:
         kept = read_template(source, self.wanted(source, "left"))
         beside = {
             target.key: Plane(np.full(WINDOW.shape, 1e5, np.float32), WINDOW)
-            for target in kept.planes
+            for part in kept.parts
+            for target in part.planes
         }
         bright = Image(np.full((*WINDOW.shape, 4), 1e5, np.float32), WINDOW, WINDOW)
         generated_frames.write_picture(tmp_path / "o.exr", bright, kept, {}, beside)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import InstallationError, OutputError, UsageError
+from exwarp_cli.io import video_writer
 from exwarp_cli.io.display_colour import (
     VideoColour,
     from_display,
@@ -172,6 +173,21 @@ class TestLook:
         assert re.findall(
             r"Audio: (\w+)", ffmpeg("-i", str(tmp_path / "a.mp4")).stderr.decode()
         ) == ["aac"]
+
+    def test_usual_tracks_are_tried_in_one_run(self, tmp_path, monkeypatch):
+        """A trial reads the whole other video, which may be long."""
+        tones = [part for d in (1, 2) for part in ("-f", "lavfi", "-i", f"sine=d={d}")]
+        source, runs, run = tmp_path / "s.mov", [], video_writer.ffmpeg.run_ffmpeg
+        maps = ("-map", "0", "-map", "1", "-c:a", "aac")
+        assert ffmpeg("-y", *tones, *maps, str(source)).returncode == 0
+        look = VideoLook(sound=Soundtrack(source, ("aac", "aac")))
+
+        def count(options: list[str]) -> tuple[bytes, str]:
+            runs.append(options)
+            return run(options)
+
+        monkeypatch.setattr(video_writer.ffmpeg, "run_ffmpeg", count)
+        assert self.remarks(tmp_path / "a.mp4", look) == () and len(runs) == 1
 
     def test_more_channels_than_mp4_has_go_into_mov(self, tmp_path):
         source = tmp_path / "s.mov"

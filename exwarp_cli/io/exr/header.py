@@ -39,7 +39,8 @@ PIXEL_TYPES = {UINT: "uint", HALF: "half", FLOAT: "float"}
 # Type and value of each attribute of a header, by name.
 Values = Mapping[bytes, tuple[bytes, bytes]]
 
-_SIGNATURES = (
+# First bytes of files, and what is said of their format.
+SIGNATURES = (
     (MAGIC, "openexr"),
     (PNG, "png"),
     (b"\xff\xd8\xff", "jpeg"),
@@ -56,7 +57,7 @@ _SIGNATURES = (
     (b"\0\0\0\x0cjP", "jpeg 2000"),
     (b"\0\0\0\x0cJXL", "jpeg xl"),
 )
-SIGNATURE_BYTES = max(len(signature) for signature, _ in _SIGNATURES)
+SIGNATURE_BYTES = max(len(signature) for signature, _ in SIGNATURES)
 
 # Last elements of names that OpenImageIO sorts first: in a usual layer, and in one of a vector.
 _CHANNEL_ORDER = (
@@ -66,16 +67,6 @@ _CHANNEL_ORDER = (
 
 _LONE_SURROGATE = re.compile("[\udc80-\udcff]")
 _STAND_IN = "\x01"
-
-
-def file_format(data: bytes) -> str:
-    """Return the format of a file by its first bytes, in a few words.
-
-    Checked before decoding, because OpenImageIO prints warnings for foreign data.
-    """
-    if not data:
-        return "nothing"
-    return next((name for magic, name in _SIGNATURES if data.startswith(magic)), "something else")
 
 
 @dataclass(frozen=True)

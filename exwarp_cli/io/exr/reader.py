@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import os
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from operator import attrgetter
 from pathlib import Path
 from threading import Lock
 from typing import Any, BinaryIO
@@ -33,22 +34,18 @@ from exwarp_cli.io.exr.header import (
     COMPRESSION_NAMES,
     MAGIC,
     SIGNATURE_BYTES,
+    SIGNATURES,
     Channel,
     Part,
     RawHeader,
     channels_in,
     decode,
     describe_part,
-    file_format,
     in_openimageio_order,
     name_channels,
     window_of,
 )
-from exwarp_cli.io.exr.scanlines import (
-    ChunkLayout,
-    parse_layouts,
-    read_blocks,
-)
+from exwarp_cli.io.exr.scanlines import ChunkLayout, parse_layouts, read_blocks
 from exwarp_cli.io.files import with_retries
 from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.frame_pool import pool
@@ -57,17 +54,13 @@ from exwarp_cli.runtime.read_registry import report_reading
 # Scan lines in a chunk of the lossy compressions, the most that any but DWAB has.
 LINES, LINES_OF_DWAB = 32, 256
 
-# What OpenImageIO calls the six faces of a cube in one image.
-CUBE_MAP = "CubeFace Environment"
-
 # Pixels across or down, channels, and bytes of a part that OpenImageIO takes for sure. It has
 # limits of its own, and refuses files beyond them.
 USUAL_SIZE, USUAL_CHANNELS, USUAL_BYTES = 1 << 16, 256, 1 << 30
 
 MAX_HEADERS = 4  # in a `HeaderCache`: a Cryptomatte's manifest in one may take megabytes
 
-# Channels by the number of their group, their part, and whether they are integers.
-ChannelGroups = Mapping[tuple[int, int, bool], Sequence[Channel]]
+_STAMP = attrgetter("st_dev", "st_ino", "st_size", "st_mtime_ns")
 
 
 @dataclass(frozen=True)
@@ -79,7 +72,7 @@ class FileHeader:
     raw: RawHeader | None = None  # the headers as bytes; None where they are not understood here
     # How each part is stored; None for a part that OpenImageIO has to read
     layouts: tuple[ChunkLayout | None, ...] = ()
-    # Device, inode, size and time, by which another file at the path is noticed
+    # What `_STAMP` reads of the file, by which another one at the path is noticed
     stamp: tuple[int, ...] = ()
 
     @cached_property
@@ -122,7 +115,7 @@ def parse_header(path: Path, file: BinaryIO) -> FileHeader:
     try:
         status = os.fstat(file.fileno())
         raw = RawHeader.read(file, status.st_size)
-        header = replace(header, raw=raw, stamp=_stamp(status))
+        header = replace(header, raw=raw, stamp=_STAMP(status))
         layouts = parse_layouts(raw, file, status.st_size)
         header = replace(header, layouts=tuple(layouts))
         # OpenImageIO opens what OpenEXR opens: so both readers accept the same files.
@@ -147,10 +140,6 @@ def parse_header(path: Path, file: BinaryIO) -> FileHeader:
     except (OSError, RuntimeError, ValueError, ArithmeticError, DamagedFileError):
         pass
     return header
-
-
-def _stamp(status: os.stat_result) -> tuple[int, ...]:
-    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
 class ExrFile(AbstractContextManager["ExrFile"]):
@@ -205,8 +194,11 @@ class ExrFile(AbstractContextManager["ExrFile"]):
                 with suppress(OSError):  # OpenImageIO fails, too, and the cause is looked up then
                     self._file = path.open("rb", buffering=0)
                     head = self._file.read(SIGNATURE_BYTES)
+                    # Checked before decoding: OpenImageIO prints warnings for foreign data.
                     if not head.startswith(MAGIC):
-                        raise damaged_error(path, f"its content is {file_format(head)}")
+                        kinds = (name for magic, name in SIGNATURES if head.startswith(magic))
+                        content = next(kinds, "something else" if head else "nothing")
+                        raise damaged_error(path, f"its content is {content}")
                     header = parse_header(path, self._file)
             if not header.parts:
                 header = replace(header, parts=self._parts_by_openimageio(header.raw))
@@ -242,7 +234,7 @@ class ExrFile(AbstractContextManager["ExrFile"]):
                     index, own, (data, display), channels, is_multipart, is_deep, is_tiled
                 )
             )
-        if any(spec.getattribute("textureformat") == CUBE_MAP for spec in specs):
+        if any(spec.getattribute("textureformat") == "CubeFace Environment" for spec in specs):
             # OpenImageIO gives a cube map with smaller levels the window of a single face.
             if raw is None:
                 raise damaged_error(self.path, "its header is unknown")
@@ -259,6 +251,7 @@ class ExrFile(AbstractContextManager["ExrFile"]):
         those of one part and type lie interleaved in one array, in this order, where the part is
         decoded here.
         """
+        # By the number of their group, their part, and whether they are integers.
         wanted: dict[tuple[int, int, bool], list[Channel]] = {}
         visited: set[Channel] = set()
         for number, group in enumerate(groups):
@@ -271,7 +264,9 @@ class ExrFile(AbstractContextManager["ExrFile"]):
             raise deep_image_error(self.path)
         return with_retries(self.path, partial(self._read, wanted))
 
-    def _read(self, groups: ChannelGroups) -> dict[Channel, np.ndarray]:
+    def _read(
+        self, groups: dict[tuple[int, int, bool], list[Channel]]
+    ) -> dict[Channel, np.ndarray]:
         """Decode channels once, of a file that is opened again after a failure."""
         if self._has_failed:
             self._close()  # a stale handle stays stale
@@ -363,7 +358,7 @@ class HeaderCache:
         with self._lock:
             header = self._headers.get(path)
         with suppress(OSError):
-            if header is not None and header.stamp == _stamp(path.stat()):
+            if header is not None and header.stamp == _STAMP(path.stat()):
                 return header
         with ExrFile(path) as file:
             self.keep(path, file.header)
@@ -448,8 +443,6 @@ def damaged_error(path: Path, reason: str) -> DamagedFileError:
 
 def _first_line(geterror: Callable[[], str]) -> str:
     """Return the first line of a decoder's error; it may quote the file's broken bytes."""
-    try:
-        lines = geterror().strip().splitlines()
-    except UnicodeDecodeError:
-        return ""
-    return lines[0] if lines else ""
+    with suppress(UnicodeDecodeError):
+        return next(iter(geterror().strip().splitlines()), "")
+    return ""

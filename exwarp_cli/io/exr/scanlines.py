@@ -22,21 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Window
-from exwarp_cli.io.exr.header import (
-    DEEP,
-    FLOAT,
-    HALF,
-    LONG_NAMES,
-    MULTIPART,
-    PIXEL_TYPES,
-    TILED,
-    UINT,
-    Channel,
-    RawHeader,
-    Values,
-    channels_in,
-    window_of,
-)
+from exwarp_cli.io.exr import header
 from exwarp_cli.runtime import cores
 from exwarp_cli.runtime.frame_pool import pool
 
@@ -47,7 +33,7 @@ ZIPS, ZIP = 2, 3
 # Scan lines of a chunk by the number of its compression, as in `header.COMPRESSION_NAMES`.
 LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256)
 
-BYTES = {UINT: 4, HALF: 2, FLOAT: 4}
+BYTES = {header.UINT: 4, header.HALF: 2, header.FLOAT: 4}
 
 MAX_RATIO = 1032  # bytes that DEFLATE makes of one: a small file gets no memory for a large image
 MAX_CHUNK = 2**31 - 1  # bytes of a chunk's pixels, as in OpenEXR
@@ -117,7 +103,7 @@ class ChunkLayout:
         return tuple(BYTES[kind] for _, kind in self.channels)
 
 
-def parse_layouts(header: RawHeader, file: BinaryIO, size: int) -> list[ChunkLayout | None]:
+def parse_layouts(raw: header.RawHeader, file: BinaryIO, size: int) -> list[ChunkLayout | None]:
     """Return how the parts of an unbuffered file of `size` bytes are stored.
 
     None stands for a part of deep, subsampled or mipmapped pixels, and for one with anything that
@@ -125,22 +111,22 @@ def parse_layouts(header: RawHeader, file: BinaryIO, size: int) -> list[ChunkLay
 
     Raises ValueError when headers or chunk offset tables are broken.
     """
-    is_multipart = bool(header.flags & MULTIPART)
-    supported = MULTIPART | LONG_NAMES | (DEEP if is_multipart else TILED)
-    if header.flags & ~supported != 2:
+    is_multipart = bool(raw.flags & header.MULTIPART)
+    further = header.DEEP if is_multipart else header.TILED
+    if raw.flags & ~(header.MULTIPART | header.LONG_NAMES | further) != 2:
         raise ValueError("the version is unknown")
-    values = header.by_part()
-    flat = [_parse_flat(part, size, header.flags) for part in values]
+    values = raw.by_part()
+    flat = [_parse_flat(part, size, raw.flags) for part in values]
     counts = [0 if flat[0] is None else flat[0].count]
     if is_multipart:
         fields = [part.get(b"chunkCount", (b"", b"")) for part in values]
         if any(kind != b"int" or len(value) != 4 for kind, value in fields):
             raise ValueError("a part has no chunkCount")
         counts = [int.from_bytes(value, "little", signed=True) for _, value in fields]
-    begin = len(header.data) + 8 * sum(counts)
+    begin = len(raw.data) + 8 * sum(counts)
     if min(counts) < 0 or begin > size:
         raise ValueError("the tables of chunks are cut off")
-    file.seek(len(header.data))
+    file.seek(len(raw.data))
     table = np.frombuffer(file.read(8 * sum(counts)), "<u8")
     if len(table) != sum(counts):
         raise ValueError("the tables of chunks are cut off")
@@ -151,15 +137,14 @@ def parse_layouts(header: RawHeader, file: BinaryIO, size: int) -> list[ChunkLay
         own = slice(last - counts[number], last)
         is_valid = ((begin <= table[own]) & (table[own] < size)).all()
         if layout is not None and layout.count == counts[number] and is_valid:
-            part = number if is_multipart else None
-            starts = table[own].astype(np.int64)
+            part, starts = number if is_multipart else None, table[own].astype(np.int64)
             layouts.append(replace(layout, number=part, starts=starts, ends=ends[own]))
         else:
             layouts.append(None)
     return layouts
 
 
-def _parse_flat(values: Values, size: int, flags: int) -> ChunkLayout | None:
+def _parse_flat(values: header.Values, size: int, flags: int) -> ChunkLayout | None:
     """Read a part's header in a file of `size` bytes; None where it is not flat or not usual.
 
     The chunk offsets are left empty.
@@ -167,9 +152,9 @@ def _parse_flat(values: Values, size: int, flags: int) -> ChunkLayout | None:
     kind, tiles = values.get(b"type"), values.get(b"tiles")
     is_flat = kind == (b"string", b"tiledimage" if tiles else b"scanlineimage")
     if kind is None:
-        is_flat = not flags & MULTIPART
+        is_flat = not flags & header.MULTIPART
     try:
-        channels = tuple(channels_in(values.get(b"channels", (b"", b""))[1]))
+        channels = tuple(header.channels_in(values.get(b"channels", (b"", b""))[1]))
     except ValueError:
         return None
     names = [name for name, _, _ in channels]
@@ -181,7 +166,8 @@ def _parse_flat(values: Values, size: int, flags: int) -> ChunkLayout | None:
     if not is_flat or not are_usual or not has_required:
         return None
     compression, order = required[b"compression"][1][0], required[b"lineOrder"][1][0]
-    window, display = window_of(values, b"dataWindow"), window_of(values, b"displayWindow")
+    window = header.window_of(values, b"dataWindow")
+    display = header.window_of(values, b"displayWindow")
     if compression >= len(LINES) or order > 1 or min(window.shape + display.shape) < 1:
         return None
     line = window.width * sum(BYTES[kind] for _, kind, _ in channels)
@@ -194,7 +180,7 @@ def _parse_flat(values: Values, size: int, flags: int) -> ChunkLayout | None:
         tile = struct.unpack("<2I", tiles[1][:8])
         if not 0 < min(tile) <= max(tile) <= MAX_TILE:
             return None
-    if not flags & MULTIPART and bool(flags & TILED) != (tile is not None):
+    if not flags & header.MULTIPART and bool(flags & header.TILED) != (tile is not None):
         return None
     stored = tuple((name, kind) for name, kind, _ in channels)
     return ChunkLayout(None, compression, window, stored, tile, _NO_OFFSETS, _NO_OFFSETS)
@@ -227,7 +213,7 @@ class FileBytes:
 
 
 def read_blocks(
-    file: BinaryIO, requests: Sequence[tuple[ChunkLayout, Sequence[Channel]]]
+    file: BinaryIO, requests: Sequence[tuple[ChunkLayout, Sequence[header.Channel]]]
 ) -> list[np.ndarray | None]:
     """Decode channels of parts of an unbuffered file whose layout `is_decoded_here`.
 
@@ -239,7 +225,8 @@ def read_blocks(
     for layout, channels in requests:
         out, kinds = None, dict(layout.channels)
         names = [channel.raw_name.encode("utf-8", "surrogateescape") for channel in channels]
-        if [PIXEL_TYPES.get(kinds.get(n, -1)) for n in names] == [c.pixel_type for c in channels]:
+        stored = [header.PIXEL_TYPES.get(kinds.get(n, -1)) for n in names]
+        if stored == [c.pixel_type for c in channels]:
             with suppress(MemoryError):
                 out = pool.empty((*layout.window.shape, len(names)), np.uint32)
                 places = [names.index(n) if n in names else -1 for n, _ in layout.channels]
@@ -247,7 +234,7 @@ def read_blocks(
                 members = by_part.setdefault(layout.number, (layout, []))[1]
                 members.append((columns, out))
         arrays.append(out)
-    runs: list[tuple[ChunkLayout, list[_Destination], I64]] = []
+    runs: list[tuple[ChunkLayout, list[_Destination], I64]] = []  # each for one thread
     for layout, members in by_part.values():
         order = np.argsort(layout.starts, kind="stable")  # as they follow each other on disk
         step = max(1, RUN_BYTES // (layout.lines * layout.window.width * sum(layout.sizes)))
@@ -257,6 +244,7 @@ def read_blocks(
     broken: set[int | None] = set()  # numbers of the parts that could not be decoded
 
     def decode(run: tuple[ChunkLayout, list[_Destination], I64]) -> None:
+        # A part that fails is left at once: each further read of a bad share may take a minute.
         with cores.hold_cores():
             if run[0].number not in broken and not _decode_blocks(file_bytes, *run):
                 broken.add(run[0].number)
@@ -295,11 +283,11 @@ def _decode_blocks(
         ends = np.minimum(layout.ends[chunks], starts + leader.size + layout.lines * line_size)
         breaks = np.flatnonzero(starts[1:] != ends[:-1]) + 1
         # Blocks that follow each other are read at once.
-        for run in np.split(np.arange(len(starts)), breaks):
-            begin = int(starts[run[0]])
-            blocks = file.read_padded(begin, int(ends[run[-1]]) - begin)
+        for group in np.split(np.arange(len(starts)), breaks):
+            begin = int(starts[group[0]])
+            blocks = file.read_padded(begin, int(ends[group[-1]]) - begin)
             blocks.flags.writeable = False  # kernels are compiled for arrays of one kind
-            for i in run:
+            for i in group:
                 data = blocks[starts[i] - begin : ends[i] - begin + INPUT_PADDING]
                 if len(data) < leader.size + INPUT_PADDING:
                     return False
@@ -312,30 +300,19 @@ def _decode_blocks(
                 is_complete = 0 < size <= full_size and len(packed) == size + INPUT_PADDING
                 if not is_own or not is_complete:
                     return False
-                pixels: U8 | None
                 if size == full_size:  # stored uncompressed, as it did not become smaller
                     kernel, pixels = exr_filters.read_lines, packed[:full_size]
                 else:
-                    kernel, pixels = exr_filters.read_predicted, inflate(packed, full_size)
-                if pixels is None:
-                    return False
+                    # libdeflate takes 0.6 of ISA-L's time. It ignores what follows the checksum.
+                    inflated = deflate.zlib_decompress(packed, full_size)
+                    checksum = packed[-INPUT_PADDING - 4 : -INPUT_PADDING].tobytes()
+                    is_sound = deflate.adler32(inflated) == int.from_bytes(checksum, "big")
+                    if len(inflated) != full_size or not is_sound:
+                        return False
+                    kernel, pixels = exr_filters.read_predicted, np.frombuffer(inflated, np.uint8)
+                    pixels.flags.writeable = False
                 for columns, out in destinations:
                     kernel(pixels, columns, out[first : first + rows])
-    except (OSError, MemoryError):
+    except (OSError, MemoryError, deflate.DeflateError):
         return False
     return True
-
-
-def inflate(packed: U8, size: int) -> U8 | None:
-    """Inflate a padded zlib stream, uint8 [N]; None unless it is sound and of just `size` bytes."""
-    # libdeflate takes 0.6 of ISA-L's time. It ignores what follows the checksum.
-    try:
-        data: bytearray = deflate.zlib_decompress(packed, size)
-    except deflate.DeflateError:
-        return None
-    checksum = int.from_bytes(packed[-INPUT_PADDING - 4 : -INPUT_PADDING].tobytes(), "big")
-    if len(data) != size or deflate.adler32(data) != checksum:
-        return None
-    out = np.frombuffer(data, np.uint8)
-    out.flags.writeable = False
-    return out

@@ -28,7 +28,7 @@ import io
 import math
 import re
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
@@ -189,11 +189,6 @@ class Template:
     colour: tuple[PlaneTemplate, ...]  # the beauty of the leading view: R, G, B and, if there, A
     # Seconds that the key frame took to render, and the attribute with them; None if unknown
     render: tuple[float, str] | None = None
-
-    @property
-    def planes(self) -> Iterator[PlaneTemplate]:
-        """Every channel to write."""
-        return (plane for part in self.parts for plane in part.planes)
 
 
 def read_template(
