@@ -133,9 +133,14 @@ def export(
 
     array = machine(**sizes)
     files = write(
-        folder, policy, vectors=vectors, seed=seed, overwrite=overwrite, array=array,
+        folder,
+        policy,
+        vectors=vectors,
+        seed=seed,
+        overwrite=overwrite,
+        array=array,
         verilog=verilog,
-    )  # fmt: skip
+    )
     if as_json:
         print_json(
             {

@@ -51,8 +51,11 @@ class AxisMap:
             for axis, (channel, scale) in enumerate(axes):
                 value = raw[..., channel]
                 if self.alpha is not None:
-                    value = np.where(raw[..., self.alpha] > 0, value / raw[..., self.alpha],
-                                     np.float32(self.still))  # fmt: skip
+                    value = np.where(
+                        raw[..., self.alpha] > 0,
+                        value / raw[..., self.alpha],
+                        np.float32(self.still),
+                    )
                 if clipped:
                     value = np.where((value > 0) & (value < 1), value, np.nan)
                 if self.still:

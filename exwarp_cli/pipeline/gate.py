@@ -139,11 +139,24 @@ class TrialReader:
             times = tuple((i + 1) / (len(slots) + 1) for i in range(len(slots)))
         slot = len(times) // 2 + 1 if self.lookahead else len(times)
         around = replace(
-            inputs, key=index - 1, frame=frame, following=following, slots=slots, history=history,
-            times=times, truth=IntervalTruth({slot: store.get(index).image}), lacks_history=False,
-            observed=(), layers=None, older=None, views=(), trial=None, region=False, held=False,
+            inputs,
+            key=index - 1,
+            frame=frame,
+            following=following,
+            slots=slots,
+            history=history,
+            times=times,
+            truth=IntervalTruth({slot: store.get(index).image}),
+            lacks_history=False,
+            observed=(),
+            layers=None,
+            older=None,
+            views=(),
+            trial=None,
+            region=False,
+            held=False,
             after_hold=False,
-        )  # fmt: skip
+        )
         self.last_read = index
         return TrialInputs(index, around)
 

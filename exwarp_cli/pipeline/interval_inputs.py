@@ -156,9 +156,16 @@ class IntervalReader:
         self.truth = TruthReader(source, truth, settings.measured, tolerant)
         network, policy, interpolator = depends_on
         self.fingerprinter = Fingerprinter(
-            source, method, settings.compression, truth, network, interpolator, policy,
-            content.names, key_rate=None if settings.keep_bytes else source.written_fps,
-        )  # fmt: skip
+            source,
+            method,
+            settings.compression,
+            truth,
+            network,
+            interpolator,
+            policy,
+            content.names,
+            key_rate=None if settings.keep_bytes else source.written_fps,
+        )
         self._observes = method.judge is DecisionSource.POLICY and content.leads
         # Of other views everything is read: their frames are built with those of the first.
         is_alone = content.leads and len(self._contents) == 1 and source.slots is None
@@ -167,9 +174,14 @@ class IntervalReader:
         unreadable = UnreadableFrames(keep_going) if leader is None else leader.unreadable
         self.unreadable: UnreadableFrames = unreadable
         self.store: KeyFrameStore = KeyFrameStore(
-            source, method, self.unreadable, self.fingerprinter.digest, self._reads_late,
-            self._observes, None if leader is None else leader.store,
-        )  # fmt: skip
+            source,
+            method,
+            self.unreadable,
+            self.fingerprinter.digest,
+            self._reads_late,
+            self._observes,
+            None if leader is None else leader.store,
+        )
         self.shots = self.store.shots
         # Of intervals with a next key frame, or of all; then of those without, if others make them.
         self.trials: tuple[TrialReader, ...] = ()

@@ -223,10 +223,20 @@ def open_job(settings: UpsampleSettings) -> Job:
     if settings.rendered is not None:
         rendered = find_rendered(settings.rendered, source, settings.source.scan)
     return Job(
-        settings, method, sources, network, interpolator, policy,
-        make_chooser(look_ahead_policy, settings.spent), models, contents, keys, targets, truth,
+        settings,
+        method,
+        sources,
+        network,
+        interpolator,
+        policy,
+        make_chooser(look_ahead_policy, settings.spent),
+        models,
+        contents,
+        keys,
+        targets,
+        truth,
         rendered,
-    )  # fmt: skip
+    )
 
 
 def _find_method(settings: UpsampleSettings) -> methods.Method:
@@ -257,12 +267,20 @@ def find_networks(
     """
     other_device = settings.device != UpsampleSettings.device
     rules: tuple[tuple[str, bool, str, Callable[[methods.Method], bool]], ...] = (
-        ("--extrapolator", settings.extrapolator is not None, "extrapolate",
-         lambda m: m.last.extrapolates),
-        ("--interpolator", settings.interpolator is not None, "interpolate so",
-         lambda m: m.interpolates or m.weighs),
+        (
+            "--extrapolator",
+            settings.extrapolator is not None,
+            "extrapolate",
+            lambda m: m.last.extrapolates,
+        ),
+        (
+            "--interpolator",
+            settings.interpolator is not None,
+            "interpolate so",
+            lambda m: m.interpolates or m.weighs,
+        ),
         ("--device", other_device, "run a network", lambda m: m.runs_network),
-    )  # fmt: skip
+    )
     for option, is_set, what, uses in rules:
         # At an effort of 0 the default takes options of the networks that it would run.
         if is_set and not (uses(method) or uses(methods.METHODS[method.name])):

@@ -294,12 +294,18 @@ class Run:
                 attributes, image = header_attributes(source, facts), self._key_image(inputs)
                 writer.write(output, image, inputs.template, attributes)
         record = FrameRecord(
-            output, writer.name(output), number, 0, FrameKind.KEY, "key", (number,),
+            output,
+            writer.name(output),
+            number,
+            0,
+            FrameKind.KEY,
+            "key",
+            (number,),
             resumed=resumed,
             replaced=replaced and not resumed,
             timing_ms={} if resumed else {"read": inputs.read_ms},
             render=inputs.template.render,
-        )  # fmt: skip
+        )
         self._record(RenderedSlot(record), inputs, None)
 
     def _key_image(self, inputs: IntervalInputs) -> Image:

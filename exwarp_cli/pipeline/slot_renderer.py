@@ -185,9 +185,16 @@ class SlotRenderer:
             attributes = header_attributes(self.source, marks)
             writer.write(number, frame.frame.image, inputs.template, attributes)
         record = FrameRecord(
-            number, writer.name(number), key, slot.index, FrameKind.RENDERED,
-            FrameKind.RENDERED.value, (number,), resumed=resumed, replaced=replaced,
-        )  # fmt: skip
+            number,
+            writer.name(number),
+            key,
+            slot.index,
+            FrameKind.RENDERED,
+            FrameKind.RENDERED.value,
+            (number,),
+            resumed=resumed,
+            replaced=replaced,
+        )
         return RenderedSlot(record, frame.frame.image)
 
     def _mask(self, interval: Interval, slot: Slot) -> Bool | None:

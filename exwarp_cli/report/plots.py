@@ -146,15 +146,25 @@ def draw_lines(
             points, y = thin_out(values), np.array(values, float)  # None becomes NaN
             marker = MARKERS[i % len(MARKERS)] if len(points) <= 60 else None
             axes.plot(
-                at[points], y[points], color=f"C{i}", label=name, marker=marker,
+                at[points],
+                y[points],
+                color=f"C{i}",
+                label=name,
+                marker=marker,
                 markersize=3.5,
-            )  # fmt: skip
+            )
             if marked is not None and values[marked] is not None:
                 axes.plot(
-                    x[marked], y[marked], linestyle="none", marker="o", markersize=9,
-                    markerfacecolor="none", markeredgecolor=COLOURS["mark"], zorder=5,
+                    x[marked],
+                    y[marked],
+                    linestyle="none",
+                    marker="o",
+                    markersize=9,
+                    markerfacecolor="none",
+                    markeredgecolor=COLOURS["mark"],
+                    zorder=5,
                     markeredgewidth=1.6,
-                )  # fmt: skip
+                )
         _mark_frames(axes, x, cuts)
         _draw_legend(axes, len(series))
         return _finish(canvas, labels)
@@ -176,9 +186,14 @@ def draw_points(
             of_kind = [j for j in points if kinds[j] == kind and values[j] is not None]
             if of_kind:
                 axes.plot(
-                    at[of_kind], y[of_kind], linestyle="none", color=COLOURS[kind_role(kind)],
-                    marker=KINDS.get(kind, "."), markersize=4, label=kind,
-                )  # fmt: skip
+                    at[of_kind],
+                    y[of_kind],
+                    linestyle="none",
+                    color=COLOURS[kind_role(kind)],
+                    marker=KINDS.get(kind, "."),
+                    markersize=4,
+                    label=kind,
+                )
         _mark_frames(axes, x, cuts)
         _draw_legend(axes, len(set(kinds)))
         return _finish(canvas, labels)
@@ -201,22 +216,33 @@ def draw_bars(
         for i, (name, values) in enumerate(series.items()):
             x = [group - 0.4 + width * (i + 0.5) for group in range(len(groups))]
             axes.bar(
-                x, np.array(values, float), width * 0.92, color=f"C{i}", label=name,
-                hatch="///" if i >= SERIES else None, edgecolor=COLOURS["bg"], linewidth=0,
-            )  # fmt: skip
+                x,
+                np.array(values, float),
+                width * 0.92,
+                color=f"C{i}",
+                label=name,
+                hatch="///" if i >= SERIES else None,
+                edgecolor=COLOURS["bg"],
+                linewidth=0,
+            )
             pairs = zip(x, (references or {}).get(name, ()), strict=False)
             marks = [(a, mark) for a, mark in pairs if mark is not None]
             axes.hlines(
-                [mark for _, mark in marks], [a - width / 2 for a, _ in marks],
-                [a + width / 2 for a, _ in marks], color=COLOURS["fg"], linewidth=2,
+                [mark for _, mark in marks],
+                [a - width / 2 for a, _ in marks],
+                [a + width / 2 for a, _ in marks],
+                color=COLOURS["fg"],
+                linewidth=2,
                 label="paper" if marks and not is_in_legend else "_",
-            )  # fmt: skip
+            )
             is_in_legend |= bool(marks)
         is_long = sum(map(len, groups)) > 70
         axes.set_xticks(
-            range(len(groups)), groups,
-            rotation=30 if is_long else 0, ha="right" if is_long else "center",
-        )  # fmt: skip
+            range(len(groups)),
+            groups,
+            rotation=30 if is_long else 0,
+            ha="right" if is_long else "center",
+        )
         axes.grid(False, axis="x")
         _draw_legend(axes, len(series) + bool(references))
         return _finish(canvas, labels)
@@ -237,9 +263,16 @@ def draw_stacked_bars(
             colour = COLOURS[kind_role(name)] if kinds else f"C{i}"
             hatch = "///" if i >= SERIES and not kinds else None  # colours repeat from here on
             axes.barh(
-                range(len(groups)), lengths, 0.7, left=left, label=name, color=colour, hatch=hatch,
-                edgecolor=COLOURS["bg"], linewidth=0.5,
-            )  # fmt: skip
+                range(len(groups)),
+                lengths,
+                0.7,
+                left=left,
+                label=name,
+                color=colour,
+                hatch=hatch,
+                edgecolor=COLOURS["bg"],
+                linewidth=0.5,
+            )
             left = [a + b for a, b in zip(left, lengths, strict=True)]
         axes.set_yticks(range(len(groups)), groups)
         axes.invert_yaxis()
@@ -268,9 +301,13 @@ def draw_scatter(
             axes.set_visible(False)
         for i, ((title, x), axes) in enumerate(zip(panels.items(), grid.flat, strict=False)):
             axes.scatter(
-                [x[j] for j in points], [y[j] for j in points], s=7, alpha=0.55,
-                color="C0", linewidths=0,
-            )  # fmt: skip
+                [x[j] for j in points],
+                [y[j] for j in points],
+                s=7,
+                alpha=0.55,
+                color="C0",
+                linewidths=0,
+            )
             axes.set_title(title)
             if i % SCATTER_COLUMNS == 0:
                 axes.set_ylabel(labels.y)
@@ -378,9 +415,15 @@ def _draw_legend(axes: Axes, count: int) -> None:
     handles, names = axes.get_legend_handles_labels()
     if count > 1 and handles:
         axes.legend(
-            handles, names, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=min(len(names), 5),
-            borderaxespad=0.2, handlelength=1.4, columnspacing=1.4,
-        )  # fmt: skip
+            handles,
+            names,
+            loc="lower left",
+            bbox_to_anchor=(0, 1.0),
+            ncols=min(len(names), 5),
+            borderaxespad=0.2,
+            handlelength=1.4,
+            columnspacing=1.4,
+        )
 
 
 @contextmanager

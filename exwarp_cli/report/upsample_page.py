@@ -185,9 +185,11 @@ def _review(
         if any(db is not None for db in psnr):
             series["measured"] = [None if db is None else PEAK / 10 ** (db / 20) for db in psnr]
         labels = plots.Labels(
-            "Predicted error per frame", "frame", "RMS of 255 levels",
+            "Predicted error per frame",
+            "frame",
+            "RMS of 255 levels",
             "How wrong each new frame is expected to be; lower is better.",
-        )  # fmt: skip
+        )
         worst = numbers.index(review["predicted_error"]["worst_frame"])
         blocks.append(plots.draw_lines(labels, numbers, series, worst, cuts))
     if places := places_worth_a_look(run)[:MAX_PLACES]:
@@ -216,9 +218,11 @@ def _quality(
         psnr = [None if score is None else score.psnr_db for score in scores]
         if len(scored) > 1 and any(value is not None for value in psnr):
             labels = plots.Labels(
-                "PSNR per frame", "frame", "PSNR dB",
+                "PSNR per frame",
+                "frame",
+                "PSNR dB",
                 "PSNR of every scored frame, coloured by what made it; higher is better.",
-            )  # fmt: skip
+            )
             blocks.append(plots.draw_points(labels, numbers, psnr, makers, cuts))
         quality = document["quality"]
         parts = {"holes only": quality["holes"]}
@@ -341,9 +345,11 @@ def _holes_and_features(
     holes = [frame for frame in run.frames if frame.has_holes]
     if len(holes) > 1:
         labels = plots.Labels(
-            "Hole share per frame", "frame", "holes, % of pixels",
+            "Hole share per frame",
+            "frame",
+            "holes, % of pixels",
             "Share of pixels that the warp from the key frame cannot see.",
-        )  # fmt: skip
+        )
         shares = [100 * (frame.hole_fraction or 0.0) for frame in holes]
         numbers = [frame.number for frame in holes]
         blocks.append(plots.draw_lines(labels, numbers, {"holes": shares}, cuts=cuts))
@@ -353,9 +359,11 @@ def _holes_and_features(
             bins = max(i + 1 for i, count in enumerate(counts) if count)
             p95 = sentences.format_percent(document["holes"]["p95_fraction"])
             labels = plots.Labels(
-                "Frames by hole share", "holes, % of pixels", "frames",
+                "Frames by hole share",
+                "holes, % of pixels",
+                "frames",
                 f"Histogram of the hole share; 95 % of the frames have at most {p95}.",
-            )  # fmt: skip
+            )
             percents = [100 * edge for edge in edges[: bins + 1]]
             blocks.append(plots.draw_histogram(labels, percents, counts[:bins]))
     features = [
@@ -363,9 +371,10 @@ def _holes_and_features(
     ]
     if features:
         labels = plots.Labels(
-            "Features that the policy sees", "frame",
+            "Features that the policy sees",
+            "frame",
             description="The features of each decision's instant, per slot.",
-        )  # fmt: skip
+        )
         series = {
             name: [float(entry.values[i]) for _, entry in features]
             for i, name in enumerate(FEATURES)
@@ -388,10 +397,11 @@ def _timing(run: RunSummary, timing_ms: dict[str, float | None]) -> list[html.Bl
         for step in steps
     }
     labels = plots.Labels(
-        "Time per frame by what made it", "ms",
+        "Time per frame by what made it",
+        "ms",
         description="Mean milliseconds of each step for each kind of frame, end to end.",
         note="Steps overlap on several threads: reading runs ahead and writing behind.",
-    )  # fmt: skip
+    )
     rows = [(step, sentences.format_number(timing_ms[step])) for step in steps]
     return [
         plots.draw_stacked_bars(labels, list(groups), parts),
@@ -420,10 +430,12 @@ def _unused_input(document: dict[str, Any]) -> Iterator[html.Section]:
     if nonfinite := document["nonfinite"]:
         view = ("view",) if nonfinite[0]["view"] else ()
         rows = [
-            [*(str(entry[name]) for name in ("key", "slot", *view, "channels")),
-             sentences.format_number(entry["pixels"], 0)]
+            [
+                *(str(entry[name]) for name in ("key", "slot", *view, "channels")),
+                sentences.format_number(entry["pixels"], 0),
+            ]
             for entry in nonfinite[:MAX_ROWS]
-        ]  # fmt: skip
+        ]
         columns = ("key frame", "slot", *view, "channels", "pixels")
         note = sentences.describe_nonfinite(nonfinite)
         table = html.Table("Not finite in the input", columns, rows, note)

@@ -253,9 +253,11 @@ def read_extranet(path: Path) -> ExtraNet:
         ("lacks", [name for name in wanted if name not in tensors]),
         ("has a tensor that ExtraNet has not:", [name for name in tensors if name not in wanted]),
         ("has another shape of", [n for n in shared if tensors[n].shape != wanted[n].shape]),
-        ("has values that are not finite in",
-         [name for name in shared if not torch.isfinite(tensors[name]).all()]),
-    )  # fmt: skip
+        (
+            "has values that are not finite in",
+            [name for name in shared if not torch.isfinite(tensors[name]).all()],
+        ),
+    )
     for fault, names in faults:
         if names:
             more = f" and {len(names) - 1} more" if names[1:] else ""
