@@ -148,7 +148,8 @@ def configure(product: Product, fps: int) -> None:
     scene = bpy.context.scene
     scene.cycles.samples = product.samples
     scene.cycles.use_denoising = product.shaded
-    scene.view_layers[0].material_override = None if product.shaded else _black()
+    # Bounces are light alone; through glass, to which these do not apply, data passes look anyway.
+    scene.cycles.diffuse_bounces = scene.cycles.glossy_bounces = 4 if product.shaded else 0
     choose_passes(product, fps, AOVS if product.shaded and product.passes else ())
 
 
@@ -166,22 +167,6 @@ def choose_passes(product: Product, fps: int, aovs: Iterable[str]) -> None:
     for name in aovs:
         added = layer.aovs.add()
         added.name, added.type = name, "VALUE"
-
-
-def _black() -> bpy.types.Material:
-    """Return a material that costs nothing to shade."""
-    name = "black"
-    if name in bpy.data.materials:
-        return bpy.data.materials[name]
-    material = bpy.data.materials.new(name)
-    tree = material.node_tree
-    tree.nodes.clear()
-    shader, output = (
-        tree.nodes.new(f"ShaderNode{kind}") for kind in ("Emission", "OutputMaterial")
-    )
-    shader.inputs["Strength"].default_value = 0.0
-    tree.links.new(shader.outputs[0], output.inputs[0])
-    return material
 
 
 def render(instant: int, product: Product, target: Path, seed: int) -> None:
