@@ -344,7 +344,8 @@ class TestOptions:
 
     def test_each_is_part_of_the_settings_or_the_commands_own(self):
         settled = {f.name for kind in (SourceSettings, UpsampleSettings) for f in fields(kind)}
-        own = set(inspect.signature(upsample.command.callback).parameters) - {"options"}
+        parameters = inspect.signature(upsample.command.callback).parameters.values()
+        own = {p.name for p in parameters if p.kind is not p.VAR_KEYWORD}
         assert not settled & own
         # `replaces_foreign` is for a process that goes on after one with --overwrite.
         inner = {"source", "replaces_foreign"}
