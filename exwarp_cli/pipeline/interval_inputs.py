@@ -35,8 +35,8 @@ Needed = Callable[[int, dict[int, str]], bool]
 # How many older key frames a warp from one key frame goes by.
 WARPED_BACK = 1
 
-# The network that extrapolates, the policy's checksum, the network that interpolates.
-Dependencies = tuple[NetworkSummary | None, str | None, InterpolatorSummary | None]
+# The network that extrapolates, the one that interpolates, the policy's checksum.
+Dependencies = tuple[NetworkSummary | None, InterpolatorSummary | None, str | None]
 
 
 @dataclass(frozen=True)
@@ -154,15 +154,12 @@ class IntervalReader:
         keep_going = settings.source.keep_going
         tolerant = keep_going and not method.needs_truth
         self.truth = TruthReader(source, truth, settings.measured, tolerant)
-        network, policy, interpolator = depends_on
         self.fingerprinter = Fingerprinter(
             source,
             method,
             settings.compression,
             truth,
-            network,
-            interpolator,
-            policy,
+            *depends_on,
             content.names,
             key_rate=None if settings.keep_bytes else source.written_fps,
         )
