@@ -211,10 +211,9 @@ class IntervalReader:
         timing_ms: dict[str, float] = {}
         with record_time(timing_ms, "read"):
             recipes = self.fingerprints(key)
-            number = self._source.timeline.numbers[key]
             inputs = IntervalInputs(
                 key,
-                extra_layers.template_of(self._contents, self._suffix, number),
+                extra_layers.template_of(self._contents, self._suffix, key),
                 recipes=recipes,
                 followed=self.store.is_followed(key),
                 rendered=IntervalRendered() if self.rendered is None else self.rendered.read(key),
@@ -276,8 +275,7 @@ class IntervalReader:
         with suppress(InputError):
             with record_time(timing_ms, "read"):
                 frame = replace(self.store.get(key), gbuffer=None)
-                number = self._source.timeline.numbers[key]
-                template = extra_layers.template_of(self._contents, self._suffix, number)
+                template = extra_layers.template_of(self._contents, self._suffix, key)
             passed = IntervalInputs(key, template, frame, read_ms=timing_ms["read"])
         self.release(key)
         return SkippedInterval(key, reason, passed)

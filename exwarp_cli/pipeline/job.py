@@ -288,20 +288,19 @@ def find_networks(
 
         path = None if settings.extrapolator is None else Path(settings.extrapolator)
         network = load_extrapolator(path, settings.threads, settings.device)
+    path = None if settings.interpolator is None else Path(settings.interpolator)
     if method.weighs:
         from exwarp_cli.models.picture_network import load_lookahead
 
-        path = None if settings.interpolator is None else Path(settings.interpolator)
         interpolator = load_lookahead(path, settings.threads, settings.device)
     elif method.interpolates:
-        if settings.interpolator is None:
+        if path is None:
             raise UsageError(
                 f"--method {method.name} has no network of its own; name an ONNX file with "
                 "--interpolator, or use --method softsplat"
             )
         from exwarp_cli.models.interpolator import load_interpolator
 
-        path = Path(settings.interpolator)
         interpolator = load_interpolator(path, settings.threads, settings.device)
     return network, interpolator
 
