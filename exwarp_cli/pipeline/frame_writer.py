@@ -161,21 +161,11 @@ class FrameWriter(ResourceOwner):
         for `io.generated_frames.write_picture`. With `inline` this thread writes, and does not
         return before; any thread may.
         """
-        if not inline:
-            own = (number, image, template, attributes, mask, layers)
-            self._writer.submit(partial(self.write, *own, inline=True))
-            return
-        if self.output.frames is not None:
-            with record_time(self.write_ms, number):
-                pieces = write_picture(self.path(number), image, template, attributes, layers)
-                if self.wants_sums:  # of what is in memory
-                    self.sums[FRAME, number] = sum_of(pieces)
-        if self.output.holes is not None and mask is not None:
-            marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
-            windows = (self.display, self.display)
-            pieces = write_mask(self.output.holes.path(number), mask, windows, marks)
-            if self.wants_sums:
-                self.sums[HOLES, number] = sum_of(pieces)
+        put = partial(self._put, number, image, template, attributes, mask, layers)
+        if inline:
+            put()
+        else:
+            self._writer.submit(put)
 
     def show(self, image: Image | None) -> None:
         """Append a frame to the video, if there is one.
@@ -207,6 +197,27 @@ class FrameWriter(ResourceOwner):
             file.write(self.path(number))
             if self.wants_sums:  # of what the source gives
                 self.sums[FRAME, number] = sum_of(file.pieces())
+
+    def _put(
+        self,
+        number: int,
+        image: Image,
+        template: FrameTemplate,
+        attributes: Mapping[str, Any],
+        mask: Bool | None,
+        layers: Mapping[PlaneKey, Plane] | None,
+    ) -> None:
+        if self.output.frames is not None:
+            with record_time(self.write_ms, number):
+                pieces = write_picture(self.path(number), image, template, attributes, layers)
+                if self.wants_sums:  # of what is in memory
+                    self.sums[FRAME, number] = sum_of(pieces)
+        if self.output.holes is not None and mask is not None:
+            marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
+            windows = (self.display, self.display)
+            pieces = write_mask(self.output.holes.path(number), mask, windows, marks)
+            if self.wants_sums:
+                self.sums[HOLES, number] = sum_of(pieces)
 
 
 def sum_of(pieces: Iterable[Buffer]) -> str:
