@@ -350,8 +350,7 @@ def require_consistent(measuring: MeasureSettings, holes: str | None) -> None:
         names = {metric.field: metric.option for metric in METRICS}
         raise UsageError(
             f"--preset {measuring.preset} measures {', '.join(names[o] for o in offered)} and not "
-            f"{names[foreign[0]]}; "
-            "leave that or the preset out"
+            f"{names[foreign[0]]}; leave that or the preset out"
         )
     if holes is not None:
         raise UsageError(

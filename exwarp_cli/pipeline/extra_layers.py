@@ -119,13 +119,14 @@ def _layers_in(shot: Shot, main: bool) -> tuple[Layer, ...]:
     return group_layers(files, shot.layout, cryptomattes)
 
 
-def template_of(contents: tuple[Content, ...], suffix: str, number: int) -> FrameTemplate:
-    """Return what frames made of a key frame, by its number, take over from its file.
+def template_of(contents: tuple[Content, ...], suffix: str, key: int) -> FrameTemplate:
+    """Return what frames made of a key frame, by its index, take over from its file.
 
     `suffix` is that of the frames' files; it counts where the input has colour alone. Raises
     InputError when the key frame's file cannot be read.
     """
-    keys = contents[0].source.keys
+    source = contents[0].source
+    keys, number = source.keys, source.timeline.numbers[key]
     if is_plain(keys.sequence):
         return make_frame_template(keys, number, suffix)
     wanted = tuple(content.wanted for content in contents)

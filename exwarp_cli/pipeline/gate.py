@@ -112,6 +112,8 @@ class TrialReader:
 
         `inputs` is the interval as read. Raises InputError when a file cannot be read.
         """
+        from exwarp_cli.pipeline.interval_inputs import IntervalInputs
+
         index = self.choose(key)
         if index is None or index == self.last_read:
             return TrialInputs(index)
@@ -138,24 +140,16 @@ class TrialReader:
                 slots = (between,)
             times = tuple((i + 1) / (len(slots) + 1) for i in range(len(slots)))
         slot = len(times) // 2 + 1 if self.lookahead else len(times)
-        around = replace(
-            inputs,
-            key=index - 1,
-            frame=frame,
-            following=following,
-            slots=slots,
-            history=history,
+        around = IntervalInputs(
+            index - 1,
+            inputs.template,
+            frame,
+            following,
+            slots,
+            history,
             times=times,
             truth=IntervalTruth({slot: store.get(index).image}),
-            lacks_history=False,
-            observed=(),
-            layers=None,
-            older=None,
-            views=(),
-            trial=None,
-            region=False,
-            held=False,
-            after_hold=False,
+            rendered=inputs.rendered,
         )
         self.last_read = index
         return TrialInputs(index, around)

@@ -35,8 +35,8 @@ Needed = Callable[[int, dict[int, str]], bool]
 # How many older key frames a warp from one key frame goes by.
 WARPED_BACK = 1
 
-# The network that extrapolates, the policy's checksum, the network that interpolates.
-Dependencies = tuple[NetworkSummary | None, str | None, InterpolatorSummary | None]
+# The network that extrapolates, the one that interpolates, the policy's checksum.
+Dependencies = tuple[NetworkSummary | None, InterpolatorSummary | None, str | None]
 
 
 @dataclass(frozen=True)
@@ -154,15 +154,12 @@ class IntervalReader:
         keep_going = settings.source.keep_going
         tolerant = keep_going and not method.needs_truth
         self.truth = TruthReader(source, truth, settings.measured, tolerant)
-        network, policy, interpolator = depends_on
         self.fingerprinter = Fingerprinter(
             source,
             method,
             settings.compression,
             truth,
-            network,
-            interpolator,
-            policy,
+            *depends_on,
             content.names,
             key_rate=None if settings.keep_bytes else source.written_fps,
         )
@@ -214,10 +211,9 @@ class IntervalReader:
         timing_ms: dict[str, float] = {}
         with record_time(timing_ms, "read"):
             recipes = self.fingerprints(key)
-            number = self._source.timeline.numbers[key]
             inputs = IntervalInputs(
                 key,
-                extra_layers.template_of(self._contents, self._suffix, number),
+                extra_layers.template_of(self._contents, self._suffix, key),
                 recipes=recipes,
                 followed=self.store.is_followed(key),
                 rendered=IntervalRendered() if self.rendered is None else self.rendered.read(key),
@@ -279,8 +275,7 @@ class IntervalReader:
         with suppress(InputError):
             with record_time(timing_ms, "read"):
                 frame = replace(self.store.get(key), gbuffer=None)
-                number = self._source.timeline.numbers[key]
-                template = extra_layers.template_of(self._contents, self._suffix, number)
+                template = extra_layers.template_of(self._contents, self._suffix, key)
             passed = IntervalInputs(key, template, frame, read_ms=timing_ms["read"])
         self.release(key)
         return SkippedInterval(key, reason, passed)

@@ -8,7 +8,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from exwarp_cli.domain.results import InputSummary, InterpolatorSummary, NetworkSummary, RunSummary
+from exwarp_cli.domain.results import InputSummary, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.tiles import LOOK_AHEAD_STATE, TILE_STATE
 from exwarp_cli.domain.timeline import FACTOR, Slot, number_step
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from exwarp_cli.models.interpolator import OnnxInterpolator
     from exwarp_cli.models.picture_network import OnnxExtrapolator, OnnxLookAhead
     from exwarp_cli.models.policy_files import PolicyFile
+    from exwarp_cli.pipeline.interval_inputs import Dependencies
     from exwarp_cli.pipeline.progress import Progress
     from exwarp_cli.synthesis.interval import TileChooser
 
@@ -91,13 +92,13 @@ class Job:
         return [[timeline.number(slot) for slot in timeline.slots_of(key)] for key in self.keys]
 
     @property
-    def depends_on(self) -> tuple[NetworkSummary | None, str | None, InterpolatorSummary | None]:
+    def depends_on(self) -> Dependencies:
         """What networks and policy frames depend on, as `IntervalReader` takes it."""
         policy = None
         if self.policy is not None:
             effort = f" effort {self.settings.spent:g}" if self.policy.of_tiles else ""
             policy = f"{self.policy.checksum}{effort}"
-        return self.models.extrapolator, policy, self.models.interpolator
+        return self.models.extrapolator, self.models.interpolator, policy
 
     def refuse(self) -> None:
         """Refuse frames and ground truth of several sizes, and to overwrite; touch nothing.
@@ -265,29 +266,19 @@ def find_networks(
     UsageError when options ask for a network that the method would not use, or name none that it
     needs; InputError or MissingExtraError when a network cannot be used.
     """
-    other_device = settings.device != UpsampleSettings.device
-    rules: tuple[tuple[str, bool, str, Callable[[methods.Method], bool]], ...] = (
-        (
-            "--extrapolator",
-            settings.extrapolator is not None,
-            "extrapolate",
-            lambda m: m.last.extrapolates,
-        ),
-        (
-            "--interpolator",
-            settings.interpolator is not None,
-            "interpolate so",
-            lambda m: m.interpolates or m.weighs,
-        ),
-        ("--device", other_device, "run a network", lambda m: m.runs_network),
+    rules: tuple[tuple[str, str, Callable[[methods.Method], bool]], ...] = (
+        ("extrapolator", "extrapolate", lambda m: m.last.extrapolates),
+        ("interpolator", "interpolate so", lambda m: m.interpolates or m.weighs),
+        ("device", "run a network", lambda m: m.runs_network),
     )
-    for option, is_set, what, uses in rules:
+    for option, what, uses in rules:
+        is_set = getattr(settings, option) != getattr(UpsampleSettings, option)
         # At an effort of 0 the default takes options of the networks that it would run.
         if is_set and not (uses(method) or uses(methods.METHODS[method.name])):
             users = [user for user in methods.METHODS.values() if uses(user)]
             names = ", ".join(user.name for user in users)
             raise UsageError(
-                f"{option} is for methods that {what}, and --method {method.name} does not; "
+                f"--{option} is for methods that {what}, and --method {method.name} does not; "
                 f"leave it out, or use {'one of ' if len(users) > 1 else ''}{names}"
             )
     network: OnnxExtrapolator | None = None
@@ -297,20 +288,19 @@ def find_networks(
 
         path = None if settings.extrapolator is None else Path(settings.extrapolator)
         network = load_extrapolator(path, settings.threads, settings.device)
+    path = None if settings.interpolator is None else Path(settings.interpolator)
     if method.weighs:
         from exwarp_cli.models.picture_network import load_lookahead
 
-        path = None if settings.interpolator is None else Path(settings.interpolator)
         interpolator = load_lookahead(path, settings.threads, settings.device)
     elif method.interpolates:
-        if settings.interpolator is None:
+        if path is None:
             raise UsageError(
                 f"--method {method.name} has no network of its own; name an ONNX file with "
                 "--interpolator, or use --method softsplat"
             )
         from exwarp_cli.models.interpolator import load_interpolator
 
-        path = Path(settings.interpolator)
         interpolator = load_interpolator(path, settings.threads, settings.device)
     return network, interpolator
 

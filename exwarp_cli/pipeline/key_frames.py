@@ -72,6 +72,8 @@ class KeyFrameStore:
         self._keeps_slots = method.older_keys(method.lookahead) > 0
         self._keeps_shapes = keeps_shapes
         self._lookahead = method.lookahead
+        # Of each key interval. Slots have G-buffers only where the factor is an integer.
+        self._steps = source.timeline.steps or 0
         # What reads more with each key frame, where frames may be unreadable: a key frame counts
         # as unreadable if its layers or its other views are.
         self.companions: list[Callable[[int], object]] = []
@@ -182,9 +184,7 @@ class KeyFrameStore:
         for key in keys:
             frame, way_back = get(key), []
             if self.source.slots is not None:
-                steps = self.source.timeline.steps
-                assert steps is not None  # slots have G-buffers where the factor is an integer
-                for slot in slots_back_to(key, steps):
+                for slot in slots_back_to(key, self._steps):
                     kept = self._slots.get(slot)
                     way_back.append(without_surface(self.get_slot(slot)) if kept is None else kept)
             history.append(HistoryFrame(frame, tuple(way_back), self.shots.repeats(key + 1)))
@@ -293,10 +293,8 @@ class KeyFrameStore:
             self.shots.see(key, frame if self._normals_tell else frame.without("normal"))
             return frame if self._needs_normals else frame.without("normal")
         frame = read_raw(source.keys, number, (Role.COLOUR,)).key(None)
-        steps = source.timeline.steps
-        assert steps is not None  # slots have G-buffers where the factor is an integer
         gbuffer = self.get_slot(Slot(key, 0)).on(frame.image.data_window)
-        frame = replace(frame, gbuffer=over_interval(gbuffer, steps))
+        frame = replace(frame, gbuffer=over_interval(gbuffer, self._steps))
         self.shots.see(key, frame)
         return frame
 

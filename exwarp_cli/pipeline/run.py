@@ -13,7 +13,6 @@ from dataclasses import replace
 from functools import partial
 from time import perf_counter
 
-from exwarp_cli import __version__
 from exwarp_cli.domain.frame import Image
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunOutcome, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
@@ -192,17 +191,12 @@ class Run:
             self._skip(SkippedInterval(inputs.key, str(error), inputs.without_geometry()))
             return
         key, number = self._timeline.numbers[inputs.key], self._timeline.number
-        problems = [
-            LeftOut(key, (), reason, scores=(number(Slot(inputs.key, slot)),))
-            for slot, reason in sorted(inputs.truth.unscored.items())
-        ]
-        problems += [
-            LeftOut(key, (), reason, rendered=(number(Slot(inputs.key, slot)),))
-            for slot, reason in sorted(inputs.rendered.unusable.items())
-        ]
-        for problem in problems:
-            self.left_out.append(problem)
-            announce_skipped(self._progress, problem)
+        unusable = {"scores": inputs.truth.unscored, "rendered": inputs.rendered.unusable}
+        for lost, reasons in unusable.items():
+            for slot, reason in sorted(reasons.items()):
+                problem = LeftOut(key, (), reason, **{lost: (number(Slot(inputs.key, slot)),)})
+                self.left_out.append(problem)
+                announce_skipped(self._progress, problem)
         if self._pulses is not None:
             self._pulses.add(Slot(inputs.key, 0), self._key_image(inputs), inputs.followed)
         if self._timeline.shows(inputs.key):
@@ -285,12 +279,7 @@ class Run:
             recipe = key_fingerprint(source.keys, number, source.written_fps)
             resumed = writer.has(output, recipe, masked=False)
             if not resumed:
-                facts: dict[str, str | int] = {
-                    "version": __version__,
-                    "kind": FrameKind.KEY.value,
-                    "key": number,
-                    "recipe": recipe,
-                }
+                facts = {"kind": FrameKind.KEY.value, "key": number, "recipe": recipe}
                 attributes, image = header_attributes(source, facts), self._key_image(inputs)
                 writer.write(output, image, inputs.template, attributes)
         record = FrameRecord(

@@ -400,12 +400,8 @@ class ExtranetScorer:
         counts = is_different if self._generated is None else self._generated[index]
         self._counted += counts
         values = score_like_extranet(pair.truth, pair.test) if counts else Score()
-        self._scores.append(
-            Score(
-                psnr_db=values.psnr_db if "psnr_db" in self._names else None,
-                ssim=values.ssim if "ssim" in self._names else None,
-            )
-        )
+        wanted = {"psnr_db", "ssim"}.intersection(self._names)
+        self._scores.append(Score(**{name: getattr(values, name) for name in wanted}))
         if self.vmaf is not None and index in self._video:
             self.vmaf.write(truth, test)
 

@@ -171,7 +171,6 @@ class SlotRenderer:
         resumed = writer.has_rendered(number, frame.path, frame.recipe)
         replaced = not resumed and writer.is_in_the_way(number)
         marks: dict[str, str | int] = {
-            "version": __version__,
             "method": FrameKind.RENDERED.value,
             "kind": FrameKind.RENDERED.value,
             "sources": frame.path.name,
@@ -180,7 +179,7 @@ class SlotRenderer:
             "recipe": frame.recipe,
         }
         if not resumed and writer.copies(frame.path):
-            writer.pass_frame(number, frame.path, marks)
+            writer.pass_frame(number, frame.path, {"version": __version__, **marks})
         elif not resumed and writer.output.frames is not None:
             attributes = header_attributes(self.source, marks)
             writer.write(number, frame.frame.image, inputs.template, attributes)
@@ -264,7 +263,6 @@ class SlotRenderer:
         span = self.source.timeline.factor if LayerKind.MOTION in self.layers.kinds else None
         decision = None if record.decision is None else decision_text(record.decision)
         facts: dict[str, Any] = {
-            "version": __version__,
             "method": record.method,
             "kind": record.kind.value,
             "sources": ",".join(map(str, record.sources)),
@@ -295,7 +293,7 @@ def header_attributes(source: Source, facts: Mapping[str, Any]) -> dict[str, Any
 
     The rate is none where it is assumed.
     """
-    own = {f"{PREFIX}{name}": value for name, value in facts.items()}
+    own = {f"{PREFIX}{name}": value for name, value in {"version": __version__, **facts}.items()}
     attributes = {"framesPerSecond": source.written_fps, **own}
     return {name: value for name, value in attributes.items() if value is not None}
 

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any
 
 from exwarp_cli import __version__
@@ -167,11 +167,8 @@ def run_checks(self_test: bool, more: dict[str, Callable[[], CheckResult]]) -> D
 def _run(check: str | Callable[[], CheckResult]) -> CheckResult:
     """Make a check, of which any error is the result."""
     try:
-        if isinstance(check, str):
-            module, _, function = check.partition(":")
-            check = getattr(import_module(f"{__package__}.{module}"), function)
-        assert callable(check)
-        return check()
+        run = resolve_name(f"{__package__}.{check}") if isinstance(check, str) else check
+        return run()
     except ExwarpError as error:
         text = str(error)
     except ImportError as error:

@@ -241,11 +241,7 @@ def _requirements(own: Distribution, extra: str | None) -> Iterator[Requirement]
     """Yield what an extra requires on this platform, or ExWarp itself for None."""
     for text in own.requires or ():
         requirement = Requirement(text)
-        marker = requirement.marker
-        is_core = marker is None or marker.evaluate({"extra": ""})
-        if extra is None:
-            is_wanted = is_core
-        else:
-            is_wanted = not is_core and marker is not None and marker.evaluate({"extra": extra})
-        if is_wanted:
+        marker, names = requirement.marker, ("", extra or "")
+        is_core, is_wanted = (marker is None or marker.evaluate({"extra": n}) for n in names)
+        if is_wanted and is_core == (extra is None):
             yield requirement
