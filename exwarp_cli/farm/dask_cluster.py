@@ -25,7 +25,6 @@ from functools import partial
 from multiprocessing import resource_tracker
 from typing import Any, NamedTuple
 
-from exwarp_cli import __version__
 from exwarp_cli.domain.results import RunOutcome, RunSummary
 from exwarp_cli.domain.settings import DEFAULT_CHUNK_SIZE, ClusterSettings
 from exwarp_cli.domain.timeline import Slot, ranges
@@ -222,9 +221,8 @@ def run_on_cluster(
         with ExitStack() as work:
             work.callback(job.close)  # whose rendered frames the video shows
             marks = [work.enter_context(marker_file(folder)) for folder in job.targets.folders]
-            requirements = WorkerRequirements(
-                __version__, inputs_of(job), tuple(str(mark.absolute()) for mark in marks)
-            )
+            paths = tuple(str(mark.absolute()) for mark in marks)
+            requirements = WorkerRequirements(inputs_of(job), paths)
             dispatcher = ChunkDispatcher(client, requirements, progress)
             workers = dispatcher.await_workers()
             divided = chunks_of(job.keys, where, workers)
@@ -297,7 +295,7 @@ def foresee_on_cluster(job: Job, where: ClusterSettings, dry_run: DryRun) -> Dry
         workers = where.workers or 1
     else:
         with connected(where, job.settings.threads) as client:
-            requirements = WorkerRequirements(__version__, inputs_of(job))
+            requirements = WorkerRequirements(inputs_of(job))
             workers = ChunkDispatcher(client, requirements, Progress()).await_workers()
     chunks = chunks_of(job.key_numbers, where, workers)
     return replace(dry_run, chunks=chunks, spread=_spread(where, workers, job.settings.threads))
@@ -342,15 +340,14 @@ class VideoFromFrames(ResourceOwner):
         """Append the frames of key intervals; of `missing` output numbers, the frame before."""
         timeline = self.job.source.timeline
         for slot in (slot for key in keys for slot in timeline.slots_of(key)):
-            is_missing = timeline.number(slot) in missing
-            self._writer.submit(
-                partial(self._frames.show, None) if is_missing else partial(self._show, slot)
-            )
+            self._writer.submit(partial(self._show, slot, timeline.number(slot) in missing))
 
-    def _show(self, slot: Slot) -> None:
+    def _show(self, slot: Slot, is_missing: bool) -> None:
         source, frames = self.job.source, self.job.targets.frames
         assert frames is not None
-        if slot.index:
+        if is_missing:
+            self._frames.show(None)
+        elif slot.index:
             number = source.timeline.number(slot)
             await_file(frames.path(number))  # another machine has just written it
             self._frames.show(self._frames.read(number))
@@ -506,7 +503,6 @@ class ChunkDispatcher:
                 self.progress.message(f"worker {worker} is left out: it {reason}")
 
     def _note(self, event: dict[str, Any]) -> None:
-        """Take in an event of a worker."""
         if "frame" in event:
             self._count(event["frame"], event["note"], event["kind"], event["made"])
         elif "begin" in event:

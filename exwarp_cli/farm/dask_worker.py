@@ -40,9 +40,9 @@ class SharedWatcher(FrameListener, Protocol):
 class WorkerRequirements:
     """What a worker must have."""
 
-    version: str
     inputs: tuple[tuple[str, int], ...]  # files that the job reads, with their sizes in bytes
     marks: tuple[str, ...] = ()  # files that the coordinator has put into the output folders
+    version: str = __version__
 
 
 @dataclass(frozen=True)

@@ -82,10 +82,7 @@ def names_files(parameter: str, value: object) -> bool:
 class PathOption:
     """A file or folder of a job, and how an option names it."""
 
-    role: PathRole
-    # name, label: as in `PathRole`, and the role of an AOV
-    name: str
-    label: str
+    role: PathRole  # of an AOV, with that role in name and label
     path: Path  # absolute path of the folder or file
     is_file: bool = False  # whether `path` is a file
     pattern: str = ""  # the rest of the path, below the folder; "" where the folder itself is named
@@ -115,14 +112,13 @@ def locate(parameter: str, text: str) -> PathOption:
     InputError: the path is no text that a job can hold.
     """
     role = PATH_ROLES[parameter]
-    option = PathOption(role, role.name, role.label, Path(text).absolute())
+    option = PathOption(role, Path(text).absolute())
     path = option.path
     if role.kind is ValueKind.AOV:
         (aov,) = parse_aovs([text])
+        name = role.name + "".join(word.capitalize() for word in aov.role.value.split("_"))
         option = PathOption(
-            role,
-            role.name + "".join(word.capitalize() for word in aov.role.value.split("_")),
-            f"{role.label} {aov.role.value}",
+            replace(role, name=name, label=f"{role.label} {aov.role.value}"),
             Path(aov.pattern).absolute(),
             before=f"{aov.role.value}=",
             after=aov.chosen,
@@ -133,8 +129,7 @@ def locate(parameter: str, text: str) -> PathOption:
             companions["Card"] = card
         if parameter in ("extrapolator", "interpolator") and path.is_file():
             _, files = embed_weights(path, read_file_bytes(path))
-            for number, file in enumerate(files, start=1):
-                companions[f"Weights{number}"] = file
+            companions |= {f"Weights{n}": file for n, file in enumerate(files, start=1)}
         option = replace(option, is_file=True, companions=companions)
     elif role.kind is ValueKind.SEQUENCE and role.is_written:
         # As `upsample` does; the folder need not exist.
@@ -308,13 +303,9 @@ def command_lines(
     all_frames = frames_text(job.numbers)
 
     def fill(command: Sequence[Argument], frames: str) -> list[str]:
-        words = [program]
-        for word in command:
-            if isinstance(word, Placeholder):
-                words.append(frames if word is Placeholder.FRAMES else all_frames)
-            else:
-                words.append(word.text if isinstance(word, PathOption) else word)
-        return words
+        texts = {Placeholder.FRAMES: frames, Placeholder.ALL_FRAMES: all_frames}
+        words = [texts[word] if isinstance(word, Placeholder) else word for word in command]
+        return [program, *(w.text if isinstance(w, PathOption) else w for w in words)]
 
     frames = [frames_text(chunk) for chunk in split(job.numbers, job.size)]
     return (

@@ -68,16 +68,15 @@ def job_template(job: FarmJob, workers: Workers, folder: Path | None) -> JobTemp
 
     UsageError: something is too long for a template.
     """
-    size = job.size
-    if workers.plain:
-        size = max(size, math.ceil(len(job.numbers) / MOST_TASKS))
     parameters = _Parameters(folder)
     for option in job.options:  # first, as people look for their files first
         if isinstance(option.value, PathOption):
             parameters.add_argument(option.value)
+    size = job.size
     all_frames = frames_text(job.numbers)
     ranges, culprit = [all_frames], "--frames"
     if workers.plain:
+        size = max(size, math.ceil(len(job.numbers) / MOST_TASKS))
         ranges = [frames_text(chunk) for chunk in split(job.numbers, size)]
         culprit = "--chunk-size"
     for frames in ranges:
@@ -90,12 +89,9 @@ def job_template(job: FarmJob, workers: Workers, folder: Path | None) -> JobTemp
     space: Data = {"name": "Frames", "type": "STRING", "range": ranges}
     if not workers.plain:
         all_frames, space = _chunked_frames(job, workers, parameters)
-    steps = _steps(job, workers, parameters, all_frames, space)
     # Without control characters, and without what would be filled in.
     name = "".join(c if c.isprintable() else " " for c in job.title)
-    for pair in BRACES:
-        while pair in name:
-            name = name.replace(pair, " ".join(pair))
+    name = re.sub(r"([{}])(?=\1)", r"\1 ", name)
     chunks = pluralise(len(split(job.numbers, size)), "chunk")
     frame_count = pluralise(len(job.numbers), "key frame")
     document = {
@@ -104,7 +100,7 @@ def job_template(job: FarmJob, workers: Workers, folder: Path | None) -> JobTemp
         "name": name[:LONGEST_NAME].strip() or "exwarp",
         "description": f"{frame_count} upsampled in {chunks}, as ExWarp {__version__} wrote it.",
         "parameterDefinitions": parameters.definitions,
-        "steps": steps,
+        "steps": _steps(job, workers, parameters, all_frames, space),
     }
     return JobTemplate(document, parameters.values, size)
 
@@ -124,7 +120,6 @@ class _Parameters:
     def add(
         self,
         name: str,
-        kind: str,
         default: str | int,
         label: str,
         group: str,
@@ -136,6 +131,7 @@ class _Parameters:
         UsageError: the default is too long.
         """
         _require_length(str(default), label)
+        kind = "INT" if isinstance(default, int) else "STRING"
         shown = {"label": label, "groupLabel": group} | ({"control": "HIDDEN"} if hidden else {})
         self.definitions.append(
             {"name": name, "type": kind, "default": default, **more, "userInterface": shown}
@@ -147,11 +143,12 @@ class _Parameters:
         if word in self._formats:
             return self._formats[word]
         if isinstance(word, PathOption):
-            group, flow = ("Output", "OUT") if word.role.is_written else ("Input", "IN")
-            name = f"{word.name}{'File' if word.is_file else 'Folder'}"
-            paths = {name: (word.path, word.label)}
+            role = word.role
+            group, flow = ("Output", "OUT") if role.is_written else ("Input", "IN")
+            name = f"{role.name}{'File' if word.is_file else 'Folder'}"
+            paths = {name: (word.path, role.label)}
             for kind, path in word.companions.items():
-                paths[f"{word.name}{kind}"] = path, f"{word.label}: {kind.lower()}"
+                paths[f"{role.name}{kind}"] = path, f"{role.label}: {kind.lower()}"
             for parameter, (path, label) in paths.items():
                 definition: Data = {
                     "name": parameter,
@@ -168,14 +165,14 @@ class _Parameters:
                 _require_length(str(path), label)
                 self.definitions.append(definition)
             if word.pattern:
-                pattern, label = f"{word.pattern}{word.after}", f"{word.label}: names"
-                remainder = "/" + self.add(f"{word.name}Pattern", "STRING", pattern, label, group)
+                pattern, label = f"{word.pattern}{word.after}", f"{role.label}: names"
+                remainder = "/" + self.add(f"{role.name}Pattern", pattern, label, group)
             else:
                 remainder = self.add_argument(word.remainder)
             text = f"{word.before}{{{{Param.{name}}}}}{remainder}"
         elif any(pair in word for pair in BRACES):
             name = f"Text{len(self.definitions)}"
-            text = self.add(name, "STRING", word, name, "ExWarp", hidden=True)
+            text = self.add(name, word, name, "ExWarp", hidden=True)
         else:
             text = word
         self._formats[word] = text
@@ -186,16 +183,14 @@ def _chunked_frames(job: FarmJob, workers: Workers, parameters: _Parameters) -> 
     """Return all frames, and a task parameter that the engine divides, by parameters of the job."""
     all_frames = parameters.add(
         "Frames",
-        "STRING",
         frames_text(job.numbers),
         "Frames",
         "Chunks",
         description="By their numbers, such as 1001-1100, 10-90:4 or 1,5,9-12.",
     )
-    count = parameters.add("ChunkSize", "INT", job.size, "Key frames a chunk", "Chunks", minValue=1)
+    count = parameters.add("ChunkSize", job.size, "Key frames a chunk", "Chunks", minValue=1)
     seconds = parameters.add(
         "ChunkSeconds",
-        "INT",
         workers.seconds,
         "Seconds a chunk",
         "Chunks",
@@ -219,7 +214,6 @@ def _steps(
 ) -> list[Data]:
     program = parameters.add(
         "ExwarpCommand",
-        "STRING",
         workers.program,
         "Command",
         "ExWarp",

@@ -367,12 +367,11 @@ def minterpolate(older: Float32 | None, before: Float32, after: Float32) -> tupl
     complete = len(data) // padded[0].nbytes * padded[0].nbytes
     frames = np.frombuffer(data[:complete], np.uint8).reshape(-1, *padded[0].shape)
     frames = frames[:, :height, :width]
-    first = FACTOR  # of the frames at the output rate, that at `before`
-    key = frames[first : first + 1].astype(np.int16)
-    if len(frames) < first + FACTOR or np.abs(key - shown[1]).max() > KEY_TOLERANCE:
+    key = frames[FACTOR : FACTOR + 1].astype(np.int16)  # at the output rate, that at `before`
+    if len(frames) < 2 * FACTOR or np.abs(key - shown[1]).max() > KEY_TOLERANCE:
         raise OutputError(
             f"cannot interpolate with minterpolate: its frames of {width}x{height} pixels are not "
             "at the instants that were asked for; reinstall the package imageio-ffmpeg, or leave "
             "minterpolate out"
         )
-    return tuple(from_display(frame) for frame in frames[first + 1 : first + FACTOR])
+    return tuple(from_display(frame) for frame in frames[FACTOR + 1 : 2 * FACTOR])

@@ -63,20 +63,16 @@ class ClipSequence(Sequence):
         Raises DamagedFileError when damage affects it, or the video ends early. Raises
         UnreadableError when the system does not let it through.
         """
-        thread = threading.get_ident()
-        if thread not in self.readers:
-            self.readers[thread] = ClipReader(self.clip)
+        reader = self.readers.setdefault(threading.get_ident(), ClipReader(self.clip))
         window = read_display_window(self, number)
-        read = partial(self.readers[thread].read, number - 1)
+        read = partial(reader.read, number - 1)
         return Image(with_retries(self.clip.path, read), window, window)
 
 
 def find_frames(spec: str, gaps: bool = False, scan: str = SourceSettings.scan) -> Sequence:
     """Find a video, a sequence of stills, or one of EXR; in a folder that holds both, the EXR.
 
-    With `gaps` missing frames in between are listed, too.
-
-    Raises InputError when there is none, or several.
+    Arguments as in `find_footage`. Raises InputError when there is none, or several.
     """
     return find_footage(spec, gaps, scan) or find_sequence(spec, gaps=gaps)
 

@@ -163,9 +163,7 @@ def write_still(
         temporary.touch()  # a bad folder shows here, with its reason
         is_written = writer.open(str(temporary), spec) and writer.write_image(codes)
         if not (is_written and writer.close()):
-            raise files.output_error(
-                path, OSError(writer.geterror().strip() or "the format refuses it")
-            )
+            raise OSError(writer.geterror().strip() or "the format refuses it")
         orientation = spec.get_int_attribute("Orientation", _UPRIGHT)
         sealed = seal_still(_mend_header(temporary.read_bytes(), path.name, orientation))
         temporary.write_bytes(sealed)
@@ -216,11 +214,10 @@ def _damaged_error(path: Path, problem: str) -> DamagedFileError:
 
 
 def _read_template(path: Path, spec: Any) -> StillTemplate:
-    names = tuple(spec.channelnames)
     if not 1 <= spec.nchannels <= 4 or (spec.nchannels in (2, 4) and spec.alpha_channel < 0):
         raise LayoutError(
-            f"{path} has the channels {', '.join(names)}, and only grey or RGB is read, with or "
-            "without alpha; write such images"
+            f"{path} has the channels {', '.join(spec.channelnames)}, and only grey or RGB is "
+            "read, with or without alpha; write such images"
         )
     dtype = np.dtype(_DTYPES.get(spec.format.basetype, np.float32))
     bits = spec.get_int_attribute("oiio:BitsPerSample", 0)
@@ -295,8 +292,7 @@ def _to_codes(pixels: Float32, template: StillTemplate) -> np.ndarray:
         values = np.concatenate([values, alpha], axis=-1)
     if template.dtype.kind == "f":
         largest = np.finfo(template.dtype).max
-        bounded: np.ndarray = np.clip(values, -largest, largest).astype(template.dtype)
-        return bounded
+        return np.asarray(np.clip(values, -largest, largest), template.dtype)
     # Codes of fewer bits are spread over the type, as OpenImageIO does.
     top, spare = (1 << template.bits) - 1, 8 * template.dtype.itemsize - template.bits
     codes = np.floor(np.clip(values, 0, 1).astype(np.float64) * top + 0.5).astype(np.uint32)

@@ -236,12 +236,9 @@ def _open_clip(path: Path, scan: str) -> Clip:
     colour = _parse_colour(path, info, height, pixels)
     is_indexed = container[1].startswith(_INDEXED)
     if scan == "auto":
-        is_interlaced = frame["scan"] in "TB"
-        since = (
-            Fraction(0)
-            if is_interlaced
-            else video_timing.first_interlaced(path, packets, is_indexed)
-        )
+        since: Fraction | None = Fraction(0)
+        if frame["scan"] not in "TB":
+            since = video_timing.first_interlaced(path, packets, is_indexed)
         if since is not None:
             begin = f" from {float(since):.2f} s on" if since else ""
             raise InputError(
@@ -251,10 +248,8 @@ def _open_clip(path: Path, scan: str) -> Clip:
             )
     require_size(path, height, width)
     sound = _find_soundtrack(path, container[1], input_info, packets.time(0))
-    rate = re.search(r"showinfo.*frame_rate: (\d+)/([1-9]\d*)", info)
-    pacing = video_timing.find_pacing(
-        packets, Fraction(int(rate[1]), int(rate[2])) if rate else None
-    )
+    rate = re.search(r"showinfo.*frame_rate: (\d+/[1-9]\d*)", info)
+    pacing = video_timing.find_pacing(packets, Fraction(rate[1]) if rate else None)
     code = re.search(r"^\s*timecode\s*: (\S+)", input_info, re.MULTILINE | re.IGNORECASE)
     timecode = None if code is None else Timecode(code[1], pacing.rate)
     num, den = map(int, frame["sar"].split("/"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left, bisect_right, insort
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -196,12 +196,10 @@ def _fill_times(packets: list[_Packet]) -> list[_Packet]:
 def _spread_equal_times(times: Sequence[int]) -> list[int]:
     """Spread equal times over the larger gap beside them; times ascend."""
     spread = list(times)
-    first = 0
-    while first < len(times):
-        stop = bisect_right(times, times[first])
-        count = stop - first
+    for time, count in Counter(times).items():
         if count > 1:
-            time, step = times[first], _usual_step(times)
+            first, step = bisect_left(times, time), _usual_step(times)
+            stop = first + count
             before = time - times[first - 1] if first else 0
             after = times[stop] - time if stop < len(times) else step * count
             if stop == len(times) and 2 * before >= 3 * step:
@@ -211,7 +209,6 @@ def _spread_equal_times(times: Sequence[int]) -> list[int]:
                     spread[first + place] = time + after * place // count
                 else:
                     spread[stop - 1 - place] = time - before * place // count
-        first = stop
     return spread
 
 
@@ -277,7 +274,6 @@ def nearest_standard_rate(rate: Fraction) -> Fraction:
 
 
 def _standard_rates_near(rate: Fraction, tick: Fraction) -> list[Fraction]:
-    """Return the standard rates for one that is measured in ticks."""
     # Times in milliseconds have a median of 42 at 24 fps, which would be 23.8.
     tolerance = SNAP + tick * rate
     return [s for s in _STANDARD_RATES if abs(s - rate) <= tolerance * s]

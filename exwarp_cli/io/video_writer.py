@@ -264,10 +264,14 @@ class VideoWriter(ResourceOwner):
         look, codec = self._look, self._codec
         temporary = stack.enter_context(atomic_path(self._path))
         temporary.touch()  # a bad folder shows here, with its reason
-        tracks: EncodedTracks = ()
+        sound_in: list[str] = []
+        sound_out: list[str] = []
         if look.sound is not None:
             tracks, remarks = plan_tracks(look.sound, self._container)
             self.remarks += remarks
+            if tracks:
+                sound_in = look.sound.input_options
+                sound_out = ["-map", "0:v", *_track_options(tracks, 1), "-map_metadata", "1"]
         # The timecode at the video's rate; None without, and if it cannot count that rate.
         timecode = look.timecode and look.timecode.convert(self._rate)
         if look.timecode is not None and timecode is None:
@@ -288,11 +292,6 @@ class VideoWriter(ResourceOwner):
             f"color_primaries={colour.primaries}:color_trc={colour.transfer},"
             f"setsar={look.pixel_aspect.numerator}/{look.pixel_aspect.denominator}"
         )
-        sound_in: list[str] = []
-        sound_out: list[str] = []
-        if look.sound is not None and tracks:
-            sound_in = look.sound.input_options
-            sound_out = ["-map", "0:v", *_track_options(tracks, 1), "-map_metadata", "1"]
         if sound_out or timecode:  # the other video's own timecode counts its own rate
             sound_out += ["-metadata", f"timecode={timecode or ''}"]
         options = [

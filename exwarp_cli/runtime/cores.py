@@ -51,14 +51,13 @@ def hold_cores(count: int = 1) -> Iterator[None]:
 
     A thread that holds some already keeps to these.
     """
-    if _limit is None or _thread.held:
-        yield
-        return
-    _keep(count)
+    if needs_cores := _limit is not None and not _thread.held:
+        _keep(count)
     try:
         yield
     finally:
-        _keep(0)
+        if needs_cores:
+            _keep(0)
 
 
 @contextmanager
@@ -67,15 +66,13 @@ def release_cores() -> Iterator[None]:
 
     The thread must hold no lock that these may want: they could wait for each other.
     """
-    count = _thread.held
-    if not count:
-        yield
-        return
-    _keep(0)
+    if count := _thread.held:
+        _keep(0)
     try:
         yield
     finally:
-        _keep(count)
+        if count:
+            _keep(count)
 
 
 def _keep(count: int) -> None:

@@ -67,11 +67,10 @@ class FramePool:
             return np.empty(shape, dtype)
         with self._lock:
             self._collect()
-            buffer = None
-            for index in range(len(self._free) - 1, -1, -1):  # the one that was used last
-                if len(self._free[index]) == size:
-                    buffer = self._free.pop(index)
-                    break
+            # The one that was used last
+            buffer = next((free for free in reversed(self._free) if len(free) == size), None)
+            if buffer is not None:
+                self._free.remove(buffer)
         if buffer is None:  # map memory, which returns to the system when the buffer is dropped
             # Pages that other processes do not share, as always on Windows: only these can be huge.
             is_unix = hasattr(mmap, "MAP_PRIVATE")
@@ -157,9 +156,8 @@ class ScratchFrames:
             base = base.base
         with self._lock:
             is_stored = isinstance(base, mmap.mmap) and base in self._mapped
-        if prod(array.shape[:2]) <= self.min_pixels or is_stored:
-            return array
-        if not (hasattr(mmap, "MADV_DONTNEED") and hasattr(os, "posix_fallocate")):
+        can_store = hasattr(mmap, "MADV_DONTNEED") and hasattr(os, "posix_fallocate")
+        if is_stored or not can_store or prod(array.shape[:2]) <= self.min_pixels:
             return array
         try:
             with tempfile.TemporaryFile(prefix="exwarp-") as unnamed:

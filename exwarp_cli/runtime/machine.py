@@ -12,6 +12,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,14 +71,10 @@ def processors() -> Processors:
 
 def memory() -> Memory:
     """Measure the memory; elsewhere than on Linux the total alone."""
-    meminfo = {}
-    lines = _read_text(MEMORY).splitlines()
-    for line in lines:
-        name, _, value = line.partition(":")
-        number = value.split()[:1]
-        if number and number[0].isdecimal():
-            meminfo[name] = int(number[0]) * 1024
-    if not lines and hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+    text = _read_text(MEMORY)
+    entries = re.findall(r"^([^:\n]*):[ \t]*(\d+)(?!\S)", text, re.MULTILINE)
+    meminfo = {name: int(number) * 1024 for name, number in entries}
+    if not text and hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
         meminfo["MemTotal"] = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     there, available = meminfo.get("MemTotal"), meminfo.get("MemAvailable")
     limits, rooms = [], [] if available is None else [available]
@@ -107,10 +104,9 @@ def look_at(path: Path) -> Folder:
             file.flush()
     except OSError as error:
         problem = error.strerror or str(error)
-    try:
+    free = None
+    with suppress(OSError):
         free = shutil.disk_usage(path).free
-    except OSError:
-        free = None
     return Folder(path, problem, free)
 
 
@@ -118,17 +114,14 @@ def cached_files(folder: Path, suffix: str) -> tuple[int, int]:
     """Return number and bytes of the files in a folder with this suffix."""
     sizes = []
     for path in folder.glob(f"*{suffix}"):
-        try:
+        with suppress(OSError):  # another run has just replaced it
             sizes.append(path.stat().st_size)
-        except OSError:  # another run has just replaced it
-            continue
     return len(sizes), sum(sizes)
 
 
 def _control_groups() -> Iterator[Path]:
     """Yield the folders of this process's control groups, and of those that contain them."""
-    tops = {"": GROUPS}
-    tops |= {name: GROUPS / name for name in ("cpu", "cpu,cpuacct", "memory")}
+    tops = {name: GROUPS / name for name in ("", "cpu", "cpu,cpuacct", "memory")}
     # In a container the group's own path is often invisible, and its files lie at the top.
     inside = {name: Path("/") for name in tops}
     for line in _read_text(MEMBERSHIP).splitlines():

@@ -105,7 +105,7 @@ def quick(monkeypatch) -> None:
 
 def dispatcher_of(cluster: Cluster) -> tuple[ChunkDispatcher, Progress]:
     progress = Progress()
-    return ChunkDispatcher(cluster, WorkerRequirements("1", ()), progress), progress
+    return ChunkDispatcher(cluster, WorkerRequirements((), version="1"), progress), progress
 
 
 def chunks(count: int) -> list[Chunk]:

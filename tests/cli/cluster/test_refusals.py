@@ -66,7 +66,7 @@ class TestRefusals:
     def test_a_client_that_gave_up(self, farm):
         with Client(farm, set_as_default=False) as client:
             pass
-        requirements = dask_worker.WorkerRequirements("0", ())
+        requirements = dask_worker.WorkerRequirements((), version="0")
         dispatcher = dask_cluster.ChunkDispatcher(client, requirements, Progress())
         with pytest.raises(ClusterError, match="scheduler went away"):
             dispatcher.await_workers()
