@@ -28,9 +28,7 @@ import numpy.typing as npt
 
 from exwarp_cli.kernels.array_types import I8, I32, I64, U8
 
-FRACTION_BITS = 16
-
-ONE = 1 << FRACTION_BITS  # 1.0 in Q16.16
+ONE = 1 << 16  # 1.0 in Q16.16
 
 # Largest shift of a requantisation. An int32 times a multiplier below 2^31 lies within +-2^62, and
 # the rounding term is 2^61 at most, so that no sum leaves int64.
@@ -82,10 +80,7 @@ def requantise_half_up(
 
 @dataclass(frozen=True, eq=False)
 class Requantisation:
-    """Factors ``multiplier / 2**shift``, one for every input or neuron.
-
-    ValueError: types, shapes or ranges are wrong.
-    """
+    """Factors ``multiplier / 2**shift`` of inputs or neurons; ValueError for wrong arrays."""
 
     multipliers: I32  # int32 [n], 1 … 2^31 - 1
     shifts: U8  # uint8 [n], 0 … 62
@@ -110,10 +105,7 @@ class Requantisation:
 
 @dataclass(frozen=True, eq=False)
 class QuantisedLayer:
-    """A fully connected layer.
-
-    ValueError: types, shapes or ranges are wrong.
-    """
+    """A fully connected layer; ValueError if types, shapes or ranges are wrong."""
 
     weights: I8  # int8 [out, in], -127 … 127
     # int32 [out]; ``|b_i| + 127 * sum_j |w_ij|`` is below 2^31 for every neuron, so that no partial

@@ -83,14 +83,12 @@ class MlpKernel:
             for layer in network.layers
         ]
         constants = np.zeros((3, sum(network.sizes)), np.int32)
-        scales = [network.inputs, *(layer.requantisation for layer in network.layers)]
-        biases = [np.zeros(network.sizes[0], np.int32), *(layer.biases for layer in network.layers)]
-        for name, values in (
-            (MULTIPLIER, [scale.multipliers for scale in scales if scale is not None]),
-            (SHIFT, [scale.shifts for scale in scales if scale is not None]),
-            (BIAS, biases),
-        ):
-            row = np.concatenate(values)
+        hidden = (layer.requantisation for layer in network.layers)
+        scales = [network.inputs, *(scale for scale in hidden if scale is not None)]
+        biases = np.concatenate([layer.biases for layer in network.layers])
+        constants[BIAS, network.sizes[0] :] = biases
+        for name, part in ((MULTIPLIER, "multipliers"), (SHIFT, "shifts")):
+            row = np.concatenate([getattr(scale, part) for scale in scales])
             constants[name, : row.size] = row
         self._packed = np.concatenate(weights), constants, np.array(network.sizes, np.int64)
 

@@ -139,9 +139,7 @@ def hdr_flip_exposures(reference: Float32) -> list[float]:
     start, stop = (
         np.float32(math.log2(picture_errors.SATURATED / value)) for value in (largest, median)
     )
-    if start == stop:
-        return [float(start)]
-    count = max(2, math.ceil(stop - start))
+    count = 1 if start == stop else max(2, math.ceil(stop - start))
     return [float(value) for value in np.linspace(start, stop, count)]
 
 

@@ -98,9 +98,8 @@ class PictureNetwork(OnnxNetwork):
                 f"one output, named {interface.output}"
             )
         for name, node in self.inputs.items():
-            shape = (
-                (1,) if name == network_api.TIME_INPUT else (1, interface.inputs[name], None, None)
-            )
+            channels = interface.inputs.get(name)  # None for the time
+            shape = (1,) if channels is None else (1, channels, None, None)
             self._require_shape(node, "input", shape)
         output = self.outputs[interface.output]
         self._require_shape(output, "output", (1, interface.made, None, None))
@@ -159,10 +158,7 @@ class PictureNetwork(OnnxNetwork):
             yield (down.kept, across.kept), kept
 
     def _require_shape(self, node: Any, kind: str, shape: tuple[int | None, ...]) -> None:
-        """Refuse another shape than this one, in which None is a size that the network leaves free.
-
-        `node` is onnxruntime's.
-        """
+        """Refuse a node of onnxruntime's with another shape; None is a size that is left free."""
         fits = len(node.shape) == len(shape)
         for axis, (size, wanted) in enumerate(zip(node.shape, shape, strict=False)):
             if isinstance(size, int):

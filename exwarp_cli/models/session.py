@@ -58,10 +58,9 @@ class OnnxNetwork:
         height, width = size
         most = height * width // (stride**2 * PIXELS_PER_THREAD)
         threads = max(1, min(self._threads, most)) if self.device == "cpu" else 1
-        session = self._sessions.get(threads)
-        if session is None:
-            session = open_session(self.path, self._data, threads, self.device)
-            self._sessions[threads] = session
+        if threads not in self._sessions:
+            self._sessions[threads] = open_session(self.path, self._data, threads, self.device)
+        session = self._sessions[threads]
         options = None
         if last:
             options = load_runtime().RunOptions()

@@ -69,18 +69,15 @@ def observe(now: GBuffer, before: GBuffer | None, span: int) -> decision.Feature
     if before is not None and before.window != now.window:
         raise ValueError(f"features of {now.window} cannot be compared with {before.window}")
     shown: Bool = ~now.background  # pixels that show a surface
-    emd_normal = emd_position = 0.0
+    distances = [0.0, 0.0]  # of normals and positions
     if before is not None:
         earlier_shown: Bool = ~before.background
-        emd_normal, emd_position = (
-            0.0
-            if earlier is None or later is None
-            else frame_statistics.earth_movers_distances(
-                frame_statistics.ValueDistribution(earlier, earlier_shown),
-                frame_statistics.ValueDistribution(later, shown),
-            ).mean()
-            for earlier, later in ((before.normal, now.normal), (before.position, now.position))
-        )
+        pairs = ((before.normal, now.normal), (before.position, now.position))
+        for i, (earlier, later) in enumerate(pairs):
+            if earlier is not None and later is not None:
+                old = frame_statistics.ValueDistribution(earlier, earlier_shown)
+                new = frame_statistics.ValueDistribution(later, shown)
+                distances[i] = float(frame_statistics.earth_movers_distances(old, new).mean())
     # Of the means of blocks, over the whole span.
     var_x, var_y = 0.0, 0.0
     motion = now.to_next if now.to_previous is None else now.to_previous
@@ -99,8 +96,8 @@ def observe(now: GBuffer, before: GBuffer | None, span: int) -> decision.Feature
         objects = int((areas[1:count] >= least).sum())
     return decision.Features(
         objects=objects,
-        emd_normal=float(emd_normal) / span,
-        emd_position=float(emd_position) / span,
+        emd_normal=distances[0] / span,
+        emd_position=distances[1] / span,
         var_x=var_x / span**2,
         var_y=var_y / span**2,
         width=now.window.width,
@@ -193,13 +190,10 @@ def plan_slots(policy: MlpKernel, history: StateHistory) -> decision.Plan:
     def choose(node: str) -> str:
         fixed = to_fixed(history.inputs(node))
         outputs, chosen = policy.decide(fixed)
-        features = history.now[decision.NODE_SLOTS[node] - 1]
-        decisions.append(
-            decision.Decision(
-                node, decision.CHOICES[chosen], features, tuple(fixed.tolist()), outputs
-            )
-        )
-        return decision.CHOICES[chosen]
+        choice, features = decision.CHOICES[chosen], history.now[decision.NODE_SLOTS[node] - 1]
+        numbers = tuple(fixed.tolist())
+        decisions.append(decision.Decision(node, choice, features, numbers, outputs))
+        return choice
 
     return decision.Plan(decision.walk_tree(choose), tuple(decisions))
 
@@ -254,13 +248,10 @@ def tile_inputs(
     """Return the network's inputs at a node of TILE_NODES, float64 [N, 44]."""
     nodes = [node, *reversed(PRECEDING_NODES[node])]
     nodes = (nodes + [nodes[-1]] * STATE_COUNT)[:STATE_COUNT]
-    count = len(slots[0])
     parts = []
     for name in nodes:
-        marks = np.tile(
-            np.array([name == node_name for node_name in decision.NODES], float), (count, 1)
-        )
-        parts += [slots[decision.NODE_SLOTS[name] - 1], marks]
+        marks = np.tile(np.array(decision.NODES) == name, (len(slots[0]), 1))
+        parts += [slots[decision.NODE_SLOTS[name] - 1], marks.astype(float)]
     return np.concatenate(parts, axis=-1)
 
 

@@ -141,17 +141,11 @@ def _training_planes(prepared: extrapolation.Prepared, truth: Float32) -> dict[s
     modulation = np.ones_like(truth) if prepared.modulation is None else prepared.modulation
     # What was not rendered rightly is nothing to learn from.
     truth = np.where(np.isfinite(truth), truth, prepared.finish(planes["warped"][3:])[..., :3])
-    modulation, truth = (
-        np.clip(linear, -MOST_LINEAR, MOST_LINEAR).transpose(2, 0, 1)
-        for linear in (modulation, truth)
-    )
-    return {
-        "colour": colour.astype(np.float16),
-        "mask": history[:, 3].astype(np.uint8),
-        "features": planes["features"].astype(np.float16),
-        "modulation": modulation.astype(np.float16),
-        "target": truth.astype(np.float16),
-    }
+    halves = {"colour": colour, "features": planes["features"]}
+    for name, linear in (("modulation", modulation), ("target", truth)):
+        halves[name] = np.clip(linear, -MOST_LINEAR, MOST_LINEAR).transpose(2, 0, 1)
+    mask = history[:, 3].astype(np.uint8)
+    return {"mask": mask} | {name: array.astype(np.float16) for name, array in halves.items()}
 
 
 def _crop_weight(interval: Interval, slot: int) -> Float32:
@@ -352,18 +346,15 @@ class Crops(CachedArrays):
                 for (f, i), patch in zip(places, patches, strict=True)
             ]
             tensors[name] = torch.from_numpy(np.stack(cuts)).float()
-        colour, mask = tensors["colour"], tensors["mask"]
+        colour, mask = tensors.pop("colour"), tensors.pop("mask")
         visible = mask[:, :1]
         frames = zip(torch.split(colour[:, 3:], 3, 1), torch.split(mask, 1, 1), strict=True)
         history = torch.cat([part for frame in frames for part in frame], 1)
         batch = Batch(
             warped=torch.cat([history[:, :3] * visible, colour[:, :3]], 1),
             mask=visible,
-            features=tensors["features"],
             history=history,
-            time=tensors["time"],
-            modulation=tensors["modulation"],
-            target=tensors["target"],
+            **tensors,
         )
         return batch if rng is None else vary(batch, rng)
 
@@ -411,12 +402,11 @@ def vary(batch: Batch, rng: np.random.Generator) -> Batch:
     if rng.random() < NO_MATERIAL:
         surface[:, 1] = extrapolation.UNKNOWN_ROUGHNESS
         surface[:, 2] = extrapolation.UNKNOWN_METALLIC
-    return Batch(
+    return batch._replace(
         warped=torch.cat([recolour(batch.warped[:, :3]), recolour(batch.warped[:, 3:])], 1),
         mask=place(batch.mask),
         features=torch.cat([normal, surface], 1),
         history=torch.cat(frames, 1),
-        time=batch.time,
         modulation=place(batch.modulation)[:, order],
         target=place(batch.target)[:, order] * gain,
     )

@@ -117,22 +117,15 @@ class ExtraNet(nn.Module):
         self.outc = nn.Conv2d(24, 3, kernel_size=1)
 
     def forward(
-        self, pictures: Tensor, mask: Tensor, features: Tensor, history: Sequence[Tensor]
+        self,
+        # [N, 6, H, W]: the warped frame with whatever lies at the end of its motion, then the same
+        # with other motion in holes; H and W are multiples of `STRIDE`
+        pictures: Tensor,
+        mask: Tensor,  # [N, 1, H, W], 0 in holes; the release repeats it over six channels
+        features: Tensor,  # [N, 6, H, W]: normal, depth, roughness, metallic
+        history: Sequence[Tensor],  # three warped frames with masks, [N, 4, H, W], oldest first
     ) -> Tensor:
-        """Return the slot's colour, [N, 3, H, W], as log(1 + x) like the pictures.
-
-        Parameters
-        ----------
-        pictures
-            [N, 6, H, W]: the warped frame with whatever lies at the end of its motion, then the
-            same with other motion in holes. H and W are multiples of `STRIDE`.
-        mask
-            [N, 1, H, W], 0 in holes and 1 elsewhere. (The release repeats it over six channels.)
-        features
-            [N, 6, H, W]: normal, depth, roughness, metallic.
-        history
-            Three warped frames with their masks, [N, 4, H, W] each, oldest first.
-        """
+        """Return the slot's colour, [N, 3, H, W], as log(1 + x) like the pictures."""
         x = torch.cat([pictures, pictures * mask, features], dim=1)
         x = torch.relu(self.bn1(self.conv1(x)))
         full = torch.relu(self.bn2(self.conv2(x)))

@@ -244,8 +244,7 @@ class ExtrapolationNetwork(nn.Module):
         # The change in shading since F_k-1, continued.
         both = history[:, 3:4] * history[:, 7:8]
         out.append(filled + when * both * (filled - history[:, 4:7]))
-        for index in range(a.flow):
-            out.append(_sample(filled, flow[:, 2 * index : 2 * index + 2]))
+        out += [_sample(filled, flow[:, 2 * i : 2 * i + 2]) for i in range(a.flow)]
         return out + [side[:, :3] for side in sides]
 
 

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.accelerator.mlp import QuantisedMlp
+from exwarp_cli.accelerator.mlp import PAPER_SIZES, QuantisedMlp
 from exwarp_cli.domain.colour import encode_display
 from exwarp_cli.domain.tiles import LOOK_AHEAD_FEATURES, LOOK_AHEAD_STATE
 from exwarp_cli.domain.timeline import FACTOR
@@ -31,7 +31,7 @@ from exwarp_cli.models.policy_files import SHIPPED_LOOK_AHEAD_POLICY, save_netwo
 from exwarp_cli.policy.state import INPUTS, look_ahead_inputs
 from exwarp_cli.research.training.outcome_tables import F64, Say
 from exwarp_cli.research.training.policy_training import add_checksums, require_two_scenes
-from exwarp_cli.research.training.q_learning import LAYERS, quantise
+from exwarp_cli.research.training.q_learning import quantise
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.research.training.tile_policy_training import (
     EFFORTS,
@@ -143,7 +143,7 @@ def rule_network(states: F64) -> QuantisedMlp:
 
     It is calibrated on states, float64 [N, 44].
     """
-    weights = [np.zeros((out, into)) for into, out in pairwise(LAYERS)]
+    weights = [np.zeros((out, into)) for into, out in pairwise(PAPER_SIZES)]
     for layer in weights:
         layer[0, 0] = 1.0
     weights[0][0] = np.arange(INPUTS) == LOOK_AHEAD_FEATURES.index("apart")

@@ -365,7 +365,7 @@ class LookAheadTraining(ResumableTraining):
         return loss_of(colour, batch.truth)
 
     @torch.no_grad()
-    def _validate(self, samples: Samples) -> tuple[float, float]:
+    def _validate(self, samples: Samples) -> tuple[float, ...]:
         """Return the gain over `softsplat` in dB, and per cent of sharpness, of held-out slots."""
         self.average.eval()
         scores = []
@@ -383,5 +383,4 @@ class LookAheadTraining(ResumableTraining):
                 sum(g.abs().mean() for g in _gradients(p.mean(1))) for p in (colour, truth)
             )
             scores.append((float(gain), 100 * (float(own) / max(float(true), 1e-6) - 1)))
-        gain_db, sharpness = np.mean(scores, axis=0)
-        return float(gain_db), float(sharpness)
+        return tuple(np.mean(scores, axis=0).tolist())

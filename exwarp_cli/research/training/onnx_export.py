@@ -72,12 +72,10 @@ def export_network(
             f"may take others out of {', '.join(shapes)}"
         )
     example = {name: torch.full(shapes[name], 0.5) for name in parameters}
-    with ExitStack() as quiet:
-        # The exporter warns of absent torchvision, and of its own deprecations.
-        quiet.enter_context(warnings.catch_warnings(action="ignore"))
+    # The exporter warns of absent torchvision, and of its own deprecations.
+    with ExitStack() as quiet, warnings.catch_warnings(action="ignore"), torch.no_grad():
         logging.disable(logging.WARNING)
         quiet.callback(logging.disable, logging.NOTSET)
-        quiet.enter_context(torch.no_grad())
         answer = module(**example)
         if answer.shape != (1, interface.made, height, width) or answer.dtype != torch.float32:
             raise ValueError(

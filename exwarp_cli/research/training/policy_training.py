@@ -173,9 +173,8 @@ def _judge(
     parts: dict[str, Bool] = {ALL: np.ones(len(table), np.bool_)}
     parts |= {str(part): part_of_row == part for part in sorted(set(part_of_row))}
     for part, rows in parts.items():
-        scores = {name: score_paths(table, paths, rows) for name, paths in policies.items()}
         judgement[part] = {
-            "scores": scores,
+            "scores": {name: score_paths(table, paths, rows) for name, paths in policies.items()},
             "agreement": float(agrees[rows].mean()),
             "agreement_met": float(agrees[rows][is_met[rows]].mean()),
         }

@@ -33,9 +33,6 @@ from exwarp_cli.runtime.stop import check_stop
 # Weights [out, in] and biases [out] of each layer.
 Layers = tuple[tuple[F64, F64], ...]
 
-# Neurons of each layer of the paper's network.
-LAYERS = (INPUTS, 128, 256, 128, len(CHOICES))
-
 # Index of the node after each choice, -1 at the end: [5, 2].
 AFTER = torch.tensor(
     [[NODES.index(NEXT_NODE[n, c]) if (n, c) in NEXT_NODE else -1 for c in CHOICES] for n in NODES]
@@ -53,7 +50,7 @@ MOST_BIAS = 2.0**30
 def make_network() -> nn.Sequential:
     """Return the paper's network with fresh weights: ReLU between its layers."""
     layers: list[nn.Module] = []
-    for inputs, outputs in pairwise(LAYERS):
+    for inputs, outputs in pairwise(mlp.PAPER_SIZES):
         layers += [nn.Linear(inputs, outputs), nn.ReLU()]
     return nn.Sequential(*layers[:-1])
 
@@ -139,11 +136,10 @@ def expand_value(value: Tensor) -> Tensor:
 
 def q_values(layers: Layers, table: PolicyTable) -> F64:
     """Return a network's outputs at every node of every interval, float64 [N, 5, 2]."""
-    activations = table.states
-    for weights, biases in layers[:-1]:
-        activations = np.maximum(activations @ weights.T + biases, 0)
-    weights, biases = layers[-1]
-    return np.asarray(activations @ weights.T + biases)
+    values = table.states
+    for number, (weights, biases) in enumerate(layers):
+        values = (np.maximum(values, 0) if number else values) @ weights.T + biases
+    return values
 
 
 def integer_values(network: mlp.QuantisedMlp, states: F64) -> npt.NDArray[np.int64]:
@@ -153,10 +149,7 @@ def integer_values(network: mlp.QuantisedMlp, states: F64) -> npt.NDArray[np.int
 
 
 def quantise(network: Layers, states: F64) -> mlp.QuantisedMlp:
-    """Return a network in integers.
-
-    Activations are calibrated on states, float64 [N, in], 0 to 1.
-    """
+    """Return a network in integers, calibrated on states, float64 [N, in], 0 to 1."""
     unit = 1 / mlp.MAX_ACTIVATION
     inputs = factors(np.full(states.shape[1], mlp.MAX_ACTIVATION / mlp.ONE))
     layers: list[mlp.QuantisedLayer] = []

@@ -54,6 +54,9 @@ DAMAGED = (
     "start again"
 )
 
+# The parts of a training whose state a checkpoint keeps.
+STATEFUL = ("network", "average", "optimiser")
+
 Say = Callable[[str], None]
 Settings = ExtrapolatorSettings | LookAheadSettings
 
@@ -107,9 +110,8 @@ class ResumableTraining(ABC):
                 )
             content = read_checkpoint(checkpoint, self.device)
             try:
-                self.network.load_state_dict(content["network"])
-                self.average.load_state_dict(content["average"])
-                self.optimiser.load_state_dict(content["optimiser"])
+                for part in STATEFUL:
+                    getattr(self, part).load_state_dict(content[part])
                 self.step, self.seconds = content["step"], content["seconds"]
             except (KeyError, RuntimeError, ValueError) as error:
                 raise DamagedFileError(DAMAGED.format(checkpoint)) from error
@@ -262,13 +264,8 @@ class ResumableTraining(ABC):
         )
 
     def _save(self) -> None:
-        content = {
-            "network": self.network.state_dict(),
-            "average": self.average.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "step": self.step,
-            "seconds": self.seconds,
-        }
+        content = {part: getattr(self, part).state_dict() for part in STATEFUL}
+        content |= {"step": self.step, "seconds": self.seconds}
         with atomic_path(self.folder / CHECKPOINT) as temporary:
             torch.save(content, temporary)
 
@@ -300,10 +297,9 @@ def read_tensors(path: Path, device: str, damaged: DamagedFileError) -> object:
     data = read_file(path)
     try:
         with warnings.catch_warnings(action="ignore"):  # old checkpoints warn of torch's own past
-            content: object = torch.load(BytesIO(data), map_location=device, weights_only=True)
+            return torch.load(BytesIO(data), map_location=device, weights_only=True)
     except Exception as error:  # damaged pickles and archives end in exceptions of every kind
         raise damaged from error
-    return content
 
 
 def last_row(path: Path) -> dict[str, float]:

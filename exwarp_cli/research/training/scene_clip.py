@@ -97,10 +97,7 @@ class SceneClip:
         return with_tones(frame.image, self.look)
 
     def interval(self, k: int, setting: str) -> Interval:
-        """Return key interval k for synthesis.
-
-        The setting is "key", or "slot" for G-buffers of the slots.
-        """
+        """Return key interval k for synthesis; in the setting "slot" slots have G-buffers, too."""
         key, following = (self.key(index, setting) for index in (k, k + 1))
         return Interval(key, following, self._slots(k, setting))
 
@@ -112,11 +109,10 @@ class SceneClip:
                 keys.append(self.key(index))
                 continue
             # Motion to the key frame before leads through the slots between.
-            instant, span = self._order[FACTOR * index], FACTOR * self.variant.speed
-            if self.variant.backwards:
-                keys.append(self._play(instant, None, self._spanned(instant, span, 1)))
-            else:
-                keys.append(self._play(instant, self._spanned(instant, span, -1), None))
+            instant, direction = self._order[FACTOR * index], 1 if self.variant.backwards else -1
+            motion = self._spanned(instant, FACTOR * self.variant.speed, direction)
+            both = (None, motion) if self.variant.backwards else (motion, None)
+            keys.append(self._play(instant, *both))
         key = self.key(k, setting)
         return Interval(key, None, self._slots(k, setting), older_key_frames(keys))
 

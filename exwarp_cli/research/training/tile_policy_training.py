@@ -348,11 +348,10 @@ def score_choices(
     """
     gains: dict[str, dict[str, float]] = {}
     for name, of_choice in margins.items():
-        prices = {share: price_for(share, of_choice, tables[0].cost) for share in SHARES}
-        gains[name] = {
-            f"{share:g}": round(gain_percent(tables, of_choice, price), 1)
-            for share, price in prices.items()
-        }
+        gains[name] = {}
+        for share in SHARES:
+            price = price_for(share, of_choice, tables[0].cost)
+            gains[name][f"{share:g}"] = round(gain_percent(tables, of_choice, price), 1)
     everywhere: dict[str, float] = {}
     for table, margin in zip(tables, next(iter(margins.values())), strict=True):
         without, alone = (table.error(margin, limit) for limit in (np.inf, -np.inf))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from exwarp_cli.accelerator.mlp import PAPER_SIZES
 from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, WARP
 from exwarp_cli.policy.outcomes import best_return, choice_rewards, path_returns
 from exwarp_cli.policy.state import INPUTS
@@ -19,7 +20,6 @@ from exwarp_cli.research.training.policy_training import (
 )
 from exwarp_cli.research.training.q_learning import (
     AFTER,
-    LAYERS,
     Layers,
     compress_gain,
     expand_value,
@@ -118,7 +118,8 @@ def test_the_same_seed_gives_the_same_weights():
         train_decisions([KNOWN], replace(short, steps=9)),
     )
     for k, (weights, biases) in enumerate(one):
-        assert weights.shape == (LAYERS[k + 1], LAYERS[k]) and biases.shape == (LAYERS[k + 1],)
+        assert weights.shape == PAPER_SIZES[k : k + 2][::-1]
+        assert biases.shape == (PAPER_SIZES[k + 1],)
         assert weights.dtype == biases.dtype == np.float64
         np.testing.assert_array_equal(weights, two[k][0])
         np.testing.assert_array_equal(biases, two[k][1])
@@ -194,7 +195,7 @@ def test_compression_keeps_order_and_is_undone():
 def test_the_network_is_the_paper_s():
     network = make_network()
     sizes = [tuple(p.shape) for p in network.parameters() if p.ndim == 2]
-    assert sizes == [(128, 44), (256, 128), (128, 256), (2, 128)] and LAYERS[0] == INPUTS == 44
+    assert sizes == [(128, 44), (256, 128), (128, 256), (2, 128)] and PAPER_SIZES[0] == INPUTS == 44
     kinds = [type(layer).__name__ for layer in network]
     assert kinds == ["Linear", "ReLU"] * 3 + ["Linear"]
 
