@@ -91,9 +91,19 @@ SETTINGS: dict[Any, Any] = {
     "ytick.color": COLOURS["muted"],
     "legend.frameon": False,
     "legend.fontsize": 9,
+    "legend.loc": "lower left",
+    "legend.borderaxespad": 0.2,
+    "legend.handlelength": 1.4,
+    "legend.columnspacing": 1.4,
+    "lines.color": COLOURS["fg"],  # of those that belong to no series
     "lines.linewidth": 1.4,
-    "patch.edgecolor": COLOURS["fg"],
+    "patch.edgecolor": COLOURS["bg"],
+    "patch.force_edgecolor": True,
+    "patch.linewidth": 0.5,
 }
+
+# Around a marked frame.
+RING: dict[str, Any] = {"markersize": 9, "markeredgewidth": 1.6, "fillstyle": "none"}
 
 
 @dataclass(frozen=True)
@@ -140,31 +150,14 @@ def draw_lines(
     comes after one of the `cuts`.
     """
     with _canvas(2.3) as canvas:
-        axes = _add_axes(canvas, labels)
+        axes = canvas.add_subplot(xlabel=labels.x, ylabel=labels.y)
         at = np.asarray(x)
         for i, (name, values) in enumerate(series.items()):
             points, y = thin_out(values), np.array(values, float)  # None becomes NaN
             marker = MARKERS[i % len(MARKERS)] if len(points) <= 60 else None
-            axes.plot(
-                at[points],
-                y[points],
-                color=f"C{i}",
-                label=name,
-                marker=marker,
-                markersize=3.5,
-            )
+            axes.plot(at[points], y[points], label=name, marker=marker, markersize=3.5)
             if marked is not None and values[marked] is not None:
-                axes.plot(
-                    x[marked],
-                    y[marked],
-                    linestyle="none",
-                    marker="o",
-                    markersize=9,
-                    markerfacecolor="none",
-                    markeredgecolor=COLOURS["mark"],
-                    zorder=5,
-                    markeredgewidth=1.6,
-                )
+                axes.plot(x[marked], y[marked], "o", color=COLOURS["mark"], zorder=5, **RING)
         _mark_frames(axes, x, cuts)
         _draw_legend(axes, len(series))
         return _finish(canvas, labels)
@@ -179,21 +172,14 @@ def draw_points(
 ) -> Figure:
     """Draw one value a frame, coloured by what made the frame, a word out of KINDS each."""
     with _canvas(2.5) as canvas:
-        axes = _add_axes(canvas, labels)
+        axes = canvas.add_subplot(xlabel=labels.x, ylabel=labels.y)
         at, points, y = np.asarray(x), thin_out(values), np.array(values, float)
         axes.plot(at[points], y[points], color=COLOURS["grid"], linewidth=1)
         for kind in dict.fromkeys(kinds):
             of_kind = [j for j in points if kinds[j] == kind and values[j] is not None]
             if of_kind:
-                axes.plot(
-                    at[of_kind],
-                    y[of_kind],
-                    linestyle="none",
-                    color=COLOURS[kind_role(kind)],
-                    marker=KINDS.get(kind, "."),
-                    markersize=4,
-                    label=kind,
-                )
+                marker, colour = KINDS.get(kind, "."), COLOURS[kind_role(kind)]
+                axes.plot(at[of_kind], y[of_kind], marker, color=colour, markersize=4, label=kind)
         _mark_frames(axes, x, cuts)
         _draw_legend(axes, len(set(kinds)))
         return _finish(canvas, labels)
@@ -212,37 +198,20 @@ def draw_bars(
     width = 0.8 / len(series)
     is_in_legend = False  # the first mark stands for all
     with _canvas(2.6) as canvas:
-        axes = _add_axes(canvas, labels)
+        axes = canvas.add_subplot(xlabel=labels.x, ylabel=labels.y)
         for i, (name, values) in enumerate(series.items()):
             x = [group - 0.4 + width * (i + 0.5) for group in range(len(groups))]
-            axes.bar(
-                x,
-                np.array(values, float),
-                width * 0.92,
-                color=f"C{i}",
-                label=name,
-                hatch="///" if i >= SERIES else None,
-                edgecolor=COLOURS["bg"],
-                linewidth=0,
-            )
+            hatch = "///" if i >= SERIES else None
+            y = np.array(values, float)
+            axes.bar(x, y, width * 0.92, label=name, hatch=hatch, linewidth=0)
             pairs = zip(x, (references or {}).get(name, ()), strict=False)
             marks = [(a, mark) for a, mark in pairs if mark is not None]
-            axes.hlines(
-                [mark for _, mark in marks],
-                [a - width / 2 for a, _ in marks],
-                [a + width / 2 for a, _ in marks],
-                color=COLOURS["fg"],
-                linewidth=2,
-                label="paper" if marks and not is_in_legend else "_",
-            )
+            at, lines = np.array(marks, float).reshape(-1, 2).T
+            label = "paper" if marks and not is_in_legend else "_"
+            axes.hlines(lines, at - width / 2, at + width / 2, linewidth=2, label=label)
             is_in_legend |= bool(marks)
-        is_long = sum(map(len, groups)) > 70
-        axes.set_xticks(
-            range(len(groups)),
-            groups,
-            rotation=30 if is_long else 0,
-            ha="right" if is_long else "center",
-        )
+        angle, side = (30, "right") if sum(map(len, groups)) > 70 else (0, "center")
+        axes.set_xticks(range(len(groups)), groups, rotation=angle, ha=side)
         axes.grid(False, axis="x")
         _draw_legend(axes, len(series) + bool(references))
         return _finish(canvas, labels)
@@ -256,23 +225,13 @@ def draw_stacked_bars(
     `kinds` is True if the parts are named out of KINDS and coloured so.
     """
     with _canvas(1.1 + 0.34 * len(groups)) as canvas:
-        axes = _add_axes(canvas, labels)
+        axes = canvas.add_subplot(xlabel=labels.x, ylabel=labels.y)
         left = [0.0] * len(groups)
         for i, (name, values) in enumerate(parts.items()):
             lengths = [value or 0.0 for value in values]
             colour = COLOURS[kind_role(name)] if kinds else f"C{i}"
             hatch = "///" if i >= SERIES and not kinds else None  # colours repeat from here on
-            axes.barh(
-                range(len(groups)),
-                lengths,
-                0.7,
-                left=left,
-                label=name,
-                color=colour,
-                hatch=hatch,
-                edgecolor=COLOURS["bg"],
-                linewidth=0.5,
-            )
+            axes.barh(range(len(groups)), lengths, 0.7, left, color=colour, label=name, hatch=hatch)
             left = [a + b for a, b in zip(left, lengths, strict=True)]
         axes.set_yticks(range(len(groups)), groups)
         axes.invert_yaxis()
@@ -284,8 +243,8 @@ def draw_stacked_bars(
 def draw_histogram(labels: Labels, edges: Sequence[float], counts: Sequence[float]) -> Figure:
     """Draw counts between edges as a filled outline."""
     with _canvas(2.1) as canvas:
-        axes = _add_axes(canvas, labels)
-        axes.stairs(counts, edges, color="C0", fill=True, linewidth=1.6)
+        axes = canvas.add_subplot(xlabel=labels.x, ylabel=labels.y)
+        axes.stairs(counts, edges, fill=True, edgecolor="none")
         return _finish(canvas, labels)
 
 
@@ -300,14 +259,8 @@ def draw_scatter(
         for axes in grid.flat[len(panels) :]:
             axes.set_visible(False)
         for i, ((title, x), axes) in enumerate(zip(panels.items(), grid.flat, strict=False)):
-            axes.scatter(
-                [x[j] for j in points],
-                [y[j] for j in points],
-                s=7,
-                alpha=0.55,
-                color="C0",
-                linewidths=0,
-            )
+            at, values = np.asarray(x)[points], np.asarray(y)[points]
+            axes.scatter(at, values, s=7, alpha=0.55, linewidths=0)
             axes.set_title(title)
             if i % SCATTER_COLUMNS == 0:
                 axes.set_ylabel(labels.y)
@@ -320,7 +273,7 @@ def draw_series_panels(labels: Labels, x: Sequence[float], series: Mapping[str, 
         grid = canvas.subplots(len(series), 1, sharex=True, squeeze=False)
         for axes, (name, values) in zip(grid.flat, series.items(), strict=True):
             points = thin_out(values)
-            axes.plot(np.asarray(x)[points], np.array(values, float)[points], color="C0")
+            axes.plot(np.asarray(x)[points], np.array(values, float)[points])
             axes.set_ylabel(name, rotation=0, ha="right", va="center")
             axes.locator_params(axis="y", nbins=3)
             _mark_frames(axes, x)
@@ -401,7 +354,7 @@ def kind_role(kind: str) -> str:
 def _mark_frames(axes: Axes, x: Sequence[float], cuts: Sequence[float] = ()) -> None:
     """Draw a line before each frame after a cut; let no tick stand between two frames."""
     for number in cuts:
-        axes.axvline(number - 0.5, color=COLOURS["fg"], linestyle="--", linewidth=1, zorder=1)
+        axes.axvline(number - 0.5, linestyle="--", linewidth=1, zorder=1)
     if all(float(value).is_integer() for value in x):
         if len(set(x)) == 1:
             axes.set_xlim(x[0] - 0.5, x[0] + 0.5)
@@ -414,16 +367,7 @@ def _draw_legend(axes: Axes, count: int) -> None:
     """Put a legend above the plot, where it hides nothing; none for a single series."""
     handles, names = axes.get_legend_handles_labels()
     if count > 1 and handles:
-        axes.legend(
-            handles,
-            names,
-            loc="lower left",
-            bbox_to_anchor=(0, 1.0),
-            ncols=min(len(names), 5),
-            borderaxespad=0.2,
-            handlelength=1.4,
-            columnspacing=1.4,
-        )
+        axes.legend(handles, names, bbox_to_anchor=(0, 1.0), ncols=min(len(names), 5))
 
 
 @contextmanager
@@ -447,13 +391,6 @@ def _canvas(height: float) -> Iterator[Canvas]:
                 yield Canvas(figsize=(WIDTH, height), layout="constrained")
     finally:
         log.setLevel(level)
-
-
-def _add_axes(canvas: Canvas, labels: Labels) -> Axes:
-    axes = canvas.add_subplot()
-    axes.set_xlabel(labels.x)
-    axes.set_ylabel(labels.y)
-    return axes
 
 
 def _finish(canvas: Canvas, labels: Labels) -> Figure:
