@@ -21,4 +21,4 @@ def leave_lines_out(patch: pytest.MonkeyPatch) -> None:
     """Leave out the lines and axes of plots, too, which take a third of a second a report."""
     axes = MagicMock()
     axes.get_legend_handles_labels.return_value = ([], [])
-    patch.setattr("exwarp_cli.report.plots._add_axes", lambda *_: axes)
+    patch.setattr("matplotlib.figure.Figure.add_subplot", lambda *_, **__: axes)

@@ -180,18 +180,10 @@ class IntervalReader:
             None if leader is None else leader.store,
         )
         self.shots = self.store.shots
-        # Of intervals with a next key frame, or of all; then of those without, if others make them.
-        self.trials: tuple[TrialReader, ...] = ()
         if leader is not None:
-            self.trials = leader.trials
             self.fingerprinter.digests = leader.fingerprinter.digests
-        elif method.gated and settings.gate:
-            first = TrialReader(self.store, method.lookahead, self._history, self._reads_late)
-            self.trials = (first,)
-            if method.tail is not None:
-                history = partial(self._history, ahead=False)
-                last = TrialReader(self.store, method.tail.lookahead, history, reads_late=True)
-                self.trials = first, last
+        own = self._make_trials(settings.gate) if leader is None else leader.trials
+        self.trials: tuple[TrialReader, ...] = own
         if keep_going:
             self.fingerprinter.reading = self.store.reading
         self._layers = extra_layers.LayerReader(content) if content.extra else None
@@ -202,6 +194,21 @@ class IntervalReader:
             self.rendered = RenderedReader(rendered, self._contents, method)
         # The key frames whose instants intervals brought along.
         self.observed_keys: frozenset[int] = frozenset()
+
+    def _make_trials(self, gate: bool) -> tuple[TrialReader, ...]:
+        """Make the readers of trials, if a gate decides.
+
+        One is of intervals with a next key frame, or of all; then one of those without, if others
+        make them.
+        """
+        method = self._method
+        if not (method.gated and gate):
+            return ()
+        first = TrialReader(self.store, method.lookahead, self._history, self._reads_late)
+        if method.tail is None:
+            return (first,)
+        history = partial(self._history, ahead=False)
+        return first, TrialReader(self.store, method.tail.lookahead, history, reads_late=True)
 
     def read(self, key: int, needed: Needed = lambda key, recipes: True) -> IntervalInputs:
         """Read an interval; raises InputError when a file cannot be used.

@@ -89,7 +89,6 @@ def merge_reports(
     for folder in unique.values():
         run, keys = _read_run(folder), selected[folder]
         runs[folder] = run if keys is None else part_of_run(run, keys)
-
     run = merge_runs({str(folder): run for folder, run in runs.items()})
     target = output or folders[0]
     prepare_report(target, replace, "-o")

@@ -10,7 +10,7 @@ import io
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from fractions import Fraction
@@ -33,7 +33,7 @@ from exwarp_cli.domain.decision import (
 )
 from exwarp_cli.domain.metric import GROUND_TRUTH, KEY_FRAMES, METRICS
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary, Score
-from exwarp_cli.domain.tiles import MAKER_LETTERS, TILE_PATHS
+from exwarp_cli.domain.tiles import MAKER_LETTERS, TILE_PATHS, TileMakers
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.report.review import PLACE_COLUMNS, Place, summarise_review
 
@@ -95,6 +95,7 @@ def run_document(run: RunSummary) -> dict[str, Any]:
     intervals = [list(frames) for _, frames in groupby(run.frames, lambda frame: frame.key)]
     least = math.floor(run.factor)  # of 2.5, intervals show two or three
     complete = [frames for frames in intervals if len({f.slot for f in frames}) >= least]
+    cuts = [{"frame": cut.number, "source": cut.source} for cut in run.cuts or ()]
     document = {
         "schema": SCHEMA,
         "version": run.version,
@@ -127,9 +128,7 @@ def run_document(run: RunSummary) -> dict[str, Any]:
         "policy": run.policy,
         "interpolator": run.interpolator,
         "render_time": render_time_saved(run),
-        "cuts": None
-        if run.cuts is None
-        else [{"frame": cut.number, "source": cut.source} for cut in run.cuts],
+        "cuts": None if run.cuts is None else cuts,
         # Key frames that the slots after them repeat: the next one shows the same picture; or none
         # follows in the shot, and the key frame itself repeats the one before.
         "held": sorted({frame.key for frame in run.frames if frame.method == HELD}),
@@ -265,19 +264,7 @@ def _summarise_decisions(
     kinds = ((f.number, f.tiles) for f in run.frames if f.tiles is not None)
     tiles = {number: made for number, made in kinds if made.letters[0] not in two_sided}
     decides = run.decides or bool(tiles)
-    # A tile's path shows in the makers of slots 2 and 3.
-    path_of = {letters[1:]: name for name, letters in TILE_PATHS.items()}
-    paths: list[str] = []
-    for interval in complete if decides else ():
-        taken = [frame.path for frame in interval if frame.path]
-        by_slot = {f.slot: tiles[f.number] for f in interval if f.number in tiles}
-        if taken:
-            paths.append(taken[-1])
-        elif 2 in by_slot and 3 in by_slot:
-            pairs = zip(by_slot[2].letters, by_slot[3].letters, strict=True)
-            paths += [path_of[second + third] for second, third in pairs]
-    block = count_decisions(paths if decides else None)
-
+    block = count_decisions(_paths_taken(complete, tiles) if decides else None)
     keys: dict[tuple[Trial, bool], dict[int, None]] = {}
     shares: dict[int, float] = {}  # of each frame that something chose the maker of, the network's
     for frame in run.frames:
@@ -312,6 +299,24 @@ def _summarise_decisions(
     if cost is not None:
         block["warp_share"] = 1 - cost
     return block
+
+
+def _paths_taken(
+    complete: Sequence[Sequence[FrameRecord]], tiles: Mapping[int, TileMakers]
+) -> list[str]:
+    """Return the path of each interval that has one, or of each of its tiles."""
+    # A tile's path shows in the makers of slots 2 and 3.
+    path_of = {letters[1:]: name for name, letters in TILE_PATHS.items()}
+    paths: list[str] = []
+    for interval in complete:
+        taken = [frame.path for frame in interval if frame.path]
+        by_slot = {f.slot: tiles[f.number] for f in interval if f.number in tiles}
+        if taken:
+            paths.append(taken[-1])
+        elif 2 in by_slot and 3 in by_slot:
+            pairs = zip(by_slot[2].letters, by_slot[3].letters, strict=True)
+            paths += [path_of[second + third] for second, third in pairs]
+    return paths
 
 
 def count_decisions(paths: Iterable[str] | None) -> dict[str, Any]:

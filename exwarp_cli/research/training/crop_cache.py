@@ -402,11 +402,12 @@ def vary(batch: Batch, rng: np.random.Generator) -> Batch:
     if rng.random() < NO_MATERIAL:
         surface[:, 1] = extrapolation.UNKNOWN_ROUGHNESS
         surface[:, 2] = extrapolation.UNKNOWN_METALLIC
-    return batch._replace(
+    return Batch(
         warped=torch.cat([recolour(batch.warped[:, :3]), recolour(batch.warped[:, 3:])], 1),
         mask=place(batch.mask),
         features=torch.cat([normal, surface], 1),
         history=torch.cat(frames, 1),
+        time=batch.time,
         modulation=place(batch.modulation)[:, order],
         target=place(batch.target)[:, order] * gain,
     )
