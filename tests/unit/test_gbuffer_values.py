@@ -184,28 +184,6 @@ def test_what_the_renderer_wrote_counts_and_not_what_was_expected(kind):
     np.testing.assert_allclose(found[:, 8:-8], np.full_like(found, (7, 0))[:, 8:-8], atol=1e-5)
 
 
-def test_what_comes_nearer_and_slows_down_is_followed_by_its_vectors():
-    """A moving object's depth leaves open whether a sample is of it, so its expected speed decides.
-
-    It slows down less and less, so that its first two vectors foretell too little of it.
-    """
-    speeds = (3.3, 2.7, 2.1, 1.7, 1.3)
-
-    def instant(index: int) -> GBuffer:
-        shape = (HEIGHT, WIDTH, 2)
-        return GBuffer(
-            WINDOW,
-            depth=np.full((HEIGHT, WIDTH), 2 * 0.95**index, np.float32),
-            stencil=np.ones((HEIGHT, WIDTH), np.int32),
-            to_next=np.full(shape, (speeds[index + 1], 0), np.float32),
-            to_previous=np.full(shape, (-speeds[index], 0), np.float32),
-        )
-
-    found = trace_points(instant(0), [instant(1), instant(2), instant(3)], 1)
-    expected = np.full_like(found, (sum(speeds[1:]), 0))
-    np.testing.assert_allclose(found[:, :-8], expected[:, :-8], atol=0.02)
-
-
 @pytest.mark.parametrize("way", [1, -1])
 def test_the_nearest_instant_is_followed_first(way):
     """The first instant's vectors count at the place that the point's own lead to."""
