@@ -195,10 +195,10 @@ def _fill_times(packets: list[_Packet]) -> list[_Packet]:
 
 def _spread_equal_times(times: Sequence[int]) -> list[int]:
     """Spread equal times over the larger gap beside them; times ascend."""
-    spread = list(times)
+    spread, step = list(times), _usual_step(times)
     for time, count in Counter(times).items():
         if count > 1:
-            first, step = bisect_left(times, time), _usual_step(times)
+            first = bisect_left(times, time)
             stop = first + count
             before = time - times[first - 1] if first else 0
             after = times[stop] - time if stop < len(times) else step * count
