@@ -326,13 +326,14 @@ def _find_by_name(spec: str, suffixes: tuple[str, ...]) -> Sequence:
     pattern, is_frame = NamePattern.parse(path.name), path.is_file()
     if not is_frame and not path.parent.is_dir():
         raise InputError(f"the folder {path.parent} does not exist; check the path {spec!r}")
+    names = _file_names(path.parent)
     if not is_frame and spec:
         # The suffix in the case that files have, if they all have the same.
         ending = path.suffix if pattern is None else pattern.suffix
         start = path.name.removesuffix(ending) if pattern is None else pattern.base
         endings = {
             name[len(name) - len(ending) :]
-            for name in _file_names(path.parent)
+            for name in names
             if name.startswith(start) and name.lower().endswith(ending.lower())
         }
         if len(endings) == 1:
@@ -348,7 +349,6 @@ def _find_by_name(spec: str, suffixes: tuple[str, ...]) -> Sequence:
             f"{path} is not an {' or '.join(suffixes)} file, which is needed here; "
             "convert the frames, or check the path"
         )
-    names = _file_names(path.parent)
     if is_frame or pattern is None:
         stem = frame_names.split_names(names, suffixes).get(path.name)
         if stem is None:
