@@ -300,7 +300,7 @@ def uneven_rate_message(sequence: Sequence) -> str | None:
 
 
 def close_sequences(*sequences: Sequence) -> None:
-    """Stop decoding the videos among some sequences; reading one again begins anew."""
+    """Stop decoding the videos among some sequences; a later read starts them again."""
     for sequence in sequences:
         if isinstance(sequence, ClipSequence):
             for thread in list(sequence.readers):

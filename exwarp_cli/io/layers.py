@@ -294,8 +294,8 @@ def no_vectors_message(shot: Shot, estimable: bool = True) -> str:
         channels = ",".join(ref.name for ref in likely[0])
         likeliest = f"; likeliest: {names}, to be named as in --aov motion={pattern}:{channels}"
     else:
-        beside = {} if shot.aovs else neighbouring_sequences(shot.sequence)
-        pattern = next((s.pattern for name, s in beside.items() if _has_motion_word(name)), "")
+        neighbours = {} if shot.aovs else neighbouring_sequences(shot.sequence)
+        pattern = next((s.pattern for name, s in neighbours.items() if _has_motion_word(name)), "")
         if pattern:
             likeliest = f"; likeliest: {pattern}, to be named as in --aov motion={pattern}:R,G"
     remedy = ", or allow --estimate-motion" if estimable and not is_colour_alone(shot) else ""
