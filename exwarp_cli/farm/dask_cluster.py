@@ -32,6 +32,7 @@ from exwarp_cli.domain.wording import first_line, pluralise
 from exwarp_cli.errors import ClusterError, MissingExtraError, UsageError
 from exwarp_cli.farm.dask_worker import (
     Chunk,
+    ChunkResult,
     SharedWatcher,
     WorkerRequirements,
     check_worker,
@@ -67,9 +68,6 @@ VIDEO_ALONE = (
     "-o {} is a video alone, and workers write frames; name a folder in -o and the video in "
     "--video, or leave out --workers and --cluster"
 )
-
-# What `render_chunk` returns
-ChunkResult = tuple[RunOutcome, SharedWatcher | None]
 
 DASK_SETTINGS = {
     "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
@@ -522,19 +520,19 @@ class ChunkDispatcher:
 
         del self._tasks[task.worker]
         try:
-            result = task.future.result(timeout=RESULT_S)
+            result: ChunkResult | BaseException = task.future.result(timeout=RESULT_S)
         except (CancelledError, KilledWorker, OSError):  # also a time-out, or a closed connection
             self._repeat(task)
             return None
         task.future.release()
         if isinstance(result, BaseException):
             raise result
-        outcome: RunOutcome = result[0]
+        outcome, _ = result
         for record in outcome.frames:  # events may come later than the result
             self._count(record.number, record.method, kind_of(record.slot), made=False)
         for number in (number for skip in outcome.left_out for number in skip.frames):
             self._count(number, "left out", ANY, made=False)
-        return outcome, result[1]
+        return result
 
     def _repeat(self, task: _Task) -> None:
         """Put back the chunk of a lost worker; ClusterError after several losses."""

@@ -59,6 +59,10 @@ class Chunk:
     reported: bool = False  # as in `Job`
 
 
+# The outcome of a chunk, and its watcher with what it was shown
+ChunkResult = tuple[RunOutcome, SharedWatcher | None]
+
+
 class ChunkCancelled(Exception):
     """The coordinator does not want the chunk any more."""
 
@@ -105,11 +109,8 @@ _opened: tuple[str, Job] | None = None  # the name of a run, and its job
 _closing: threading.Timer | None = None
 
 
-def render_chunk(chunk: Chunk) -> tuple[RunOutcome, SharedWatcher | None] | BaseException:
-    """Do a chunk; return its outcome, and its watcher with what it was shown.
-
-    Errors are returned, because Dask logs those that are raised.
-    """
+def render_chunk(chunk: Chunk) -> ChunkResult | BaseException:
+    """Do a chunk. Errors are returned, because Dask logs those that are raised."""
     global _closing, _opened
     progress = ChunkProgress(chunk)
     with _lock:
