@@ -36,8 +36,8 @@ ROUGH, COARSE = 400, 1500
 # Candidates whose vectors differ by less than this on average, in pixels, count as one.
 SAME_PIXELS = 0.3
 
-# Ratio of neighbouring scales that are tried where the scale is free, at which fitting one begins;
-# and at which that ends.
+# Ratio of neighbouring scales that are tried where the scale is free, and at which a fit begins; at
+# which it ends.
 FREE_STEP, FITTED = 1.15, 1.002
 
 # Errors that differ by less than this, of 6000 samples, are equal.
