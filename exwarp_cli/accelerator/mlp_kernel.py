@@ -87,9 +87,10 @@ class MlpKernel:
         scales = [network.inputs, *(scale for scale in hidden if scale is not None)]
         biases = np.concatenate([layer.biases for layer in network.layers])
         constants[BIAS, network.sizes[0] :] = biases
-        for name, part in ((MULTIPLIER, "multipliers"), (SHIFT, "shifts")):
-            row = np.concatenate([getattr(scale, part) for scale in scales])
-            constants[name, : row.size] = row
+        multipliers = np.concatenate([scale.multipliers for scale in scales])
+        shifts = np.concatenate([scale.shifts for scale in scales])
+        constants[MULTIPLIER, : multipliers.size] = multipliers
+        constants[SHIFT, : shifts.size] = shifts
         self._packed = np.concatenate(weights), constants, np.array(network.sizes, np.int64)
 
     def decide(self, state: I32) -> tuple[tuple[int, int], int]:

@@ -169,10 +169,7 @@ def round_to_half(
     bounded: bool,  # values beyond half's range, and infinity, become its largest; else infinity
     out: U16,  # bits of halves [H, W], contiguous, written
 ) -> None:
-    """Round floats to the nearest halves, to even between two (IEEE 754); NaN keeps its upper bits.
-
-    In a tenth of the time that numpy takes.
-    """
+    """Round floats to the nearest halves, ties to even (IEEE 754); NaN keeps its upper bits."""
     most = np.uint32(0x477FE000) if bounded else np.uint32(0x7F800000)
     for y in range(len(pixels)):
         row, halfs = pixels[y], out[y]
@@ -180,8 +177,8 @@ def round_to_half(
         for x in range(row.size):
             size = np.uint32(row[x] & np.uint32(0x7FFFFFFF))
             largest = max(largest, size)
-            # Without branches: 1.6 ms for four channels at 1920x1080; the processor's own
-            # instruction 1.4 ms.
+            # Without branches: 1.6 ms for four channels at 1920x1080, a tenth of numpy's time; the
+            # processor's own instruction 1.4 ms.
             size = np.uint32(min(size, most))
             even = np.uint32(0xFFF) + (np.uint32(size >> np.uint32(13)) & np.uint32(1))
             normal = np.uint32(np.uint32(size - np.uint32(0x38000000) + even) >> np.uint32(13))

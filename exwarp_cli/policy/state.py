@@ -170,7 +170,7 @@ class StateHistory:
 
 
 def state(features: decision.Features, node: str) -> F64:
-    """Return one state, float64 [11], 0 to 1: features scaled, as FEATURES has them, and node."""
+    """Return a state, float64 [11], 0 to 1: scaled features in the order of FEATURES, and node."""
     relative = {
         "N_d": features.objects,
         "EMD_Wn": features.emd_normal,

@@ -36,8 +36,8 @@ ROUGH, COARSE = 400, 1500
 # Candidates whose vectors differ by less than this on average, in pixels, count as one.
 SAME_PIXELS = 0.3
 
-# Ratio of neighbouring scales that are tried where the scale is free, at which fitting one begins;
-# and at which that ends.
+# Ratio of neighbouring scales that are tried where the scale is free, and at which a fit begins; at
+# which it ends.
 FREE_STEP, FITTED = 1.15, 1.002
 
 # Errors that differ by less than this, of 6000 samples, are equal.
@@ -89,7 +89,7 @@ class Evidence:
         if not maps:
             return []
         each = [p.errors(p.shifts(maps, count), count) for p in self.probes]
-        return [float(error) for error in self._mean(each)]
+        return [float(error) for error in calibration_samples.mean_by_weight(each, self.probes)]
 
     def error(self, reading: AxisMap) -> float:
         """Return the mean error of one candidate."""
@@ -97,17 +97,13 @@ class Evidence:
 
     def still(self) -> float:
         """Return the mean error of no motion."""
-        return float(self._mean([_still_error(p) for p in self.probes]))
+        errors = [_still_error(probe) for probe in self.probes]
+        return float(calibration_samples.mean_by_weight(errors, self.probes))
 
     def moved(self) -> float:
         """Return the mean error of no motion, less what noise alone makes."""
-        return self.still() - float(self._mean([p.floor for p in self.probes]))
-
-    def _mean(self, each: Sequence[F64 | float]) -> F64:
-        """Average over the probes, each by how much it distinguishes points."""
-        weights = [p.weight for p in self.probes]
-        usable = weights if sum(weights) > 0 else None
-        return np.asarray(np.average(np.stack(each), axis=0, weights=usable))
+        floors = [probe.floor for probe in self.probes]
+        return self.still() - float(calibration_samples.mean_by_weight(floors, self.probes))
 
     @property
     def raw(self) -> F64:

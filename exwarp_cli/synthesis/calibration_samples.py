@@ -238,8 +238,7 @@ class Probe:
     @property
     def floor(self) -> float:
         """The mean error by noise alone."""
-        weights = [each.weight for each in self.observables] if self.weight > 0 else None
-        return float(np.average([each.floor for each in self.observables], weights=weights))
+        return float(mean_by_weight([each.floor for each in self.observables], self.observables))
 
     def part(self, count: int | None) -> slice:
         """Return which samples stand for all where only about `count` are looked up."""
@@ -259,8 +258,8 @@ class Probe:
         part = self.part(count)
         xy = self.xy[part]
         places = (xy + shifts).reshape(-1, 2)
-        losses = np.empty((len(shifts), len(self.observables), len(xy)))
-        for index, each in enumerate(self.observables):
+        losses: list[F64] = []
+        for each in self.observables:
             wanted, tolerance = each.values[part], each.tolerance[part]
             channels = wanted.shape[1]
             samples = np.empty((len(shifts), len(xy), channels))
@@ -270,9 +269,16 @@ class Probe:
             with np.errstate(invalid="ignore", divide="ignore"):
                 samples -= wanted
                 gaps = np.sqrt(np.square(samples, out=samples).sum(axis=2)) / tolerance
-            losses[:, index] = np.where(gaps < 1, gaps, 1.0)
-        weights = [each.weight for each in self.observables] if self.weight > 0 else None
-        return np.asarray(np.average(losses.mean(axis=2), axis=1, weights=weights))
+            losses.append(np.where(gaps < 1, gaps, 1.0).mean(axis=1))
+        return mean_by_weight(losses, self.observables)
+
+
+def mean_by_weight(
+    values: Sequence[F64] | Sequence[float], origins: Sequence[Observable] | Sequence[Probe]
+) -> F64:
+    """Return the mean of values, each by how much its origin distinguishes points."""
+    weights = [origin.weight for origin in origins]
+    return np.asarray(np.average(np.stack(values), 0, weights if sum(weights) > 0 else None))
 
 
 @dataclass(frozen=True)

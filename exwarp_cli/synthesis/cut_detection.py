@@ -256,7 +256,7 @@ class Alignment:
 
     frame: Thumbnail
     neighbour: Thumbnail
-    # [h, w, 2], cells: to the place of each cell in the other frame; to the first one where it has
+    # [h, w, 2], cells: to the place of each cell in the other frame; to the first cell where it has
     # none inside.
     field: Float32
     nearest: tuple[Index, Index]  # [h, w]: row and column of the cell nearest to that place

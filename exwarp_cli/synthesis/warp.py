@@ -119,7 +119,7 @@ def sample_bilinear(
     """Sample data, not colour, at the end of a motion field.
 
     Returns float32 [H, W, C]: 0 where nothing finite lies there, the edge's colour outside the
-    frame; and where both of these are, bool [H, W].
+    frame; and where either is so, bool [H, W].
     """
     out: Float32 = pool.empty(pixels.shape, np.float32)
     unseen: Bool = pool.empty(pixels.shape[:2], np.bool_)
