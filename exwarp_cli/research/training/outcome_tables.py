@@ -164,7 +164,6 @@ def _interval_features(clip: SceneClip, view: View, k: int) -> F64:
     return np.array(rows, np.float64)
 
 
-@dataclass(frozen=True)
 class TrainingTable:
     """What a policy is trained and judged on, of one scene; kept in a file."""
 
@@ -174,6 +173,9 @@ class TrainingTable:
     facts: ClassVar[tuple[str, ...]]  # names of the fields that are no arrays
     # By the name of an array: its type in the file and in memory, and the shape of a row.
     arrays: ClassVar[Mapping[str, tuple[type, type, tuple[int, ...]]]]
+
+    scene: str
+    network: str  # checksum of the network whose frames were judged
 
     def __len__(self) -> int:
         return len(getattr(self, next(iter(self.arrays))))
