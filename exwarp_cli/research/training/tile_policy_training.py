@@ -128,7 +128,7 @@ class TableOfTiles(TrainingTable, ABC):
     def error(self, margins: Margins, price: float) -> float:
         """Return the mean squared error of the frames, squared display levels.
 
-        Without the network at an infinite price, and by it alone at the negative one.
+        An infinite price is without the network, minus infinity with the network everywhere.
         """
 
 
