@@ -24,7 +24,7 @@ FEW_HOLES = Labels("Holes of warped frames", "share of the frame that is unseen"
 
 @dataclass(frozen=True)
 class BenchFigure:
-    """What is drawn of a table: bars for each sequence, or one that is made of parts."""
+    """What is drawn of a table: bars for each sequence, or a single bar of stacked parts."""
 
     labels: Labels
     # Keys of the columns by their names in the figure; "" stands for the names of the systems.

@@ -57,8 +57,7 @@ class BenchTable:
     def by_sequence(self) -> list[list[Row]]:
         """Return the rows of each sequence; the paper's follow those that they stand beside."""
         groups: list[list[Row]] = []
-        before = None
-        first_system = None
+        before = first_system = None
         for row in self.rows:
             sequence = tuple(row[column.key] for column in SEQUENCE)
             system = row.get(SYSTEM.key)

@@ -229,7 +229,7 @@ class CachedArrays(ABC):
 
         The seed and the step alone decide the order and the changes.
         """
-        # Of a permutation, then of another one.
+        # Samples follow a permutation of all, then the next permutation.
         places = [divmod(n, len(self)) for n in range(step * size, (step + 1) * size)]
         orders = {
             epoch: np.random.default_rng((seed, epoch, 1)).permutation(len(self))

@@ -50,7 +50,7 @@ TABLES = "tables"
 
 FIELDS = 8  # of `Features`
 
-# Said of both options.
+# The message where both options are given.
 GIVE_ONE = "--data makes tables and --tables takes those that are there; give one"
 
 F64 = npt.NDArray[np.float64]
@@ -118,7 +118,8 @@ def measure_view(scene: RenderedScene, view: View, model: Path | None, cache: Pa
     files = [scene.path(frames, number) for frames in both for number in frames.numbers]
     measured: dict[str, F64] = {}
     for part, path in paths.items():
-        # Measured anew: what cannot be read, is older than a frame, or has another number of rows.
+        # An array is measured again if its file cannot be read, is older than a frame, or has
+        # another number of rows.
         with suppress(OSError, ValueError, EOFError):
             if path.stat().st_mtime_ns < max(file.stat().st_mtime_ns for file in files):
                 continue
@@ -164,7 +165,6 @@ def _interval_features(clip: SceneClip, view: View, k: int) -> F64:
     return np.array(rows, np.float64)
 
 
-@dataclass(frozen=True)
 class TrainingTable:
     """What a policy is trained and judged on, of one scene; kept in a file."""
 
@@ -174,6 +174,9 @@ class TrainingTable:
     facts: ClassVar[tuple[str, ...]]  # names of the fields that are no arrays
     # By the name of an array: its type in the file and in memory, and the shape of a row.
     arrays: ClassVar[Mapping[str, tuple[type, type, tuple[int, ...]]]]
+
+    scene: str
+    network: str  # checksum of the network whose frames were judged
 
     def __len__(self) -> int:
         return len(getattr(self, next(iter(self.arrays))))

@@ -28,15 +28,16 @@ from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.models.model_file import CHECKSUMS
 from exwarp_cli.models.policy_files import SHIPPED_POLICY, policy_name_without, save_network
 from exwarp_cli.policy import outcomes
-from exwarp_cli.policy.state import INPUTS, STATE_VERSION
+from exwarp_cli.policy.state import STATE_VERSION
 from exwarp_cli.research.training import q_learning
 from exwarp_cli.research.training.onnx_export import export_float, export_integer
-from exwarp_cli.research.training.outcome_tables import F64, PolicyTable, Say
-from exwarp_cli.research.training.training_settings import PolicySettings
+from exwarp_cli.research.training.outcome_tables import F64, PolicyTable, Say, TrainingTable
+from exwarp_cli.research.training.training_settings import PolicySettings, TilePolicySettings
 
 Paths = npt.NDArray[np.intp]
 
 SCHEMA = "exwarp.policy-scores/1"
+ABOUT = "ExWarp's predictor: deep Q-learning on rendered scenes"  # in the policy's metadata
 REPORT = "policy.json"
 FLOAT_MODEL, INTEGER_MODEL = "policy.onnx", "policy-int8.onnx"
 
@@ -61,10 +62,7 @@ TITLES = {
 def train_policy(
     tables: Sequence[PolicyTable], output: Path, settings: PolicySettings, say: Say
 ) -> dict[str, Any]:
-    """Train the policy with every scene left out once, then on all scenes.
-
-    Takes two scenes at least; returns what ``policy.json`` holds.
-    """
+    """Train with every scene left out once, then on all; return what ``policy.json`` holds."""
     require_two_scenes(len(tables))
     counts = Counter(table.scene for table in tables)
     if twice := sorted(scene for scene, count in counts.items() if count > 1):
@@ -76,8 +74,10 @@ def train_policy(
     for left_out in tables:
         known = [table for table in tables if table is not left_out]
         say(f"without {left_out.scene}: training on {', '.join(table.scene for table in known)}")
-        floats, network, metadata = _learn(known, settings)
+        floats = q_learning.train_decisions(known, settings)
+        network = q_learning.quantise(floats, np.concatenate([table.states for table in known]))
         written.append(policy_name_without(left_out.scene))
+        metadata = describe_policy(ABOUT, STATE_VERSION, known, settings)
         save_network(output / written[-1], network, metadata)
         folds[left_out.scene] = _judge(floats, network, left_out, known)
         whole = folds[left_out.scene][ALL]
@@ -90,9 +90,11 @@ def train_policy(
             f"int8 agrees on {whole['agreement']:.2%}"
         )
     say(f"training on all {len(tables)} scenes")
-    floats, network, metadata = _learn(tables, settings)
+    floats = q_learning.train_decisions(tables, settings)
+    network = q_learning.quantise(floats, np.concatenate([table.states for table in tables]))
     # In the precision that they were trained in.
     single = [(w.astype(np.float32), b.astype(np.float32)) for w, b in floats]
+    metadata = describe_policy(ABOUT, STATE_VERSION, tables, settings)
     save_network(output / SHIPPED_POLICY, network, metadata, single)
     export_float(single, output / FLOAT_MODEL)
     export_integer(network, output / INTEGER_MODEL)
@@ -118,21 +120,20 @@ def train_policy(
     return report
 
 
-def _learn(
-    tables: Sequence[PolicyTable], settings: PolicySettings
-) -> tuple[q_learning.Layers, QuantisedMlp, dict[str, Any]]:
-    """Train a network on some scenes; return it as floats, in integers, and its metadata."""
-    floats = q_learning.train_decisions(tables, settings)
-    # What it learned from are the calibration states too.
-    states = np.concatenate([table.states.reshape(-1, INPUTS) for table in tables])
-    metadata = {
-        "about": "ExWarp's predictor: deep Q-learning on rendered scenes",
-        "state": STATE_VERSION,
+def describe_policy(
+    about: str,
+    state: str | int,
+    tables: Sequence[TrainingTable],
+    settings: PolicySettings | TilePolicySettings,
+) -> dict[str, Any]:
+    """Return the metadata of a policy; `state` is the version of its inputs."""
+    return {
+        "about": about,
+        "state": state,
         "scenes": [table.scene for table in tables],
         "settings": asdict(settings),
         "extrapolator": sorted({table.network for table in tables}),
     }
-    return floats, q_learning.quantise(floats, states), metadata
 
 
 def require_two_scenes(count: int) -> None:

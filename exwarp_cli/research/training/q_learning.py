@@ -149,11 +149,11 @@ def integer_values(network: mlp.QuantisedMlp, states: F64) -> npt.NDArray[np.int
 
 
 def quantise(network: Layers, states: F64) -> mlp.QuantisedMlp:
-    """Return a network in integers, calibrated on states, float64 [N, in], 0 to 1."""
+    """Return a network in integers, calibrated on states, float64 [..., in], 0 to 1."""
     unit = 1 / mlp.MAX_ACTIVATION
-    inputs = factors(np.full(states.shape[1], mlp.MAX_ACTIVATION / mlp.ONE))
+    inputs = factors(np.full(states.shape[-1], mlp.MAX_ACTIVATION / mlp.ONE))
     layers: list[mlp.QuantisedLayer] = []
-    activations = states
+    activations = states.reshape(-1, states.shape[-1])
     for number, (weight, bias) in enumerate(network):
         is_last = number == len(network) - 1
         largest = np.abs(weight).max(axis=1) / mlp.MAX_ACTIVATION

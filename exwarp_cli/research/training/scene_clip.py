@@ -113,7 +113,7 @@ class SceneClip:
             motion = self._spanned(instant, FACTOR * self.variant.speed, direction)
             both = (None, motion) if self.variant.backwards else (motion, None)
             keys.append(self._play(instant, *both))
-        key = self.key(k, setting)
+        key = keys[0] if setting == "key" else self.key(k, setting)
         return Interval(key, None, self._slots(k, setting), older_key_frames(keys))
 
     def _slots(self, k: int, setting: str) -> tuple[GBuffer, ...]:

@@ -34,7 +34,7 @@ from exwarp_cli.io.files import atomic_write_text, make_folder
 from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import OnnxExtrapolator
 from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, save_network
-from exwarp_cli.policy.state import INPUTS, TILE_NODES, scale_tile_features, tile_inputs
+from exwarp_cli.policy.state import TILE_NODES, scale_tile_features, tile_inputs
 from exwarp_cli.research.training.augmentation import PLAIN, Look, Variant
 from exwarp_cli.research.training.outcome_tables import (
     F64,
@@ -46,6 +46,7 @@ from exwarp_cli.research.training.outcome_tables import (
 )
 from exwarp_cli.research.training.policy_training import (
     add_checksums,
+    describe_policy,
     markdown_table,
     require_two_scenes,
 )
@@ -100,9 +101,6 @@ class TableOfTiles(TrainingTable, ABC):
     # By the index of a node, those of the nodes after either choice.
     after: ClassVar[Mapping[int, tuple[int, int]]] = {}
 
-    scene: str
-    network: str  # checksum of the network whose frames were judged
-
     @property
     @abstractmethod
     def states(self) -> F64:
@@ -130,7 +128,7 @@ class TableOfTiles(TrainingTable, ABC):
     def error(self, margins: Margins, price: float) -> float:
         """Return the mean squared error of the frames, squared display levels.
 
-        Without the network at an infinite price, and by it alone at the negative one.
+        An infinite price is without the network, minus infinity with the network everywhere.
         """
 
 
@@ -291,8 +289,7 @@ def train_tiles(tables: Sequence[Table], settings: TilePolicySettings) -> Quanti
         return state, aim
 
     network = fit_network(settings, draw, functional.smooth_l1_loss)
-    all_states = np.concatenate([table.states.reshape(-1, INPUTS) for table in tables])
-    return quantise(network, all_states)
+    return quantise(network, np.concatenate([table.states for table in tables]))
 
 
 def margins_unseen(
@@ -373,14 +370,9 @@ def train_tile_policy(
     say(f"on all {len(tables)} scenes")
     network = train_tiles(tables, settings)
     own = [choice_margins(network, table) for table in tables]
-    metadata = {
-        "about": "ExWarp's predictor of tiles: deep Q-learning on rendered scenes",
-        "state": TILE_STATE,
-        "scenes": [table.scene for table in tables],
-        "settings": asdict(settings),
-        "extrapolator": sorted({table.network for table in tables}),
-        "efforts": [[share, round(price_for(share, own, TileTable.cost))] for share in EFFORTS],
-    }
+    about = "ExWarp's predictor of tiles: deep Q-learning on rendered scenes"
+    metadata = describe_policy(about, TILE_STATE, tables, settings)
+    metadata["efforts"] = [[s, round(price_for(s, own, TileTable.cost))] for s in EFFORTS]
     save_network(output / SHIPPED_TILE_POLICY, network, metadata)
     for table in tables:
         toss = np.random.default_rng(settings.seed).random((len(table), len(TILE_NODES)))
