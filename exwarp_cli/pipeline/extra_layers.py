@@ -326,7 +326,7 @@ class ViewInterval:
             return {}
         retimer = make_retimer(self.interval, slot, shown)
         motion, convention = self.content.motion, self.content.source.convention
-        vectors: Float32 | None = None  # all motion channels: several layers may hold them
+        vectors: dict[ChannelRef, np.ndarray] = {}  # all of them: several layers may hold them
         own = frames.slots[slot - 1] if frames.slots else {}
         planes: dict[PlaneKey, Plane] = {}
         for layer in self.content.extra:
@@ -338,14 +338,13 @@ class ViewInterval:
                     for ref in layer.refs
                 }
             else:
-                has_vectors = layer.kind is LayerKind.MOTION and any(
-                    r in motion for r in layer.refs
-                )
-                if has_vectors and vectors is None and convention is not None:
+                is_motion = layer.kind is LayerKind.MOTION and any(r in motion for r in layer.refs)
+                if is_motion and not vectors and convention is not None:
                     before = self._stack(frames.before, motion)
                     after = None if frames.after is None else self._stack(frames.after, motion)
-                    vectors = retimer.vectors(convention, before, after)
-                values = self._retimed(layer, frames, retimer, vectors)
+                    moved = retimer.vectors(convention, before, after)
+                    vectors = {ref: moved[..., i] for i, ref in enumerate(motion)}
+                values = self._retimed(layer, frames, retimer, vectors if is_motion else {})
             if layer.kind is not LayerKind.COLOUR:  # which is mended where it is mixed
                 background = np.inf if layer.kind is LayerKind.DEPTH else 0.0
                 retimer.sources.mend(list(values.values()), background)
@@ -359,10 +358,10 @@ class ViewInterval:
         layer: Layer,
         frames: LayerFrames,
         retimer: LayerRetimer,
-        vectors: Float32 | None,  # [H, W, C] of `Content.motion`, if the layer has any
+        vectors: Mapping[ChannelRef, np.ndarray],  # made already; {} if the layer has none
     ) -> dict[ChannelRef, np.ndarray]:
         """Make a layer's channels for a slot, [H, W] each, in the type that its file has."""
-        refs, motion, window = layer.refs, self.content.motion, self.window
+        refs, window = layer.refs, self.window
         if layer.kind is LayerKind.COLOUR:
             stacks = []
             for side in filter(None, (frames.before, frames.after)):
@@ -389,8 +388,8 @@ class ViewInterval:
         else:
             copied: dict[ChannelRef, np.ndarray] = {}
             for ref in refs:
-                if vectors is not None and layer.kind is LayerKind.MOTION and ref in motion:
-                    copied[ref] = vectors[..., motion.index(ref)]
+                if ref in vectors:
+                    copied[ref] = vectors[ref]
                     continue
                 # The sources' values, bit for bit.
                 sides: list[np.ndarray] = []
