@@ -126,10 +126,12 @@ class TableOfTiles(TrainingTable, ABC):
 
     @abstractmethod
     def error(self, margins: Margins, price: float) -> float:
-        """Return the mean squared error of the frames, squared display levels.
+        """Return the mean squared error of the frames, squared display levels."""
 
-        An infinite price is without the network, minus infinity with the network everywhere.
-        """
+    def fixed_errors(self) -> tuple[float, float]:
+        """Return the errors without the network, and with the network everywhere."""
+        margins = np.zeros(self.gains.shape[:2])
+        return self.error(margins, np.inf), self.error(margins, -np.inf)
 
 
 Table = TypeVar("Table", bound=TableOfTiles)
@@ -329,7 +331,7 @@ def gain_percent(tables: Sequence[TableOfTiles], margins: Sequence[Margins], pri
     """Return what margins gain at a price, in % of the network's gain in dB over all scenes."""
     gained = everything = 0.0
     for table, margin in zip(tables, margins, strict=True):
-        without, alone = (table.error(margin, limit) for limit in (np.inf, -np.inf))
+        without, alone = table.fixed_errors()
         gained += np.log10(without / table.error(margin, price))
         everything += np.log10(without / alone)
     return 100 * float(gained / everything)
@@ -338,10 +340,10 @@ def gain_percent(tables: Sequence[TableOfTiles], margins: Sequence[Margins], pri
 def score_choices(
     tables: Sequence[TableOfTiles], margins: Mapping[str, Sequence[Margins]], network: str
 ) -> dict[str, Any]:
-    """Return what a scores file has of a network and of choices, by name of a choice.
+    """Return what a scores file has of a network, and of choices: `margins` by their names.
 
-    Tiles of each scene, what the network gains everywhere there in dB, and what each choice gains
-    at each of `SHARES`, in %.
+    ``tiles`` counts those of each scene. ``…_gain_db`` is what the network gains everywhere, by
+    scene. ``gain_percent`` is what each choice gains at each of `SHARES`.
     """
     gains: dict[str, dict[str, float]] = {}
     for name, of_choice in margins.items():
@@ -350,8 +352,8 @@ def score_choices(
             price = price_for(share, of_choice, tables[0].cost)
             gains[name][f"{share:g}"] = round(gain_percent(tables, of_choice, price), 1)
     everywhere: dict[str, float] = {}
-    for table, margin in zip(tables, next(iter(margins.values())), strict=True):
-        without, alone = (table.error(margin, limit) for limit in (np.inf, -np.inf))
+    for table in tables:
+        without, alone = table.fixed_errors()
         everywhere[table.scene] = round(10 * float(np.log10(without / alone)), 3)
     return {
         "tiles": {table.scene: len(table) for table in tables},
