@@ -149,7 +149,7 @@ def _judge_limits(result: Comparison, quality: dict[str, Any]) -> list[dict[str,
             value = max(measured, key=limit.metric.badness, default=None)
         else:
             value = quality[limit.scope][name]
-        worst = limit.metric.badness(limit.limit)  # which itself passes
+        allowed = limit.metric.badness(limit.limit)
         verdicts.append(
             {
                 "name": limit.name,
@@ -158,7 +158,7 @@ def _judge_limits(result: Comparison, quality: dict[str, Any]) -> list[dict[str,
                 "limit": limit.limit,
                 "fails": limit.option.removeprefix("--fail-"),
                 "value": value,
-                "passed": value is not None and limit.metric.badness(value) <= worst,
+                "passed": value is not None and limit.metric.badness(value) <= allowed,
             }
         )
     return verdicts

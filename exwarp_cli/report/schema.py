@@ -258,11 +258,11 @@ def _summarise_decisions(
     softsplat and the network made, in parts where tiles were chosen; ``cost``: the networks' share
     of the new frames' area.
     """
-    # Makers of the frames for each of whose tiles the decision tree was walked: not those that are
-    # made of the key frames on both sides.
+    # Makers of the frames whose tiles the decision tree chose. Frames that are made of the key
+    # frames on both sides are not among them.
     two_sided = MAKER_LETTERS[SOFTSPLAT], MAKER_LETTERS[LOOKAHEAD]
-    kinds = ((f.number, f.tiles) for f in run.frames if f.tiles is not None)
-    tiles = {number: made for number, made in kinds if made.letters[0] not in two_sided}
+    makers = ((f.number, f.tiles) for f in run.frames if f.tiles is not None)
+    tiles = {number: made for number, made in makers if made.letters[0] not in two_sided}
     decides = run.decides or bool(tiles)
     block = count_decisions(_paths_taken(complete, tiles) if decides else None)
     keys: dict[tuple[Trial, bool], dict[int, None]] = {}

@@ -138,8 +138,8 @@ def measure_view(scene: RenderedScene, view: View, model: Path | None, cache: Pa
             truth = {slot: clip.truth(k, slot).pixels for slot in range(1, FACTOR)}
             rows["outcomes"].append(outcomes_of(interval, truth))
         check_stop()
-    for part, found in rows.items():
-        measured[part] = np.array(found)
+    for part in rows:
+        measured[part] = np.array(rows[part])
         with atomic_path(paths[part]) as temporary, temporary.open("wb") as file:
             np.save(file, measured[part])
     return Measured(**measured)
