@@ -17,7 +17,7 @@ from exwarp_cli.research.bench.systems import BEST_RETURN, CHOOSERS, FIXED, POLI
 # Systems in the figures of the effective rate.
 RATED = (POLICY, "s1", "s2", "s3")
 
-# Sequences that bars can stand beside each other for at every share of holes, and their figure.
+# Holes of so many sequences, at most, are drawn as bars beside each other, with these labels.
 MAX_BARS = 3
 FEW_HOLES = Labels("Holes of warped frames", "share of the frame that is unseen", "% of the frames")
 
@@ -29,13 +29,13 @@ class BenchFigure:
     labels: Labels
     # Keys of the columns by their names in the figure; "" stands for the names of the systems.
     columns: Mapping[str, str]
-    # Of tables with a row for each system, those that are drawn, with all that options add.
+    # If each system has a row, the systems that are drawn; all that options add are drawn, too.
     systems: tuple[str, ...] = ()
     is_stacked: bool = False
     kinds: bool = False  # parts are named and coloured by what makes a frame
 
 
-# By the table that each stands before.
+# By the name of the table that follows.
 FIGURES = {
     "comparison": BenchFigure(
         Labels("Causal and look-ahead systems", "", "PSNR dB", "Mean PSNR of slots 1 to 3."),
@@ -139,7 +139,7 @@ def draw_figure(table: BenchTable, names: Sequence[str]) -> Figure | None:
                     values[name or system] = 100 * row[key] if is_share else row[key]
         cells.append(values)
         printed.append(next((row for row in rows if row.get(SOURCE.key) == PAPER), {}))
-    if table.name == "holes":  # which are not known of every sequence
+    if table.name == "holes":  # some sequences have no known holes
         known = {name: v for name, v in zip(names, cells, strict=True) if None not in v.values()}
         names, cells = list(known), list(known.values())
         if 0 < len(known) <= MAX_BARS:

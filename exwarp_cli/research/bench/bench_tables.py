@@ -61,7 +61,8 @@ class BenchTable:
         for row in self.rows:
             sequence = tuple(row[column.key] for column in SEQUENCE)
             system = row.get(SYSTEM.key)
-            # The first system again: scenes of two data sets may have one name, size and setting.
+            # Scenes of two data sets may have one name, size and setting: the first system, or a
+            # row without system, begins a group as well.
             if row.get(SOURCE.key) != PAPER and (sequence != before or system == first_system):
                 groups.append([])
                 before, first_system = sequence, system
@@ -143,7 +144,7 @@ SLOT_KINDS = {
 }
 
 
-# Of a row of the paper, beside its application as name.
+# What rows of the paper have in common.
 PAPER_ROW = {"size": None, "setting": "slot", "source": PAPER}
 
 

@@ -219,10 +219,10 @@ class SystemFrames(dict[str, Float32]):
         if system == systems.MINTERPOLATE:
             if interval.following is not None:
                 before, after = interval.key.image.pixels, interval.following.image.pixels
-                if not self._by_ffmpeg:  # which makes all slots at once
+                if not self._by_ffmpeg:  # ffmpeg makes all slots at once
                     older = interval.past[0].frame.image.pixels if interval.past else None
                     self._by_ffmpeg = minterpolate(older, before, after)
-                # Alpha, which ffmpeg does not make, and no score judges.
+                # ffmpeg makes no alpha, and no score depends on it.
                 return np.concatenate([self._by_ffmpeg[slot - 1], before[..., 3:]], axis=-1)
             system = HOLD  # before a cut, where ffmpeg repeats the frame as well
         if system in self._networks.interpolators:

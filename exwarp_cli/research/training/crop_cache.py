@@ -221,7 +221,7 @@ class CachedArrays(ABC):
     ) -> Any:
         """Return samples as they are cached, or a patch of `side` pixels of each, varied by `rng`.
 
-        Samples of several sizes make no batch as they are.
+        Samples as they are cached must have one size.
         """
 
     def draw(self, step: int, size: int, side: int, seed: int) -> Any:

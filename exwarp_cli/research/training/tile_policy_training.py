@@ -96,7 +96,7 @@ class TableOfTiles(TrainingTable, ABC):
     kind, row = "table of tiles", "tile"
     folder: ClassVar[Path]  # of tables, beside the models and in the output
     option: ClassVar[str]  # that names the network
-    policy: ClassVar[str]  # name of the file of what learns from it
+    policy: ClassVar[str]  # name of the file of the policy that is trained on it
     load_network: ClassVar[Callable[[Path | None], NetworkModel]]
     # By the index of a node, those of the nodes after either choice.
     after: ClassVar[Mapping[int, tuple[int, int]]] = {}
