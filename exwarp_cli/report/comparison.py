@@ -107,10 +107,7 @@ def format_comparison_csv(result: Comparison) -> str:
             *schema.score_cells(frame.hole_score, schema.FIRST_SCORES),
             *schema.score_cells(frame.score, schema.LATER_SCORES),
             *schema.score_cells(frame.hole_score, schema.LATER_HOLE_SCORES),
-            *(
-                schema.escape_formula(frame.origin.kind),
-                schema.escape_formula(frame.origin.made_by),
-            ),
+            *map(schema.escape_formula, (frame.origin.kind, frame.origin.made_by)),
             frame.score.pulse,
         )
         for frame in result.frames

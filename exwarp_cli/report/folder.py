@@ -148,8 +148,7 @@ def format_run(run: RunSummary, report: str) -> str:
 def parse_run(text: str, report: str) -> RunSummary:
     """Read run.json back.
 
-    ArithmeticError, AttributeError, LookupError, RecursionError, TypeError or ValueError: it holds
-    something else, or belongs to another report.json than `report`.
+    One of `schema.UNREADABLE`: it holds something else, or belongs to another report.json.
     """
     document = json.loads(text)
     digest = sha256(report.encode()).hexdigest()

@@ -40,6 +40,7 @@ from exwarp_cli.report.pictures import (
     find_peak,
     shrink,
 )
+from exwarp_cli.report.schema import UNREADABLE
 
 MAX_FRAMES = 240  # of a page: 60 key intervals, two seconds at 120 fps
 
@@ -267,7 +268,7 @@ def merge_albums(
         try:
             shown = json.loads(file.read_text(encoding="utf-8"))["frames"]
             there = [int(frame["number"]) for frame in shown]
-        except _NOT_AN_ALBUM:
+        except (OSError, *UNREADABLE):
             unreadable.append(file)
         else:
             file_of |= dict.fromkeys((number for number in there if number in asked), file)
@@ -306,17 +307,11 @@ def merge_albums(
                 )
                 for frame in shown
             }
-        except _NOT_AN_ALBUM:
+        except (OSError, *UNREADABLE):
             unreadable.append(file)
     has_truth = any(TRUTH in frame.pictures for frame in frames.values())
     before, after = (OUTPUT, TRUTH) if has_truth else (KEY, OUTPUT)
     return Album((OUTPUT, TRUTH, KEY), before, after, room, longest, frames=frames), unreadable
-
-
-_NOT_AN_ALBUM = (
-    *(ArithmeticError, AttributeError, LookupError, OSError, RecursionError, TypeError),
-    ValueError,
-)
 
 
 def worst_frame(frames: Iterable[FrameRecord]) -> int | None:

@@ -31,15 +31,12 @@ from exwarp_cli.report.folder import (
     write_report,
 )
 from exwarp_cli.report.gallery import merge_albums
-from exwarp_cli.report.schema import SCHEMA, run_document
+from exwarp_cli.report.schema import SCHEMA, UNREADABLE, run_document
 
 # Characters of a value in a message.
 MAX_VALUE = 120
 
 _AGAIN = "do its key frames again with --report, or leave it out"
-
-# What reading a report raises that holds something else.
-_NO_RUN = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
 def merge_reports(
@@ -122,7 +119,7 @@ def _select_newest(folders: Sequence[Path]) -> tuple[Selection, list[Path]]:
         try:
             numbers = list_numbers(document["input"]["selected"] or "")
             keys[folder] = frozenset(map(int, numbers))
-        except _NO_RUN as error:
+        except UNREADABLE as error:
             raise _unusable(folder, document) from error
 
     covered: frozenset[int] = frozenset()
@@ -152,7 +149,7 @@ def _read_run(folder: Path) -> RunSummary:
     text = _read_text(folder / RUN_FILE)
     try:
         return parse_run(text, report)
-    except _NO_RUN as error:
+    except UNREADABLE as error:
         raise _unusable(folder, document) from error
 
 

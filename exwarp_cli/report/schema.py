@@ -82,6 +82,9 @@ COLUMNS = (
 
 _FORMULA = (*"=+-@'", "\t", "\r", "\n")
 
+# What reading a file of a report raises if it holds something else.
+UNREADABLE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+
 
 def run_document(run: RunSummary) -> dict[str, Any]:
     """Turn a run into the dictionary that report.json holds.
