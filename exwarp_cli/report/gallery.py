@@ -24,6 +24,7 @@ import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -289,29 +290,36 @@ def merge_albums(
         plain = json.loads(file.read_text(encoding="utf-8"))
         try:
             wanted = {number for number in chosen if file_of[number] == file}
-            shown = [frame for frame in plain["frames"] if frame["number"] in wanted]
-            # Each picture once, by its index and room; masks keep their size.
-            used = {(i, room) for frame in shown for i in frame["pictures"].values()}
-            used |= {(frame["holes"], room) for frame in shown if frame["holes"] is not None}
-            used |= {(i, room // 2) for frame in shown for i in frame["errors"].values()}
-            small = {
-                (i, most): Picture.from_plain(plain["images"][i]).within(most, longest)
-                for i, most in used
-            }
-            frames |= {
-                frame["number"]: Shown(
-                    frame["number"],
-                    pictures={name: small[i, room] for name, i in frame["pictures"].items()},
-                    errors={name: small[i, room // 2] for name, i in frame["errors"].items()},
-                    holes=None if frame["holes"] is None else small[frame["holes"], room],
-                )
-                for frame in shown
-            }
+            frames |= {shown.number: shown for shown in _read_frames(plain, wanted, room, longest)}
         except (OSError, *UNREADABLE):
             unreadable.append(file)
     has_truth = any(TRUTH in frame.pictures for frame in frames.values())
     before, after = (OUTPUT, TRUTH) if has_truth else (KEY, OUTPUT)
     return Album((OUTPUT, TRUTH, KEY), before, after, room, longest, frames=frames), unreadable
+
+
+def _read_frames(
+    plain: Mapping[str, Any], numbers: Collection[int], room: int, longest: int
+) -> list[Shown]:
+    """Read frames of an album, with pictures of at most about `room` bytes, `longest` pixels.
+
+    Each picture is read once. Masks keep their size.
+    """
+
+    @cache
+    def picture(index: int, room: int) -> Picture:
+        return Picture.from_plain(plain["images"][index]).within(room, longest)
+
+    return [
+        Shown(
+            frame["number"],
+            pictures={name: picture(i, room) for name, i in frame["pictures"].items()},
+            errors={name: picture(i, room // 2) for name, i in frame["errors"].items()},
+            holes=None if frame["holes"] is None else picture(frame["holes"], room),
+        )
+        for frame in plain["frames"]
+        if frame["number"] in numbers
+    ]
 
 
 def worst_frame(frames: Iterable[FrameRecord]) -> int | None:
