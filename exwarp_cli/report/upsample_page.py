@@ -283,25 +283,9 @@ def _slot_plots(frames: Sequence[FrameRecord]) -> list[plots.Figure]:
 
 
 def _decisions(run: RunSummary, decisions: dict[str, Any]) -> list[html.Block]:
-    count = max((frame.slot for frame in run.frames), default=0)
-    if not count:
+    if not any(frame.slot for frame in run.frames):
         return []
-    intervals: dict[int, list[plots.TimelineCell | None]] = {}
-    for frame in run.frames:
-        column = intervals.setdefault(frame.key, [None] * count)
-        if frame.slot:
-            decision = frame.decision
-            why = "" if decision is None else f", {decision.node} = {decision.choice}"
-            path = "" if frame.path is None else f", path {frame.path}"
-            hint = f"frame {frame.number}: {frame_maker(frame)}{why}{path}"
-            column[frame.slot - 1] = plots.TimelineCell(frame_maker(frame), hint)
-    labels = plots.Labels(
-        "What made each frame",
-        description="A column a key interval and a row a slot, coloured by what made the frame.",
-    )
-    kinds = dict.fromkeys(frame_maker(frame) for frame in run.frames if frame.slot)
-    slots, cells = [f"slot {i + 1}" for i in range(count)], list(intervals.values())
-    blocks: list[html.Block] = [plots.draw_timeline(labels, slots, cells, list(kinds))]
+    blocks: list[html.Block] = [_draw_makers(run.frames)]
     by_methods: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for trial in decisions["gate"] or ():
         by_methods.setdefault(tuple(n for n in trial if n.endswith("_db")), []).append(trial)
@@ -336,6 +320,27 @@ def _decisions(run: RunSummary, decisions: dict[str, Any]) -> list[html.Block]:
             title = unit = "tiles"
         blocks.append(html.Table(f"Paths of the {title}", ("path", unit), paths))
     return blocks
+
+
+def _draw_makers(frames: Sequence[FrameRecord]) -> plots.Figure:
+    """Draw what made each slot: key intervals from left to right, slots below each other."""
+    slots = range(1, 1 + max(frame.slot for frame in frames))
+    intervals: dict[int, list[plots.TimelineCell | None]] = {}
+    for frame in frames:
+        column = intervals.setdefault(frame.key, [None] * len(slots))
+        if frame.slot:
+            decision = frame.decision
+            why = "" if decision is None else f", {decision.node} = {decision.choice}"
+            path = "" if frame.path is None else f", path {frame.path}"
+            hint = f"frame {frame.number}: {frame_maker(frame)}{why}{path}"
+            column[frame.slot - 1] = plots.TimelineCell(frame_maker(frame), hint)
+    labels = plots.Labels(
+        "What made each frame",
+        description="A column a key interval and a row a slot, coloured by what made the frame.",
+    )
+    kinds = dict.fromkeys(frame_maker(frame) for frame in frames if frame.slot)
+    rows = [f"slot {slot}" for slot in slots]
+    return plots.draw_timeline(labels, rows, list(intervals.values()), list(kinds))
 
 
 def _holes_and_features(
