@@ -270,13 +270,12 @@ def test_the_page_has_a_comparison_for_each_sequence_with_the_papers_rows():
     assert first_cells(tables[1:]) == list(SYSTEMS) and tables[1].columns[0] == "system"
 
 
-def test_scenes_of_two_data_sets_may_have_one_name():
-    tables = tables_in(page_of(measured(), measured()), "quality")
-    assert [table.title for table in tables] == ["town", "town"]
-    assert tables[0].rows == tables[1].rows and len(tables[0].rows) > len(SYSTEMS)
-    for table in make_tables(document_of(benchmark_of(measured("pier"), measured("pier")))):
+def test_tables_with_figures_have_rows_of_each_sequence():
+    for table in make_tables(document_of(benchmark_of(measured(), measured("pier")))):
         if table.name in bench_figures.FIGURES:
-            assert len(table.by_sequence()) == 2, table.name
+            town, pier = table.by_sequence()
+            assert {row["scene"] for row in town} <= {"town", "TN"}, table.name
+            assert {row["scene"] for row in pier} == {"pier"}, table.name
 
 
 def test_the_page_leaves_out_columns_that_say_the_same_of_all_sequences():

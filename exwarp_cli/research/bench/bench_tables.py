@@ -57,15 +57,13 @@ class BenchTable:
     def by_sequence(self) -> list[list[Row]]:
         """Return the rows of each sequence; the paper's follow those that they stand beside."""
         groups: list[list[Row]] = []
-        before = first_system = None
+        before = None
         for row in self.rows:
+            # No two sequences of a benchmark have one name, size and setting.
             sequence = tuple(row[column.key] for column in SEQUENCE)
-            system = row.get(SYSTEM.key)
-            # Scenes of two data sets may have one name, size and setting: the first system, or a
-            # row without system, begins a group as well.
-            if row.get(SOURCE.key) != PAPER and (sequence != before or system == first_system):
+            if row.get(SOURCE.key) != PAPER and sequence != before:
                 groups.append([])
-                before, first_system = sequence, system
+                before = sequence
             groups[-1].append(row)
         return groups
 

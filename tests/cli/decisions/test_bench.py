@@ -384,6 +384,13 @@ def test_a_sequence_needs_its_truth_and_a_data_set_none_of_its_options(exwarp, u
     exwarp("bench", *twice, *out).refused(2, "twice")
 
 
+def test_scenes_of_one_name_size_and_setting_are_refused(exwarp, tmp_path):
+    shutil.copytree(MINIATURE / "variety-0074", tmp_path / "data" / "variety-0074")
+    line = ("bench", MINIATURE, tmp_path / "data", "--scenes", "variety-0074", "--systems", "s6")
+    result = exwarp(*line, "-o", tmp_path / "bench", *QUICK)
+    result.refused(2, "variety-0074", "one name, size and setting")
+
+
 def test_two_interpolators_of_one_name_are_refused(bench, tmp_path):
     model, card = tiny_interpolators.CARDS["untimed"]
     given = []
