@@ -22,7 +22,7 @@ from exwarp_cli.domain.settings import (
 )
 from exwarp_cli.domain.timeline import MAX_FACTOR
 from exwarp_cli.errors import IncompleteError
-from exwarp_cli.runtime.read_registry import enable_restart
+from exwarp_cli.runtime.read_registry import enable_restart, is_restarted
 
 if TYPE_CHECKING:
     from exwarp_cli.api import UpsampleResult
@@ -250,7 +250,9 @@ def command(
     from exwarp_cli.pipeline.progress import reporting
 
     settings = settings_of(values)
-    if settings.source.keep_going and enable_restart():  # what is there was written before
+    if settings.source.keep_going:
+        enable_restart()
+    if is_restarted():  # what is there was written before
         settings = replace(
             settings, skip_existing=True, overwrite=False, replaces_foreign=settings.overwrite
         )

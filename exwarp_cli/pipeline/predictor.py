@@ -33,7 +33,6 @@ README_DESIGN = "README_design.txt"  # the end of that file, where it has the de
 VERILOG = resources.files(accelerator) / "verilog"  # the folder of texts and sources
 SOURCES = ("exwarp_predictor.v", "exwarp_core.v", "exwarp_predictor_tb.v", "Makefile")
 
-CACHE = 20 * 1024  # bytes of a core that hold the shipped network; 16 KB do not
 MOST_CORES = 10  # a core's files have its number as one digit
 
 Integers = npt.NDArray[np.integer[Any]]

@@ -47,13 +47,6 @@ class FramePool:
     # A finalizer may run while its thread has the lock, so it only appends; that needs none.
     _returned: deque[mmap.mmap] = field(default_factory=deque)
 
-    @property
-    def free_bytes(self) -> int:
-        """Bytes that no array uses."""
-        with self._lock:
-            self._collect()
-            return sum(map(len, self._free))
-
     def empty(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> np.ndarray:
         """Return a C-contiguous array of arbitrary values.
 

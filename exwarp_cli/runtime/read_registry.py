@@ -59,12 +59,13 @@ def attach(pipe: int, skipped: Mapping[Path, str]) -> None:
     _pipe, _skipped = pipe, dict(skipped)
 
 
-def enable_restart() -> bool:
-    """Allow a restart without the files at which a library crashes or hangs.
-
-    Returns whether this is one: an earlier process of this command failed at a file.
-    """
+def enable_restart() -> None:
+    """Allow a restart without the files at which a library crashes or hangs."""
     _send(_RESTART, 0)
+
+
+def is_restarted() -> bool:
+    """True if an earlier process of this command failed at a file."""
     return bool(_skipped)
 
 

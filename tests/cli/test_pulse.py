@@ -73,6 +73,13 @@ def test_without_truth_key_frames_are_the_reference(softened, tmp_path, method):
     assert "against key frames" in page and "Sharpness" in page
 
 
+def test_a_key_frame_behind_a_cut_is_no_reference(softened, tmp_path):
+    found = pulses(softened("a", "--cuts", 2))
+    for number in (2, 4):
+        expected = 100 * (gradient(tmp_path / "a", number) / gradient(tmp_path / "a", 1) - 1)
+        assert float(found[str(number)]) == pytest.approx(expected, abs=0.01)
+
+
 def test_with_truth_it_is_the_reference(softened, plain_truth, tmp_path):
     folder = softened("a", "--ground-truth", plain_truth)
     found = pulses(folder)

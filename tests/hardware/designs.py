@@ -14,8 +14,10 @@ from exwarp_cli.accelerator.mac_array import MacArray
 from exwarp_cli.accelerator.mlp import QuantisedMlp, Requantisation, infer_reference
 from exwarp_cli.accelerator.mlp_kernel import MlpKernel
 from exwarp_cli.io.files import atomic_write_text
-from exwarp_cli.pipeline.predictor import CACHE, design, hex_files, sample_states
+from exwarp_cli.pipeline.predictor import design, hex_files, sample_states
 
+CACHE = 20 * 1024
+"""Bytes of a core, as `exwarp policy export` has them by default."""
 DEFAULT = MacArray(cache_bytes=CACHE)
 REFILLED = MacArray(port_bytes=8)
 """With 16 KB a core, as in the paper."""

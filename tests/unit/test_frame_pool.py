@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import errno
+import mmap
 import os
 import re
 import sys
 import threading
+import weakref
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,8 +28,12 @@ def pool() -> FramePool:
     return FramePool()
 
 
-def address(array: np.ndarray) -> int:
-    return int(array.__array_interface__["data"][0])
+def buffer_of(array: np.ndarray) -> object:
+    """The mapped memory that an array lies in; None for memory of numpy's own."""
+    base: object = array
+    while isinstance(base, np.ndarray):
+        base = base.base
+    return base.obj if isinstance(base, memoryview) else base
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.uint16, np.bool_])
@@ -45,22 +51,23 @@ def test_arrays_in_use_share_no_memory(pool):
     for value, array in enumerate(held):
         array[...] = value
     assert all((array == value).all() for value, array in enumerate(held))
-    assert pool.free_bytes == 0
+    assert len({id(buffer_of(array)) for array in held}) == 6
 
 
 def test_a_free_buffer_serves_the_next_array_of_its_size(pool):
-    array = pool.empty(SHAPE, np.float32)
-    place = address(array)
-    del array
-    assert pool.free_bytes == BYTES
-    assert address(pool.empty((2, *SHAPE), np.uint16)) == place
+    buffer = buffer_of(pool.empty(SHAPE, np.float32))
+    assert isinstance(buffer, mmap.mmap) and len(buffer) == BYTES
+    for _ in range(4):
+        assert buffer_of(pool.empty((2, *SHAPE), np.uint16)) is buffer
+    assert buffer_of(pool.empty((3, *SHAPE), np.uint16)) is not buffer
 
 
 def test_a_buffer_is_in_use_while_a_view_is_there(pool):
     row = pool.empty(SHAPE, np.float32)[3].reshape(-1).view(np.uint8)[5:]
-    assert pool.free_bytes == 0
+    buffer = buffer_of(row)
+    assert buffer_of(pool.empty(SHAPE, np.float32)) is not buffer
     del row
-    assert pool.free_bytes == BYTES
+    assert buffer_of(pool.empty(SHAPE, np.float32)) is buffer
 
 
 def test_a_copy_has_the_values_and_its_own_memory(pool):
@@ -70,31 +77,30 @@ def test_a_copy_has_the_values_and_its_own_memory(pool):
     assert copy.flags.c_contiguous and not np.shares_memory(copy, given)
 
 
-def test_what_is_used_again_and_again_stays(pool):
-    for _ in range(4):
-        pool.empty(SHAPE, np.float32)
-    assert pool.free_bytes == BYTES
-
-
 def test_free_buffers_are_bounded():
     pool = FramePool(max_free=3 * BYTES)
     held = [pool.empty(SHAPE, np.float32) for _ in range(5)]
-    del held
-    assert pool.free_bytes == 3 * BYTES
+    buffers = [weakref.ref(buffer_of(array)) for array in held]
+    while held:
+        del held[0]
+    pool.empty(SHAPE, np.float32)
+    is_kept = [buffer() is not None for buffer in buffers]
+    assert is_kept == [False, False, True, True, True], "those that are free for longest go"
 
 
 def test_clearing_frees_all_but_what_is_in_use(pool):
-    held = pool.empty(SHAPE, np.float32)
-    pool.empty(SHAPE, np.float32)
+    held, free = (pool.empty(SHAPE, np.float32) for _ in range(2))
+    buffers = [weakref.ref(buffer_of(array)) for array in (held, free)]
+    del free
     pool.clear()
-    assert pool.free_bytes == 0
+    assert [buffer() is not None for buffer in buffers] == [True, False]
     del held
-    assert pool.free_bytes == BYTES
+    assert buffer_of(pool.empty(SHAPE, np.float32)) is buffers[0]()
 
 
 def test_small_arrays_are_left_to_numpy(pool):
-    pool.empty((MIN_BYTES - 1,), np.uint8)
-    assert pool.free_bytes == 0
+    assert buffer_of(pool.empty((MIN_BYTES - 1,), np.uint8)) is None
+    assert buffer_of(pool.empty((MIN_BYTES,), np.uint8)) is not None
 
 
 def test_threads_never_share_a_buffer(pool):
@@ -139,7 +145,7 @@ def scratch() -> ScratchFrames:
 
 def resident(array: np.ndarray) -> int:
     """Bytes of the mapping that an array begins in which are in this process's memory."""
-    place, inside = address(array), False
+    place, inside = array.__array_interface__["data"][0], False
     for line in Path("/proc/self/smaps").read_text().splitlines():
         if re.match(r"[0-9a-f]+-[0-9a-f]+ ", line):
             first, end = (int(edge, 16) for edge in line.split()[0].split("-"))

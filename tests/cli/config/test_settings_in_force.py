@@ -77,6 +77,18 @@ class TestFindings:
         assert settings["bench", "every"] == ("3", "EXWARP_BENCH_EVERY")
         assert found.problems == () and found.warnings == ()
 
+    def test_the_users_file_counts_once_where_it_is_the_nearest(self, project, monkeypatch):
+        own = users(project, "[upsample]\nthreads = 2")
+        monkeypatch.chdir(own.parent)
+        found = self.look()
+        assert [(f.path, f.how) for f in found.files] == [(own, "nearest folder")]
+
+    def test_a_folder_of_that_name_is_no_file(self, project, monkeypatch):
+        near = write(project, "[upsample]\nthreads = 2")
+        (project / "shots" / near.name).mkdir(parents=True)
+        monkeypatch.chdir(project / "shots")
+        assert [f.path for f in self.look().files] == [near] and self.look().problems == ()
+
     def test_problems(self, project, monkeypatch):
         write(project, '[upsample]\nmethdo = "s6"\n[bench]\nevery = "x"')
         monkeypatch.setenv("EXWARP_UPSMAPLE_METHOD", "s6")

@@ -12,8 +12,13 @@ from tests.cli.config.files import write
 
 class TestValues:
     def test_lists_may_be_arrays(self, parse, project):
-        write(project, '[upsample]\nmetrics = ["psnr", "vmaf"]\ncuts = [1045, 1101]\nframes = 7')
+        write(
+            project,
+            '[upsample]\nmetrics = ["psnr", "vmaf"]\ncuts = [1045, 1101]\nframes = 7\n'
+            'layers = ["*Diffuse*", "Depth"]',
+        )
         taken = parse(*BEGIN)
+        assert taken["layers"] == "*Diffuse*,Depth"
         assert taken["metrics"] == ("psnr_db", "vmaf")
         assert (taken["cuts"], taken["frames"]) == ("1045,1101", "7")
 
