@@ -86,6 +86,9 @@ PointIdentity = tuple[np.int32, np.float32]
 MIN_SCALE = 0.25
 
 # … and the same as a share of the expected vector's length.
+# A vector back is expected to lead to where the point was. What comes nearer changes its depth and
+# speed as its own vectors do not foretell. By vectors back `exwarp` gained 0.15, 0.20 and 0.01 dB
+# at slots 1 to 3 of market, 0.19, 0.07 and 0.61 dB on a shot of things that come near.
 # An expected vector chooses between samples that differ, and stands in for those of other surfaces.
 # Where all four are of the point's, it never enters their mean: as a fifth sample of weight 0.2 it
 # turned vectors that all say 2.0 into 2.97 where 3.0 was expected.
@@ -130,20 +133,31 @@ def _match_surface(shown: InstantSurface, point: PointIdentity, q: np.uint64, p:
 
 
 @inline
+def _distrust(found: Vector, expected: Vector) -> np.float32:
+    """Return the squared distance of a vector from the expected one, in the scale of that."""
+    (x, y), (ex, ey) = found, expected
+    scale = max(np.float32(MIN_SCALE), np.float32(RELATIVE_SCALE) * np.sqrt(ex * ex + ey * ey))
+    away_x, away_y = (x - ex) / scale, (y - ey) / scale
+    out: np.float32 = away_x * away_x + away_y * away_y
+    return out
+
+
+@inline
 def _point_step(
-    step: F32,  # as `shown`: see `follow_points`
+    vectors: tuple[F32, F32],  # as `shown`: see `follow_points`
     shown: InstantSurface,
     point: PointIdentity,
     place: Vector,  # position of the point
     expected: Vector,  # its expected motion
+    origin: Vector,  # from there to where it was one step before
 ) -> Vector:
     """Return a point's motion over a step: the expected one, or NaN, if no sample counts."""
+    step, back = vectors
     height, width, _ = step.shape
     unit = np.float32(1)
     (x, y), (ex, ey) = place, expected
     has_expected = not math.isnan(ex + ey)
     total, sum_x, sum_y = np.float32(0), np.float32(0), np.float32(0)
-    scale = max(np.float32(MIN_SCALE), np.float32(RELATIVE_SCALE) * np.sqrt(ex * ex + ey * ey))
     near = x > -unit and y > -unit and x < width and y < height  # no for NaN
     left, top = (int(np.floor(x)), int(np.floor(y))) if near else (-2, -2)
     fx, fy = x - np.float32(left), y - np.float32(top)
@@ -161,9 +175,11 @@ def _point_step(
             continue
         weight = (fx if corner % 2 else unit - fx) * (fy if corner // 2 else unit - fy)
         if has_expected:
-            away_x, away_y = (vx - ex) / scale, (vy - ey) / scale
-            doubt = unit + away_x * away_x + away_y * away_y
-            trust = unit / (doubt * doubt)
+            distrust = _distrust((vx, vy), expected)
+            if back.size > 0:
+                astray = _distrust((back[row, column, 0], back[row, column, 1]), origin)
+                distrust = distrust if math.isnan(astray) else astray
+            trust = unit / ((unit + distrust) * (unit + distrust))
             if likeness == MAYBE_SAME and trust < np.float32(MIN_TRUST):
                 continue
             counted, covered, best = counted + 1, covered + weight, max(best, trust)
@@ -184,29 +200,32 @@ def _point_step(
 
 @ParallelKernel
 def follow_points(
-    # step: [H, W, 2] px over the step, at the pixels of the instant reached; NaN where unknown
-    step: F32,
+    # vectors: [H, W, 2] px over the step, and back over the one before, at the instant's pixels;
+    # NaN where unknown, those back may be [0, 0, 2]
+    vectors: tuple[F32, F32],
     stencils: tuple[I32, I32],  # [H, W] ids at that instant, and of the points; [0, 0] if unknown
     # depths: [H, W] at that instant, and of the points; +inf background, [0, 0] if unknown
     depths: tuple[F32, F32],
     rounded: Steps,  # steps to which depths, and their inverse, were rounded
     close: np.float32,  # relative difference of depths of one surface
-    # expected: [H, W, 2] px over the step, as predicted; NaN where unknown, [0, 0, 2] everywhere
-    expected: F32,
+    # expected: the same of the points, as predicted and as they came; NaN where unknown, [0, 0, 2]
+    # everywhere
+    expected: tuple[F32, F32],
     moved: F32,  # [H, W, 2] px, changed: way of the points so far; NaN where unknown
     band: Band,
 ) -> None:
     """Move points on by one step: moved(x) += step(x + moved(x)).
 
     Each point takes the mean of the bilinear samples of its own surface, by id and depth. Where
-    depth leaves that open, a sample counts if its vector is as expected; where samples differ, they
-    count the less the further they are from the expected vector. That vector replaces samples that
-    do not count.
+    depth leaves that open, a sample counts if its vector back leads to where the point was, or
+    without vectors back if its vector is as expected; the further from that, the less it counts.
+    The expected vector replaces samples that do not count.
     """
     height, width, _ = moved.shape
     stencil, point_ids = stencils
     depth, point_depths = depths
-    has_ids, has_expected = stencil.size > 0 and point_ids.size > 0, expected.size > 0
+    has_ids = stencil.size > 0 and point_ids.size > 0
+    has_expected, has_origin = expected[0].size > 0, expected[1].size > 0
     has_depths = depth.size > 0 and point_depths.size > 0
     for i in band_range(height, band):
         for j in range(width):
@@ -215,9 +234,12 @@ def follow_points(
             point_depth = point_depths[i, j] if has_depths else np.float32(np.nan)
             ex, ey = np.float32(np.nan), np.float32(np.nan)
             if has_expected:
-                ex, ey = expected[i, j, 0], expected[i, j, 1]
+                ex, ey = expected[0][i, j, 0], expected[0][i, j, 1]
+            ox, oy = np.float32(np.nan), np.float32(np.nan)
+            if has_origin:
+                ox, oy = expected[1][i, j, 0], expected[1][i, j, 1]
             shown, point = (stencil, depth, rounded, close), (point_id, point_depth)
-            step_x, step_y = _point_step(step, shown, point, (x, y), (ex, ey))
+            step_x, step_y = _point_step(vectors, shown, point, (x, y), (ex, ey), (ox, oy))
             moved[i, j, 0] += step_x
             moved[i, j, 1] += step_y
 
@@ -237,6 +259,7 @@ def follow_visible(
     """Move points on like `follow_points`, with the id of the pixel that they have reached."""
     height, width, _ = moved.shape
     nowhere = np.float32(np.nan), np.float32(np.nan)
+    vectors = step, step[:0, :0]
     anywhere, exact = step[:0, :0, 0], (np.float32(0), np.float32(0))
     for i in band_range(height, band):
         for j in range(width):
@@ -249,7 +272,7 @@ def follow_visible(
             place = np.float32(j) + mx, np.float32(i) + my
             shown = stencil, anywhere, exact, np.float32(0)
             point = ident, np.float32(np.nan)
-            step_x, step_y = _point_step(step, shown, point, place, nowhere)
+            step_x, step_y = _point_step(vectors, shown, point, place, nowhere, nowhere)
             next_moved[i, j, 0], next_moved[i, j, 1] = mx + step_x, my + step_y
 
 

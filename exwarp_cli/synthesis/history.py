@@ -40,7 +40,7 @@ SMOOTH = ("albedo", "specular")
 ROWS = 64
 
 # What the kernels take for expected motion that is not known, and depths that are not compared.
-_UNFORESEEN = np.zeros((0, 0, 2), np.float32)
+_UNFORESEEN = (np.zeros((0, 0, 2), np.float32),) * 2
 _UNCOMPARED = (np.zeros((0, 0), np.float32),) * 2
 
 
@@ -187,8 +187,9 @@ def look_back_rendered(
         # 1.4 dB further from the truth where things move. Depth shows a hidden point only where
         # something else predicts its motion.
         ids = stencil_of(newer), stencil_of(gbuffer)
+        vectors = older.motion, _UNFORESEEN[0]
         point_motion.follow_points(
-            older.motion, ids, _UNCOMPARED, EXACT, np.float32(0), _UNFORESEEN, moved
+            vectors, ids, _UNCOMPARED, EXACT, np.float32(0), _UNFORESEEN, moved
         )
         placed, there = moved.copy(), older.scene
         camera = None if there is None else there.camera

@@ -136,19 +136,22 @@ def trace_points(
     assert step is not None
     moved = step.copy()
     before = displacement(start, way) if others else moved
+    origin = -step  # from where a point is to where it was one step before
     nothing = np.zeros((0, 0), np.float32)
     depth = nothing if start.depth is None else start.depth
     rounding = depth_step(depth) if others else EXACT
     for count, other in enumerate(others, start=2):
         after = displacement(start, way * count)
-        step = other.to_next if way > 0 else other.to_previous
+        step, back = (other.to_next, other.to_previous)[::way]
         assert step is not None
+        vectors = step, np.zeros((0, 0, 2), np.float32) if back is None else back
         ids = stencil_of(other), stencil_of(start)
         depths = nothing if other.depth is None else other.depth, depth
         steps = coarser(rounding, depth_step(depths[0]))
         close = np.float32(CLOSE_DEPTH * (count - 1))
-        follow_points(step, ids, depths, steps, close, after - before, moved)
-        before = after
+        expected, origin = (after - before, origin), moved.copy()
+        follow_points(vectors, ids, depths, steps, close, expected, moved)
+        before, origin = after, origin - moved
     return moved
 
 

@@ -31,6 +31,7 @@ NO_IDS = np.zeros((0, 0), np.int32)
 NO_DEPTH = np.zeros((0, 0), np.float32)
 NO_MASK = np.zeros((0, 0), np.bool_)
 NO_VECTORS = np.zeros((0, 0, 3), np.float32)
+NO_MOTION = np.zeros((0, 0, 2), np.float32)
 
 
 def build(module: ModuleType, name: str, serial: bool) -> Callable[..., None]:
@@ -94,15 +95,16 @@ def followed(
     serial: bool = False,
     depths: Pair | None = None,
     rounded: tuple[float, float] = (0, 0),
+    back: tuple[np.ndarray, np.ndarray] = (NO_MOTION, NO_MOTION),
 ) -> Arrays:
     out = moved.copy()
     build(point_motion, "follow_points", serial)(
-        step,
+        (step, back[0]),
         stencils or (NO_IDS, NO_IDS),
         depths or (NO_DEPTH, NO_DEPTH),
         (np.float32(rounded[0]), np.float32(rounded[1])),
         np.float32(0.02),
-        expected,
+        (expected, back[1]),
         out,
     )
     return (out,)

@@ -130,12 +130,13 @@ def settle(serial: bool) -> calls.Arrays:
 
 
 def follow(serial: bool) -> calls.Arrays:
-    """With ids, with depths, and without."""
+    """With ids, with depths, with vectors back, and without."""
     fields = field(29), field(30), field(31)
+    back = calls.followed(*fields, (ids(32), ids(33)), serial, back=(field(39), field(40)))
     known = calls.followed(*fields, (ids(32), ids(33)), serial)
     depths = (depth(37), depth(38))
     deep = calls.followed(*fields, serial=serial, depths=depths, rounded=(0.5, 0.01))
-    return known + deep + calls.followed(*fields, serial=serial)
+    return known + deep + back + calls.followed(*fields, serial=serial)
 
 
 def shown(seed: int) -> np.ndarray:

@@ -199,3 +199,23 @@ def test_the_nearest_instant_is_followed_first(way):
     found = trace_points(moving(start), [moving(first), moving(last)], way)
     expected = start + np.roll(first, -3) + last
     np.testing.assert_allclose(found[:, :-8, 0], np.tile(expected, (HEIGHT, 1))[:, :-8], atol=1e-5)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_what_comes_nearer_is_followed_if_its_vectors_lead_back(way):
+    """An object slows down and comes nearer, by more than its depth alone is believed."""
+
+    def instant(depth: float, ahead: float, back: float) -> GBuffer:
+        one_way, other = (np.full((HEIGHT, WIDTH, 2), (x, 0), np.float32) for x in (ahead, back))
+        motion = {"to_next": one_way, "to_previous": other}
+        if way < 0:
+            motion = {"to_next": other, "to_previous": one_way}
+        near = np.full((HEIGHT, WIDTH), depth, np.float32)
+        return GBuffer(WINDOW, near, stencil=np.ones((HEIGHT, WIDTH), np.int32), **motion)
+
+    start, object_itself = instant(5, 4, -4), [instant(4, 3, -4), instant(3, 2, -3)]
+    found = trace_points(start, object_itself, way)
+    np.testing.assert_allclose(found[:, 16:-16, 0], 9, atol=1e-5)
+    # Another part of it, which hides the point: that continues by its own vectors.
+    found = trace_points(start, [instant(4, -3, 3), instant(3, -2, 3)], way)
+    np.testing.assert_allclose(found[:, 16:-16, 0], 12, atol=1e-5)

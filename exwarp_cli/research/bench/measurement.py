@@ -43,7 +43,7 @@ from exwarp_cli.synthesis.warp import Mover
 FrameScores = tuple[Score, Score | None]
 
 # Raised whenever the same input would give other numbers.
-PART_VERSION = 2
+PART_VERSION = 3
 
 # The slot that ExtraNet makes: it doubles the frame rate.
 MIDDLE = 2

@@ -31,7 +31,7 @@ from exwarp_cli.synthesis import extrapolation
 from exwarp_cli.synthesis.interval import Interval
 
 # Of what is cached; crops of another version are made again.
-VERSION = 11
+VERSION = 12
 
 # Crops of each frame.
 CROPS = 4

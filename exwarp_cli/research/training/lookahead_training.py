@@ -77,7 +77,7 @@ BLOCK, LEAST_SLOPE = 8, 2e-3
 VALIDATED = 60
 
 # Of what is cached; samples of another version are made again.
-VERSION = 1
+VERSION = 2
 
 # Channels in the order in which a slot has them that is played backwards.
 SWAPPED = {

@@ -39,7 +39,7 @@ from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.runtime.worker_pool import run_tasks
 
 # Raised whenever the same scene would give other numbers.
-OUTCOMES_VERSION, FEATURES_VERSION = 1, 1
+OUTCOMES_VERSION, FEATURES_VERSION = 2, 2
 
 # Every interval of a view of beginnings in so many is measured. A sequence has one such interval,
 # and from five views of a scene hardly anything was learned of it.
