@@ -161,9 +161,12 @@ def save_channel_map(inspection: Inspection, path: Path, overwrite: bool) -> Non
             "leave it out"
         )
     layout = shot.layout
-    # As the files name them, also where colour comes from another sequence.
-    labels = {ref: (replace(ref, aov="") if ref.aov == MAIN else ref).label for ref in shot.every}
-    channels = {role: tuple(labels[ref] for ref in refs) for role, refs in layout.roles.items()}
+
+    def name_in_file(ref: ChannelRef) -> str:
+        # Also where colour comes from another sequence.
+        return (replace(ref, aov="") if ref.aov == MAIN else ref).label
+
+    channels = {role: tuple(map(name_in_file, refs)) for role, refs in layout.roles.items()}
     motion = None
     if finding is not None and finding.source != "untested":
         motion = finding.convention.describe(motion_names(shot))
@@ -179,7 +182,7 @@ def save_channel_map(inspection: Inspection, path: Path, overwrite: bool) -> Non
     aovs = {aov.role.value for aov in shot.aov_files}
     if any(aov.role is Role.COLOUR for aov in shot.aov_files):
         aovs.add("")
-    unused = [labels[ref] for ref in shot.unused if ref.aov not in aovs]
+    unused = [name_in_file(ref) for ref in shot.unused if ref.aov not in aovs]
     if path.exists() and not overwrite:
         raise OutputExistsError(f"{path} exists; choose another name, or add --overwrite")
     text = channel_map_text(about, texts, channels, shot.aov_files, unused)

@@ -180,6 +180,16 @@ class TestChannelMaps:
         assert json.loads(by_map.out)["roles"] == shown["roles"]
         assert shown["roles"]["stencil"] == ["main:Object Index.X"]
 
+    def test_a_sequence_in_place_of_a_pass_is_in_it(self, exwarp, tmp_path):
+        for number in (1, 2):
+            passes = {"beauty": rgba(48, 64), "depth": {"Z": plane(48, 64, 5.0)}}
+            for name, planes in passes.items():
+                shots.write(tmp_path / "set" / f"shot.{name}.{number:04d}.exr", {"": planes})
+            shots.write(tmp_path / f"z.{number:04d}.exr", {"": {"far.V": plane(48, 64, 6.0)}})
+        depth = str(tmp_path / "z.####.exr")
+        options = (tmp_path / "set", "--aov", f"depth={depth}")
+        assert self.write(exwarp, tmp_path / "m.toml", *options)["aovs"] == {"depth": depth}
+
     def test_what_was_not_measured_is_not_in_it(self, exwarp, tmp_path):
         shots.sequence(tmp_path / "keys", shots.blender5, (1,))
         found = self.write(exwarp, tmp_path / "m.toml", tmp_path / "keys")
