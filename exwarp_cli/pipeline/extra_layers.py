@@ -362,16 +362,16 @@ class ViewInterval:
     ) -> dict[ChannelRef, np.ndarray]:
         """Make a layer's channels for a slot, [H, W] each, in the type that its file has."""
         refs, window = layer.refs, self.window
+        sides = [side for side in (frames.before, frames.after) if side is not None]
         if layer.kind is LayerKind.COLOUR:
-            stacks = []
-            for side in filter(None, (frames.before, frames.after)):
-                stack, display = self._stack(side, refs), self.interval.key.image.display_window
+            stacks = [self._stack(side, refs) for side in sides]
+            display = self.interval.key.image.display_window
+            for side, stack in zip(sides, stacks, strict=True):
                 for i, ref in enumerate(refs):
                     # What no data tells is unknown, as in the beauty.
                     if side[ref].window != window:
                         unknown = outside_mask(window, side[ref].window)
                         stack[unknown & outside_mask(window, display), i] = np.nan
-                stacks.append(stack)
             values = retimer.colour(*stacks)
         elif layer.kind in POINTS:
             # What a key frame does not tell of a point is no change: not that it went to 0.
@@ -381,7 +381,7 @@ class ViewInterval:
             )
             values = retimer.moved(self.course, known, layer.kind is LayerKind.POSITION)
             for i, ref in enumerate(refs):
-                ends = [frame[ref].window for frame in (frames.before, frames.after) if frame]
+                ends = [side[ref].window for side in sides]
                 if any(not end.covers(window) for end in ends):
                     outside = (outside_mask(window, end) for end in ends)
                     values[retimer.sources.take(*outside), i] = 0
@@ -391,15 +391,12 @@ class ViewInterval:
                 if ref in vectors:
                     copied[ref] = vectors[ref]
                     continue
-                # The sources' values, bit for bit.
-                sides: list[np.ndarray] = []
-                for side in filter(None, (frames.before, frames.after)):
-                    plane, dtype = side[ref], frames.before[ref].values.dtype
-                    placed = place_on_canvas(plane.values, plane.window, window)
-                    # The type may have changed on the way.
-                    with np.errstate(invalid="ignore", over="ignore"):
-                        sides.append(placed.astype(dtype, copy=False))
-                copied[ref] = retimer.sources.take(*sides)
+                # The sources' values, bit for bit, in the type that the key frame has.
+                dtype = frames.before[ref].values.dtype
+                placed = [place_on_canvas(s[ref].values, s[ref].window, window) for s in sides]
+                with np.errstate(invalid="ignore", over="ignore"):
+                    alike = [plane.astype(dtype, copy=False) for plane in placed]
+                copied[ref] = retimer.sources.take(*alike)
             return copied
         # Copied, so that half takes its own memory.
         return {ref: np.ascontiguousarray(values[..., i]) for i, ref in enumerate(refs)}
