@@ -187,16 +187,8 @@ class _Weights:
     def _external_bytes(self, entries: Mapping[str, str]) -> memoryview:
         location = entries.get("location", "")
         if location not in self.files:
-            windows = PureWindowsPath(location)  # its rules for what leads out are stricter
-            parts = {*PurePosixPath(location).parts, *windows.parts}
-            path, is_inside = self.path.parent / location, False
-            leads_out = ".." in parts or windows.drive or windows.root
-            if location and not leads_out and "\0" not in location:
-                # Model and weights may both be links into one folder, as download caches have them.
-                folders = {self.path.parent.resolve(), self.path.resolve().parent}
-                with suppress(OSError, RuntimeError):  # links that lead to each other
-                    is_inside = any(path.resolve().is_relative_to(folder) for folder in folders)
-            if not is_inside:
+            path = self.path.parent / location
+            if not self._is_inside(location):
                 raise LayoutError(
                     f"{self.path} keeps weights in {location[:200]!r}, and only files in the "
                     "folder of a model are read; put them there, or save the model with its "
@@ -234,6 +226,20 @@ class _Weights:
                 "smaller network"
             )
         return content[begin:end]
+
+    def _is_inside(self, location: str) -> bool:
+        """Return True if a location leads to a file in the model's folder."""
+        windows = PureWindowsPath(location)  # its rules for what leads out are stricter
+        parts = {*PurePosixPath(location).parts, *windows.parts}
+        leads_out = ".." in parts or windows.drive or windows.root
+        if not location or leads_out or "\0" in location:
+            return False
+        # Model and weights may both be links into one folder, as download caches have them.
+        folders = {self.path.parent.resolve(), self.path.resolve().parent}
+        with suppress(OSError, RuntimeError):  # links that lead to each other
+            path = (self.path.parent / location).resolve()
+            return any(path.is_relative_to(folder) for folder in folders)
+        return False
 
 
 class _Field(NamedTuple):
