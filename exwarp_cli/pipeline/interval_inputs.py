@@ -182,8 +182,8 @@ class IntervalReader:
         self.shots = self.store.shots
         if leader is not None:
             self.fingerprinter.digests = leader.fingerprinter.digests
-        own = self._make_trials(settings.gate) if leader is None else leader.trials
-        self.trials: tuple[TrialReader, ...] = own
+        trials = self._make_trials(settings.gate) if leader is None else leader.trials
+        self.trials: tuple[TrialReader, ...] = trials
         if keep_going:
             self.fingerprinter.reading = self.store.reading
         self._layers = extra_layers.LayerReader(content) if content.extra else None
@@ -196,10 +196,10 @@ class IntervalReader:
         self.observed_keys: frozenset[int] = frozenset()
 
     def _make_trials(self, gate: bool) -> tuple[TrialReader, ...]:
-        """Make the readers of trials, if a gate decides.
+        """Make the readers of trials; () if no gate decides.
 
-        One is of intervals with a next key frame, or of all; then one of those without, if others
-        make them.
+        The first is for intervals with a next key frame, or for all. The second is for those
+        without, if another method makes them.
         """
         method = self._method
         if not (method.gated and gate):
@@ -317,9 +317,7 @@ class IntervalReader:
             if older is not None and older not in keys:
                 keys.append(older)
             instants += [slot for i in (key, *history) for slot in self.store.slots_after(i)]
-            observed_keys = range(0)  # whose features a state at this one holds
-            if self._observes:
-                observed_keys = range(self.shots.begin(key, OLDER_KEYS), key + 1)
+            observed_keys = self._observed_keys(key)
             pairs = ((Slot(index, 0), self._instant_before(index)) for index in observed_keys)
             instants += [slot for pair in pairs for slot in pair if slot is not None]
             # Fingerprints hold the files of a warp's history.
@@ -378,12 +376,14 @@ class IntervalReader:
         """Return how many older key frames slots may depend on, along rendered motion."""
         return 0 if self._source.finding is None else self._method.older_keys(looks_ahead)
 
+    def _observed_keys(self, key: int) -> range:
+        """Return the indices of the key frames whose features a state at this one holds."""
+        return range(self.shots.begin(key, OLDER_KEYS), key + 1) if self._observes else range(0)
+
     def observe(self, key: int) -> tuple[PolicyObservation, ...]:
         """Return the instants of key frames that no earlier interval brought along."""
-        if not self._observes:
-            return ()
         observed = []
-        for index in range(self.shots.begin(key, OLDER_KEYS), key + 1):
+        for index in self._observed_keys(key):
             if index not in self.observed_keys:
                 slot = self._instant_before(index)
                 before = None if slot is None else self.store.get_shape(slot)
