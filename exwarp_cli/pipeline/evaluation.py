@@ -389,8 +389,8 @@ def make_scorer(
         flags = generated if has_headers else None
         return scoring.ExtranetScorer(measuring.measured, len(origins), flags), ()
     notes = []
-    new = (FrameKind.GENERATED.value, FrameKind.DROPPED.value)
-    rendered = sum(origin.kind not in new for origin in origins)
+    not_rendered = (FrameKind.GENERATED.value, FrameKind.DROPPED.value)
+    rendered = sum(origin.kind not in not_rendered for origin in origins)
     if rendered not in (0, len(origins)):
         notes.append(
             f"the means of all pixels are over all {len(origins)} frames, {rendered} of which are "

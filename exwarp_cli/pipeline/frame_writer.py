@@ -170,7 +170,7 @@ class FrameWriter(ResourceOwner):
     def show(self, image: Image | None) -> None:
         """Append a frame to the video, if there is one.
 
-        None for the last one again, or a black one, to keep sound in step.
+        None repeats the last one, or appends a black one, to keep sound in step.
         """
         if self._video is None:
             return

@@ -101,7 +101,7 @@ class Job:
         return self.models.extrapolator, self.models.interpolator, policy
 
     def refuse(self) -> None:
-        """Refuse frames and ground truth of several sizes, and to overwrite; touch nothing.
+        """Refuse frames and ground truth of another size, and to overwrite; touch nothing.
 
         See `require_one_size`, `OutputPlan.check_conflicts` and `require_own`.
         """

@@ -134,8 +134,8 @@ class Run:
             job, reader, builder, self.writer, progress, self._layers.any
         )
         # New frames without ground truth are compared with their key frames.
-        measures = job.reported or job.settings.metrics is not None
-        measures = measures and "pulse" in job.settings.measured
+        is_asked = job.reported or job.settings.metrics is not None
+        measures = is_asked and "pulse" in job.settings.measured
         self._pulses = KeyedPulses(job.source) if measures else None
         self._renderer = SlotRenderer(
             job.source, job.method, self.writer, self._layers, self._pulses, listener is not None

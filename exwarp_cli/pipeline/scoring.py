@@ -89,8 +89,9 @@ def flicker_of(
         inside.append(masked)
     # The transition to a rendered frame, whose error is 0, is taken at all pixels of the slot
     # itself, and needs no motion.
-    value, last = None, errors.get(slots[-1]) if steps.followed else None
-    if last is not None:
+    value = None
+    if steps.followed and slots[-1] in errors:
+        last = errors[slots[-1]]
         everywhere = np.ones(last.shape[:2], np.bool_)
         value = temporal.Transition(np.abs(last).mean(axis=-1), everywhere).mean()
     transitions.append(value)
