@@ -241,7 +241,8 @@ def _requirements(own: Distribution, extra: str | None) -> Iterator[Requirement]
     """Yield what an extra requires on this platform, or ExWarp itself for None."""
     for text in own.requires or ():
         requirement = Requirement(text)
-        marker, names = requirement.marker, ("", extra or "")
-        is_core, is_wanted = (marker is None or marker.evaluate({"extra": n}) for n in names)
+        marker = requirement.marker
+        is_core = marker is None or marker.evaluate({"extra": ""})
+        is_wanted = marker is None or marker.evaluate({"extra": extra or ""})
         if is_wanted and is_core == (extra is None):
             yield requirement
