@@ -76,7 +76,7 @@ class Content:
     def motion(self) -> tuple[ChannelRef, ...]:
         """The motion channels that have to be read to write any of them; () without."""
         has_motion = any(layer.kind is LayerKind.MOTION for layer in self.extra)
-        # Of slots' G-buffers the convention is that of theirs, and the key frames' is not known.
+        # With slots' G-buffers the convention is theirs; that of the key frames is not known.
         if not has_motion or self.source.slots is not None or self.source.convention is None:
             return ()
         return self.source.keys.layout.roles[Role.MOTION]
@@ -326,7 +326,7 @@ class ViewInterval:
             return {}
         retimer = make_retimer(self.interval, slot, shown)
         motion, convention = self.content.motion, self.content.source.convention
-        vectors: dict[ChannelRef, np.ndarray] = {}  # all of them: several layers may hold them
+        vectors: dict[ChannelRef, np.ndarray] = {}  # of all layers: several may hold them
         own = frames.slots[slot - 1] if frames.slots else {}
         planes: dict[PlaneKey, Plane] = {}
         for layer in self.content.extra:

@@ -72,7 +72,7 @@ class KeyFrameStore:
         self._keeps_slots = method.older_keys(method.lookahead) > 0
         self._keeps_shapes = keeps_shapes
         self._lookahead = method.lookahead
-        # Of each key interval. Slots have G-buffers only where the factor is an integer.
+        # Output frames of a key interval; without an integer factor slots have no G-buffers.
         self._steps = source.timeline.steps or 0
         # What reads more with each key frame, where frames may be unreadable: a key frame counts
         # as unreadable if its layers or its other views are.
