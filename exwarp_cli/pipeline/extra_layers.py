@@ -326,7 +326,7 @@ class ViewInterval:
             return {}
         retimer = make_retimer(self.interval, slot, shown)
         motion, convention = self.content.motion, self.content.source.convention
-        vectors: dict[ChannelRef, np.ndarray] = {}  # of all layers: several may hold them
+        vectors: dict[ChannelRef, np.ndarray] = {}  # made once: several layers may hold them
         own = frames.slots[slot - 1] if frames.slots else {}
         planes: dict[PlaneKey, Plane] = {}
         for layer in self.content.extra:
@@ -358,7 +358,7 @@ class ViewInterval:
         layer: Layer,
         frames: LayerFrames,
         retimer: LayerRetimer,
-        vectors: Mapping[ChannelRef, np.ndarray],  # made already; {} if the layer has none
+        vectors: Mapping[ChannelRef, np.ndarray],  # the motion channels; {} for other layers
     ) -> dict[ChannelRef, np.ndarray]:
         """Make a layer's channels for a slot, [H, W] each, in the type that its file has."""
         refs, window = layer.refs, self.window
@@ -402,6 +402,8 @@ class ViewInterval:
         return {ref: np.ascontiguousarray(values[..., i]) for i, ref in enumerate(refs)}
 
     def _stack(self, planes: Planes, refs: tuple[ChannelRef, ...], fill: float = 0.0) -> Float32:
-        own = ((planes[ref].values.astype(np.float32, copy=False), planes[ref]) for ref in refs)
-        placed = [place_on_canvas(v, plane.window, self.window, fill) for v, plane in own]
+        placed = []
+        for plane in (planes[ref] for ref in refs):
+            values = plane.values.astype(np.float32, copy=False)
+            placed.append(place_on_canvas(values, plane.window, self.window, fill))
         return np.stack(placed, axis=-1)
