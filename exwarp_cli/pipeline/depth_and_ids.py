@@ -56,8 +56,8 @@ def with_depth_measured(shot: Shot) -> Shot:
         written = written.astype(np.float32, copy=False)
         with np.errstate(invalid="ignore"):
             surface = written[np.isfinite(written) & (np.abs(written) < FAR)]
-        # Distances along a camera's -z axis. Filters that ring leave a few pixels below 0 in any
-        # depth, so more must lie below than above.
+        # Along a camera's -z axis distances are negative. Filters that ring leave a few pixels
+        # below 0 in any depth, so more pixels must lie below 0 than above.
         if np.count_nonzero(surface < 0) > np.count_nonzero(surface > 0):
             evidence = f"{_depth_layer(shot)!r} is negative and read as the distance |z|"
             return replace(shot, depth=DepthReading(DepthKind.NEGATIVE, evidence=evidence))
@@ -115,7 +115,7 @@ def with_depth_ordered(
         pairs = map(both_directions, pairs_around(first, len(numbers), cuts.__contains__))
         wanted = next(pairs)
         for pair in chain((wanted,), pairs):
-            # Not a hold, of which both frames are the same, though their vectors are not at rest.
+            # A hold tells nothing: both frames are the same, but their vectors show motion.
             if not any(np.any(m) and np.array_equal(a, b, equal_nan=True) for a, b, m in pair):
                 wanted = pair
                 break
