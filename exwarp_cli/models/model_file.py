@@ -149,13 +149,14 @@ class _MalformedError(ValueError):
 
 @dataclass
 class _Weights:
-    """Copies external weights into one model. A method returns None where nothing changes."""
+    """Copies external weights into one model."""
 
     path: Path
     files: dict[str, memoryview]  # those that were read, by location
     size: int = 0  # of all that was copied, bytes
 
     def embed_in(self, message: memoryview, name: str, depth: int) -> Chunks | None:
+        """Return a message of the type `name` with its weights in it; None if nothing changes."""
         if name == "TensorProto":
             fields = list(_fields(message))
             # A varint of 64 bits is cut to the 32 bits of an enumeration.

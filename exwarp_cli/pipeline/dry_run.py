@@ -112,7 +112,7 @@ def require_writable(folders: Iterable[Path]) -> None:
 
 
 def _compare_existing(job: Job) -> tuple[dict[Slot, bool], tuple[Cut, ...] | None]:
-    """Return whether the frame of each slot that has one is kept, and the cuts detected."""
+    """Return whether each slot's frame is kept, without skipped slots, and the cuts detected."""
     reader = make_reader(job)
     leader = reader.leader
     if job.targets.frames is None:

@@ -96,9 +96,10 @@ def check_self_test() -> CheckResult:
 
 
 def render(slot: int) -> dict[str, np.ndarray]:
-    """Return what a slot shows [H, W].
+    """Return the channels of a slot by name, each [H, W].
 
-    R, G, B, A as half, some values above 1; depth, id, vectors, normals and positions as float32.
+    R, G, B, A are half, with some values above 1; depth, id, vectors, normals and positions are
+    float32.
     """
     # The point of the plane that each pixel shows.
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
