@@ -84,7 +84,7 @@ class IntervalBuilder:
     scratch: ScratchFrames = IN_MEMORY  # for large settled frames if a network extrapolates
     linear: bool = False  # colour is moved in linear light, as layers add up to it
     back: int = 0  # how many older key frames a later interval goes by, without a network
-    # Ids of what moves.
+    # Ids of what moves, by the instants that tell it.
     _moving: dict[ComparedInstants, Ids] = field(default_factory=dict)
     _frames: dict[FrameKey, KeyFrame] = field(default_factory=dict)
     _instants: dict[tuple[Slot, Basis], GBuffer] = field(default_factory=dict)
@@ -345,7 +345,7 @@ class IntervalPreparer:
         parts: Mapping[int, SubSlot] = {}
         if has_missing:
             around = (inputs.frame, inputs.following, *(past.frame for past in inputs.history))
-            # 12 ms for a frame of 1920x1080, so that no count is kept for the next interval.
+            # Counting takes 12 ms for a frame of 1920x1080, too little to keep counts for the next.
             broken = {f.number: count_nonfinite((f.image.pixels,)) for f in around if f is not None}
             parts = self._split(interval, inputs)
         prepared = PreparedInterval(interval, plan, existing, timing_ms, broken, trial, parts)

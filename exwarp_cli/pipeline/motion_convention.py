@@ -294,10 +294,10 @@ class _Measurement:
         return calibrate(pairs, self.guess, self.names, intervals, presets, step)
 
     def _beside_holds(self, firsts: list[int], by_colour: bool) -> list[int]:
-        """Return the pairs, in place of those that show one picture twice others nearby.
+        """Return the pairs, each that shows one picture twice replaced by a pair nearby.
 
-        The two frames of such a pair are the same, though their vectors are not at rest: of a pair
-        at rest, others are looked for where all of them are.
+        The frames of such a pair are equal, though their vectors are not at rest. A pair at rest
+        stays; if all are at rest, `_moving_pairs` looks for others.
         """
         chosen, count = set(), len(self.shot.sequence.numbers)
         for wanted in firsts:

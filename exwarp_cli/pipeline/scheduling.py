@@ -91,7 +91,7 @@ def wait_result(future: Future[T]) -> T:
 
 
 def run_with_core(task: Callable[[], T], count: int = 1) -> T:
-    """Run a task on so many cores."""
+    """Run a task while it holds `count` cores."""
     with hold_cores(count):
         return task()
 
