@@ -76,6 +76,11 @@ class MacArray:
         """Return the cycles that the products of one neuron take."""
         return -(-fan_in // self.macs)
 
+    @property
+    def beats(self) -> int:
+        """The cycles that a word of weights takes on the port, where there is one."""
+        return -(-self.macs // self.port_bytes)
+
 
 @dataclass(frozen=True)
 class InputSchedule:
@@ -198,9 +203,8 @@ def _port_use(
     waits = [0] * len(sizes)
     refills = [[0] * len(sizes) for _ in range(array.cores)]
     if array.port_bytes:
-        beats = -(-array.macs // array.port_bytes)  # cycles of a word on the port
         for number, missing in missing_words(array, sizes):
-            waits[number] += max(len(missing) * beats - 1, 0)
+            waits[number] += max(len(missing) * array.beats - 1, 0)
             for core, _ in missing:
                 refills[core][number] += array.macs
     else:

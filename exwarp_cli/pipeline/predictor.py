@@ -273,7 +273,7 @@ def _lines(words: Iterable[str]) -> str:
 
 
 def _resident_words(array: MacArray, sizes: Sequence[int], needed: int) -> int:
-    """Return how many of the `needed` words of weights of the fullest core its cache holds.
+    """Return how many of the fullest core's `needed` words of weights its cache holds.
 
     Raises UsageError for a machine that the design cannot implement.
     """
@@ -329,11 +329,10 @@ def design(
             filled = words[core] + ["0" * len(words[0][0])] * (len(words[0]) - len(words[core]))
             files[f"memory{core}_{name}.hex"] = _lines(filled)
     # What the port brings in an inference, a beat a line, the lowest bytes first.
-    beats_a_word = -(-array.macs // array.port_bytes)
     digits, beats = 2 * array.port_bytes, []
     for _, missing in mac_array.missing_words(array, sizes):
         for core, index in missing:
-            word = weights[core][index].zfill(digits * beats_a_word)
+            word = weights[core][index].zfill(digits * array.beats)
             beats += [word[end - digits : end] for end in range(len(word), 0, -digits)]
     files["refill.hex"] = _lines(beats or ["0"])
     depths = {
@@ -367,7 +366,7 @@ def _parameters(array: MacArray, sizes: Sequence[int], depths: Mapping[str, int]
         **depths,
         "STATES": slots[0],
         "PORT": array.port_bytes,
-        "BEATS": -(-array.macs // array.port_bytes),
+        "BEATS": array.beats,
     }
     # By stage: the inputs, then each layer. A slot is one number of each core.
     tables = {"SLOTS": slots, "REMAINDERS": last, "WORDS": words}
