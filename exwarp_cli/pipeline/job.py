@@ -389,10 +389,8 @@ def _require_usable(
         )
     timeline = source.timeline
     # The paper's decisions are for slots of 4x alone.
-    every = methods.METHODS
-    limited = [m.name for m in every.values() if m.judge is not None or m.extrapolates]
-    if method.name in limited and not source.allows_decisions:
-        names = ", ".join(name for name in every if name not in limited)
+    if method.extrapolates and not source.allows_decisions:
+        names = ", ".join(m.name for m in methods.METHODS.values() if not m.extrapolates)
         raise UsageError(
             f"--method {method.name} decides between slots of {FACTOR} times the rate, and "
             f"{float(timeline.factor):g} times are asked for; use one of {names}"
