@@ -134,7 +134,7 @@ def _match_surface(shown: InstantSurface, point: PointIdentity, q: np.uint64, p:
 
 @inline
 def _distrust(found: Vector, expected: Vector) -> np.float32:
-    """Return the squared distance of a vector from the expected one, in the scale of that."""
+    """Return the squared distance of a vector from the expected one; see MIN_SCALE."""
     (x, y), (ex, ey) = found, expected
     scale = max(np.float32(MIN_SCALE), np.float32(RELATIVE_SCALE) * np.sqrt(ex * ex + ey * ey))
     away_x, away_y = (x - ex) / scale, (y - ey) / scale
@@ -208,8 +208,8 @@ def follow_points(
     depths: tuple[F32, F32],
     rounded: Steps,  # steps to which depths, and their inverse, were rounded
     close: np.float32,  # relative difference of depths of one surface
-    # expected: the same of the points, as predicted and as they came; NaN where unknown, [0, 0, 2]
-    # everywhere
+    # expected: the same of the points, as predicted and as they came; NaN where unknown, both
+    # [0, 0, 2] everywhere
     expected: tuple[F32, F32],
     moved: F32,  # [H, W, 2] px, changed: way of the points so far; NaN where unknown
     band: Band,
@@ -224,22 +224,20 @@ def follow_points(
     height, width, _ = moved.shape
     stencil, point_ids = stencils
     depth, point_depths = depths
-    has_ids = stencil.size > 0 and point_ids.size > 0
-    has_expected, has_origin = expected[0].size > 0, expected[1].size > 0
+    ahead, behind = expected
+    has_ids, has_expected = stencil.size > 0 and point_ids.size > 0, ahead.size > 0
     has_depths = depth.size > 0 and point_depths.size > 0
     for i in band_range(height, band):
         for j in range(width):
             x, y = np.float32(j) + moved[i, j, 0], np.float32(i) + moved[i, j, 1]
             point_id = point_ids[i, j] if has_ids else np.int32(-2)
             point_depth = point_depths[i, j] if has_depths else np.float32(np.nan)
-            ex, ey = np.float32(np.nan), np.float32(np.nan)
+            onward = origin = np.float32(np.nan), np.float32(np.nan)
             if has_expected:
-                ex, ey = expected[0][i, j, 0], expected[0][i, j, 1]
-            ox, oy = np.float32(np.nan), np.float32(np.nan)
-            if has_origin:
-                ox, oy = expected[1][i, j, 0], expected[1][i, j, 1]
+                onward = ahead[i, j, 0], ahead[i, j, 1]
+                origin = behind[i, j, 0], behind[i, j, 1]
             shown, point = (stencil, depth, rounded, close), (point_id, point_depth)
-            step_x, step_y = _point_step(vectors, shown, point, (x, y), (ex, ey), (ox, oy))
+            step_x, step_y = _point_step(vectors, shown, point, (x, y), onward, origin)
             moved[i, j, 0] += step_x
             moved[i, j, 1] += step_y
 

@@ -95,16 +95,16 @@ def followed(
     serial: bool = False,
     depths: Pair | None = None,
     rounded: tuple[float, float] = (0, 0),
-    back: tuple[np.ndarray, np.ndarray] = (NO_MOTION, NO_MOTION),
+    back: Pair | None = None,
 ) -> Arrays:
     out = moved.copy()
     build(point_motion, "follow_points", serial)(
-        (step, back[0]),
+        (step, NO_MOTION if back is None else back[0]),
         stencils or (NO_IDS, NO_IDS),
         depths or (NO_DEPTH, NO_DEPTH),
         (np.float32(rounded[0]), np.float32(rounded[1])),
         np.float32(0.02),
-        (expected, back[1]),
+        (expected, expected if back is None else back[1]),
         out,
     )
     return (out,)
